@@ -1,0 +1,21 @@
+"""What can go wrong at the public door, as types.
+
+Inside, a solve or an estimate returns a result code and never raises. At the door (files, options,
+arguments) a wrong value raises an `InputError` whose text is one line: what, where, the remedy.
+"""
+
+
+class ProbeDesignError(Exception):
+    """Any error this package raises on purpose."""
+
+
+class InputError(ProbeDesignError, ValueError):
+    """A file, option or argument that cannot be used; the text is one line fit for a user."""
+
+
+class MissingDependencyError(ProbeDesignError, ImportError):
+    """An optional package that this step needs is not installed; the text names the extra."""
+
+
+class CheckFailedError(ProbeDesignError):
+    """A self-check of something this package made itself (a mesh, a solid) did not hold."""

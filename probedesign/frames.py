@@ -1,0 +1,70 @@
+"""Poses and wrenches between frames. `T_a_b` maps b's coordinates into a's, so inner names cancel: T_a_b @ T_b_c."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
+    """Homogeneous transform from a rotation and an origin.
+
+    Args:
+        R: rotation matrix (3, 3); identity if None.
+        p: origin [m], (3,); zero if None.
+
+    Returns:
+        T (4, 4).
+    """
+    T = np.eye(4)
+    if R is not None:
+        T[:3, :3] = R
+    if p is not None:
+        T[:3, 3] = p
+    return T
+
+
+def rotation_z(angle: float) -> Array:
+    """Rotation about z by `angle` [rad], (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def inverse(T_a_b: Array) -> Array:
+    """T_b_a of a rigid transform T_a_b (4, 4)."""
+    R = T_a_b[:3, :3]
+    return pose(R.T, -R.T @ T_a_b[:3, 3])
+
+
+def wrench_map(T_a_b: Array) -> Array:
+    """Matrix X (6, 6) with wrench_a = X @ wrench_b: the same load, about a's origin in a's axes.
+
+    force_a = R force_b, moment_a = R moment_b + p × R force_b, with R, p from T_a_b.
+    """
+    R, p = T_a_b[:3, :3], T_a_b[:3, 3]
+    X = np.zeros((6, 6))
+    X[:3, :3] = X[3:, 3:] = R
+    X[3:, :3] = skew(p) @ R
+    return X
+
+
+def skew(a: ArrayLike) -> Array:
+    """Matrix (3, 3) with skew(a) @ b = a × b."""
+    x, y, z = np.asarray(a, dtype=float)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def is_pose(T: ArrayLike, tolerance: float = 1e-6) -> bool:
+    """Whether T (4, 4) is finite with an orthonormal right-handed rotation and a last row 0 0 0 1.
+
+    The tolerance allows for poses written with seven digits.
+    """
+    T = np.asarray(T, dtype=float)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return False
+    R = T[:3, :3]
+    return bool(
+        np.allclose(R @ R.T, np.eye(3), atol=tolerance)
+        and np.linalg.det(R) > 0
+        and np.allclose(T[3], (0, 0, 0, 1), atol=tolerance)
+    )

@@ -1,0 +1,90 @@
+"""Volume, mass, centre and inertia of rigid and undeformed bodies, in closed form."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from probedesign.frames import Array, skew
+from probedesign.geometry import ProbeGeometry
+
+
+@dataclass(frozen=True)
+class MassProperties:
+    """Mass properties of a body in some frame.
+
+    Attributes:
+        volume: [m³].
+        mass: [kg].
+        p_com: centre of mass in that frame [m], (3,).
+        inertia: about the centre of mass, in that frame's axes [kg·m²], (3, 3).
+    """
+
+    volume: float
+    mass: float
+    p_com: Array
+    inertia: Array
+
+    def moved(self, T_a_b: Array) -> "MassProperties":
+        """The same body, given in frame b, told in frame a."""
+        R = T_a_b[:3, :3]
+        return MassProperties(self.volume, self.mass, R @ self.p_com + T_a_b[:3, 3], R @ self.inertia @ R.T)
+
+    def inertia_about(self, p: Array) -> Array:
+        """Inertia about point p [kg·m²], (3, 3), by the parallel-axis theorem."""
+        d = skew(self.p_com - p)
+        return self.inertia - self.mass * d @ d
+
+    def wrench(self, gravity: Array) -> Array:
+        """[m g; p_com × m g] about the frame's origin for gravity [m/s²] in the frame's axes, (6,)."""
+        weight = self.mass * np.asarray(gravity, dtype=float)
+        return np.concatenate([weight, np.cross(self.p_com, weight)])
+
+
+NOTHING = MassProperties(0.0, 0.0, np.zeros(3), np.zeros((3, 3)))
+
+
+def combined(bodies: Iterable[MassProperties]) -> MassProperties:
+    """Several bodies, all told in one frame, as one."""
+    bodies = [b for b in bodies if b.mass > 0.0]
+    if not bodies:
+        return NOTHING
+    mass = sum(b.mass for b in bodies)
+    p_com = sum((b.mass * b.p_com for b in bodies), np.zeros(3)) / mass
+    inertia = sum((b.inertia_about(p_com) for b in bodies), np.zeros((3, 3)))
+    return MassProperties(sum(b.volume for b in bodies), mass, p_com, inertia)
+
+
+def frustum(r1: float, r2: float, height: float, z: float, density: float) -> MassProperties:
+    """A solid cone frustum on the z axis, radius r1 at z and r2 at z + height [m], density [kg/m³].
+
+    V = π h (r1² + r1 r2 + r2²)/3; z̄ = h (r1² + 2 r1 r2 + 3 r2²)/(4 (r1² + r1 r2 + r2²));
+    ∫r⁴ = h (r1⁴ + r1³r2 + r1²r2² + r1r2³ + r2⁴)/5; ∫z² dV = π h³ (r1² + 3 r1 r2 + 6 r2²)/30.
+
+    Source: integration of a linear radius; agrees with any table of solids for r1 = r2 and r2 = 0.
+    """
+    q = r1 * r1 + r1 * r2 + r2 * r2
+    volume = np.pi * height * q / 3.0
+    z_com = height * (r1 * r1 + 2 * r1 * r2 + 3 * r2 * r2) / (4.0 * q)
+    r4 = height * (r1**4 + r1**3 * r2 + r1**2 * r2**2 + r1 * r2**3 + r2**4) / 5.0
+    axial = density * np.pi / 2.0 * r4
+    z2 = density * np.pi * height**3 * (r1 * r1 + 3 * r1 * r2 + 6 * r2 * r2) / 30.0
+    mass = density * volume
+    lateral = axial / 2.0 + z2 - mass * z_com**2
+    return MassProperties(
+        volume, mass, np.array([0.0, 0.0, z + z_com]), np.diag([lateral, lateral, axial])
+    )  # fmt: skip
+
+
+def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
+    """The body from s = 0 to the tip, undeformed, in the base frame; density [kg/m³]."""
+    s, r = geometry.s, geometry.radius
+    return combined(
+        frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density) for i in range(len(s) - 1)
+    )
+
+
+def flange_part(geometry: ProbeGeometry, density: float) -> MassProperties:
+    """The flange disc below the base, in the base frame; density [kg/m³]."""
+    r, t = geometry.flange.diameter / 2.0, geometry.flange.thickness
+    return frustum(r, r, t, -t, density)

@@ -1,0 +1,86 @@
+"""Robot flanges as data: ISO 9409-1 patterns that the flange adapter bolts to."""
+
+from dataclasses import dataclass
+
+from probedesign.errors import InputError
+from probedesign.units import MM
+
+
+@dataclass(frozen=True)
+class RobotFlange:
+    """One flange pattern. Azimuths count from the dowel hole. All lengths [m].
+
+    Attributes:
+        bolt_circle_d: of the tapped holes and of the dowel.
+        bolt_azimuths_deg: of the tapped holes, from the dowel.
+        bolt: thread name.
+        bolt_clearance_d: through hole in the adapter.
+        bolt_head_d: of a socket head screw (ISO 4762).
+        max_bolt_entry: deepest that a screw may enter the robot.
+        bolt_length: the stock screw that the adapter's thickness is made for.
+        pin_slot: width and radial length of the slot that takes the dowel pin.
+        spigot: diameter and height of the centring boss.
+        face_d: diameter of the flange's face.
+        source: where the numbers come from.
+    """
+
+    name: str
+    bolt_circle_d: float
+    bolt_azimuths_deg: tuple[float, ...]
+    bolt: str
+    bolt_clearance_d: float
+    bolt_head_d: float
+    max_bolt_entry: float
+    bolt_length: float
+    pin_slot: tuple[float, float]
+    spigot: tuple[float, float]
+    face_d: float
+    source: str
+
+
+ROBOT_FLANGES = {
+    f.name: f
+    for f in (
+        RobotFlange(
+            name="iso-9409-1-50-4-m6",
+            bolt_circle_d=50.0 * MM,
+            bolt_azimuths_deg=(45.0, 135.0, 225.0, 315.0),
+            bolt="M6",
+            bolt_clearance_d=6.6 * MM,
+            bolt_head_d=10.0 * MM,
+            max_bolt_entry=6.0 * MM,
+            bolt_length=12.0 * MM,
+            pin_slot=(6.2 * MM, 9.0 * MM),
+            spigot=(31.3 * MM, 4.0 * MM),
+            face_d=63.0 * MM,
+            source="ISO 9409-1-50-4-M6 (UR, Franka)",
+        ),
+        RobotFlange(
+            name="iso-9409-1-31.5-4-m5",
+            bolt_circle_d=31.5 * MM,
+            bolt_azimuths_deg=(45.0, 135.0, 225.0, 315.0),
+            bolt="M5",
+            bolt_clearance_d=5.5 * MM,
+            bolt_head_d=8.5 * MM,
+            max_bolt_entry=6.0 * MM,  # assumed: thread depth of the M5 pattern is not in our sources
+            bolt_length=12.0 * MM,
+            pin_slot=(5.2 * MM, 8.0 * MM),  # assumed by analogy with the 50 mm pattern
+            spigot=(19.8 * MM, 4.0 * MM),  # Ø20 H7 recess less 0.2 mm, as for the 50 mm pattern
+            face_d=40.0 * MM,
+            source="ISO 9409-1-31.5-4-M5",
+        ),
+    )
+}
+
+
+def robot_flange_named(name: str) -> RobotFlange:
+    """The flange of that name.
+
+    Raises:
+        InputError: no such flange.
+    """
+    try:
+        return ROBOT_FLANGES[name]
+    except KeyError:
+        known = ", ".join(sorted(ROBOT_FLANGES))
+        raise InputError(f"mount.robot_flange: unknown '{name}'; known: {known}") from None
