@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from probedesign.design_problems import Inconsistent, first_problem, one_line
+from probedesign.design_problems import Inconsistent, first_problem, one_line, quoted
 from probedesign.errors import InputError
 from probedesign.materials import Provenance, Quantity, Resin, resin_named
 from probedesign.printer import Printer, printer_named
@@ -27,8 +27,10 @@ MAX_GRAVITY = 30.0
 """More than this in m/s² [m/s²] is a slip of units: nothing but a centrifuge pulls harder."""
 MAX_PROFILE_POINTS = 64
 
+MIN_DIAMETER_MM, MAX_DIAMETER_MM = 0.3, 60.0
+
 Length = Annotated[float, Field(ge=5.0, le=400.0)]
-Diameter = Annotated[float, Field(ge=0.3, le=60.0)]
+Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
 
 
 class _Table(BaseModel):
@@ -45,22 +47,23 @@ class ProbeTable(_Table):
     profile_mm: tuple[tuple[float, float], ...] | None = None
     assumed: tuple[str, ...] = ()
 
-    @field_validator("profile_mm", mode="before")
+    @field_validator("profile_mm", "assumed", mode="before")
     @classmethod
-    def _pairs(cls, value: Any) -> Any:
-        return _as_pairs(value)
-
-    @field_validator("assumed", mode="before")
-    @classmethod
-    def _names(cls, value: Any) -> Any:
-        return tuple(value) if isinstance(value, list) else value
+    def _tuples(cls, value: Any) -> Any:
+        return _as_tuple(value)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for name in self.assumed:
             if name not in ("length_mm", "base_d_mm", "tip_d_mm", "profile_mm"):
                 raise Inconsistent("assumed", f"'{name}' is not a dimension of [probe]")
-        {"cone": self._check_cone, "cylinder": self._check_cylinder, "profile": self._check_profile}[self.shape]()
+        match self.shape:
+            case "cone":
+                self._check_cone()
+            case "cylinder":
+                self._check_cylinder()
+            case "profile":
+                self._check_profile()
         return self
 
     def _check_cone(self) -> None:
@@ -70,7 +73,8 @@ class ProbeTable(_Table):
             raise Inconsistent("tip_d_mm", "is missing; a cone needs its tip diameter")
         if self.tip_d_mm > self.base_d_mm:
             raise Inconsistent(
-                "tip_d_mm", f"= {self.tip_d_mm:g} is wider than base_d_mm = {self.base_d_mm:g}; a probe tapers to its tip"
+                "tip_d_mm",
+                f"= {self.tip_d_mm!r} is wider than base_d_mm = {self.base_d_mm!r}; a cone tapers to its tip",
             )
 
     def _check_cylinder(self) -> None:
@@ -78,7 +82,9 @@ class ProbeTable(_Table):
             raise Inconsistent("profile_mm", 'is only for shape = "profile"; remove it or change the shape')
         if self.tip_d_mm is not None and self.tip_d_mm != self.base_d_mm:
             raise Inconsistent(
-                "tip_d_mm", f"= {self.tip_d_mm:g} differs from base_d_mm = {self.base_d_mm:g}; a cylinder has one diameter"
+                "tip_d_mm",
+                f"= {self.tip_d_mm!r} differs from base_d_mm = {self.base_d_mm!r}; "
+                "a cylinder has one diameter: leave it out",
             )
 
     def _check_profile(self) -> None:
@@ -86,18 +92,23 @@ class ProbeTable(_Table):
         if points is None or not 2 <= len(points) <= MAX_PROFILE_POINTS:
             raise Inconsistent("profile_mm", f"needs 2 to {MAX_PROFILE_POINTS} pairs [s, diameter]")
         for i, (s, d) in enumerate(points):
-            if not 0.3 <= d <= 60.0:
-                raise Inconsistent("profile_mm", f"pair {i + 1}: diameter {d:g} is outside 0.3 ... 60 mm")
+            if not MIN_DIAMETER_MM <= d <= MAX_DIAMETER_MM:
+                allowed = f"{MIN_DIAMETER_MM:g} ... {MAX_DIAMETER_MM:g} mm"
+                raise Inconsistent("profile_mm", f"pair {i + 1}: diameter {d!r} is outside {allowed}")
             if i and s <= points[i - 1][0]:
-                raise Inconsistent("profile_mm", f"pair {i + 1}: s = {s:g} does not increase after {points[i - 1][0]:g}")
-        ends = (("s of the first pair", points[0][0], 0.0, "0"),
-                ("s of the last pair", points[-1][0], self.length_mm, "length_mm"),
-                ("the first diameter", points[0][1], self.base_d_mm, "base_d_mm"))  # fmt: skip
-        for what, value, wanted, name in ends:
-            if not math.isclose(value, wanted, abs_tol=1e-9):
-                raise Inconsistent("profile_mm", f"{what} is {value:g}, it must equal {name} = {wanted:g}")
-        if self.tip_d_mm is not None and not math.isclose(points[-1][1], self.tip_d_mm, abs_tol=1e-9):
-            raise Inconsistent("profile_mm", f"the last diameter is {points[-1][1]:g}, it must equal tip_d_mm = {self.tip_d_mm:g}")
+                raise Inconsistent(
+                    "profile_mm", f"pair {i + 1}: s = {s!r} does not increase after {points[i - 1][0]!r}"
+                )
+        first, last = points[0], points[-1]
+        self._check_equal("s of the first pair", first[0], "0", 0.0)
+        self._check_equal("s of the last pair", last[0], "length_mm", self.length_mm)
+        self._check_equal("the first diameter", first[1], "base_d_mm", self.base_d_mm)
+        if self.tip_d_mm is not None:
+            self._check_equal("the last diameter", last[1], "tip_d_mm", self.tip_d_mm)
+
+    def _check_equal(self, what: str, value: float, name: str, wanted: float) -> None:
+        if value != wanted:
+            raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {name} = {wanted!r}")
 
     @property
     def knots_mm(self) -> tuple[tuple[float, float], ...]:
@@ -145,15 +156,13 @@ class MountTable(_Table):
     @field_validator("gravity_base_m_s2", mode="before")
     @classmethod
     def _triple(cls, value: Any) -> Any:
-        return _as_floats(value)
+        return _as_tuple(value)
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
         if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
-            raise Inconsistent(
-                "gravity_base_m_s2",
-                f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²; give it in m/s², e.g. [9.81, 0.0, 0.0]",
-            )
+            given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
+            raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
         return self
 
 
@@ -247,15 +256,11 @@ class Design(_Table):
         return (*dimensions, *(k for k, q in quantities.items() if q.provenance == "assumed"))
 
 
-def _as_floats(value: Any) -> Any:
-    """A TOML array of numbers as a tuple of floats; anything else unchanged, for pydantic to refuse."""
-    if isinstance(value, list) and all(type(v) in (int, float) for v in value):
-        return tuple(float(v) for v in value)
-    return value
-
-
-def _as_pairs(value: Any) -> Any:
-    return tuple(_as_floats(pair) for pair in value) if isinstance(value, list) else value
+def _as_tuple(value: Any) -> Any:
+    """A TOML array, and the arrays in it, as tuples; anything else unchanged, for pydantic to refuse."""
+    if not isinstance(value, list):
+        return value
+    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
 
 
 def check_name(name: str) -> None:
@@ -265,9 +270,8 @@ def check_name(name: str) -> None:
         InputError: the name has a path, a space or odd characters in it.
     """
     if not NAME_PATTERN.fullmatch(name) or name.endswith((".", ".toml")):
-        raise InputError(
-            f"name: '{name}' is not a plain name; use letters, digits, '-', '_' and '.', at most 64, no path, no extension"
-        )
+        allowed = "letters, digits, '-', '_' and '.', at most 64, no path, no extension"
+        raise InputError(f"name: {quoted(name)} is not a plain name; use {allowed}")
 
 
 def load_design(path: str | Path) -> Design:
@@ -284,13 +288,13 @@ def load_design(path: str | Path) -> Design:
     """
     path = Path(path)
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = path.read_bytes().decode("utf-8-sig")  # Windows editors put a byte order mark first
     except FileNotFoundError:
         raise InputError(f"{path}: no such design file; make one with: probedesign new") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise InputError(one_line(f"{path}: cannot be read: {getattr(error, 'strerror', error)}")) from None
     return parse_design(text, str(path))
 
 
@@ -302,9 +306,28 @@ def parse_design(text: str, where: str = "design") -> Design:
     """
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
         raise InputError(f"{where}: not valid TOML: {one_line(str(error))}") from None
+    return check_design(data, text, where)
+
+
+def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Design:
+    """Check what a design file says, or would say.
+
+    Args:
+        data: its tables, with the keys and units of the file.
+        text: the file's text, to name the line of a wrong value; empty if there is no file.
+        where: names the file in errors; empty if there is none.
+
+    Returns:
+        The design.
+
+    Raises:
+        InputError: one line naming the key, the value and the remedy.
+    """
     try:
         return Design.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}{first_problem(error, Design, text)}") from None
+        line, problem = first_problem(error, Design, text)
+    place = f"{where}:{line}: " if line else f"{where}: "
+    raise InputError(f"{place if where else ''}{problem}")

@@ -18,54 +18,68 @@ class Inconsistent(ValueError):
         self.text = text
 
 
-def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> str:
-    """The first error as ':LINE: KEY ...'; unknown keys first, since they explain missing ones."""
+def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> tuple[int | None, str]:
+    """The file's line and the text of the first error; unknown keys first, they explain missing ones."""
     details = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     detail = details[0]
-    loc = [str(part) for part in detail["loc"] if not str(part).startswith(("function-", "constrained"))]
+    key = ".".join(part for part in detail["loc"] if isinstance(part, str))
+    item = "".join(f", item {part + 1}" for part in detail["loc"] if isinstance(part, int))
     cause = detail.get("ctx", {}).get("error")
     if isinstance(cause, Inconsistent):
-        dotted = cause.key if "." in cause.key else ".".join([*loc, cause.key])
-        message = f"{dotted}: {cause.text}" if cause.text.startswith("unknown") else f"{dotted} {cause.text}"
+        key = cause.key if "." in cause.key else f"{key}.{cause.key}"
+        message = f"{key}{':' if cause.text.startswith('unknown') else ''} {cause.text}"
     elif isinstance(cause, InputError):
-        dotted, message = ".".join(loc), str(cause)
+        message = str(cause)
     else:
-        dotted = ".".join(loc)
-        message = _explain(dotted, detail, model)
-    line = _line_of(dotted, text)
+        message = _explain(key, item, detail, model)
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return f"{f':{line}' if line else ''}: {one_line(message)}{more}"
+    return _line_of(key, text), one_line(message) + more
 
 
-def _explain(key: str, detail: Any, model: type[BaseModel]) -> str:
+def _explain(key: str, item: str, detail: Any, model: type[BaseModel]) -> str:
     """Pydantic's finding in our words: key, value, what is allowed."""
-    value, ctx = detail["input"], detail.get("ctx", {})
-    shown = _short(value)
+    ctx, wrong = detail.get("ctx", {}), f"{key}{item} = {quoted(detail['input'])}"
     match detail["type"]:
         case "extra_forbidden":
-            return f"unknown key '{key}'{_did_you_mean(key, model)}"
+            return f"unknown key {quoted(key)}{_did_you_mean(key, model)}"
         case "missing":
-            return f"{key} is missing"
+            return f"{key}{item} is missing"
         case "greater_than_equal" | "less_than_equal":
             low, high = _range_of(key, model)
-            return f"{key} = {shown} is out of range; allowed is {low} ... {high}"
+            return f"{wrong} is out of range; allowed is {low} ... {high}"
         case "finite_number":
-            return f"{key} = {shown} is not a finite number"
+            return f"{wrong} is not a finite number"
         case "literal_error":
-            return f"{key} = {shown} is not one of {ctx.get('expected', '')}"
+            return f"{wrong} is not one of {ctx.get('expected', '')}"
+        case "too_long":
+            return f"{wrong} has too many items; allowed are {ctx.get('max_length')}"
         case kind:
-            wanted = {"float_type": "a number", "int_type": "a whole number", "string_type": "text in quotes",
-                      "tuple_type": "a list", "model_type": "a table", "model_attributes_type": "a table"}  # fmt: skip
-            return f"{key} = {shown}: expected {wanted.get(kind, detail['msg'].lower())}"
+            return f"{wrong}: expected {_WANTED.get(kind, detail['msg'].lower())}"
 
 
-def _short(value: Any) -> str:
-    text = f"'{value}'" if isinstance(value, str) else str(value)
+_WANTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "text in quotes",
+    "tuple_type": "a list",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}
+
+
+def quoted(value: Any) -> str:
+    """A user's value as it may stand in a message: text in quotes, odd characters escaped, never long."""
+    try:
+        text = repr(value)
+    except (RecursionError, ValueError):  # nested thousands deep; an integer of thousands of digits
+        return "..."
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def one_line(text: str) -> str:
-    return " ".join(text.split())
+    """The text on one line of bearable length that cannot upset a terminal."""
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
+    return text if len(text) <= 500 else text[:497] + "..."
 
 
 def _fields(model: type[BaseModel], table: str) -> dict[str, Any]:
@@ -99,7 +113,9 @@ def _did_you_mean(key: str, model: type[BaseModel]) -> str:
     siblings = [k for k in keys if k.rpartition(".")[0] == table]
     near = difflib.get_close_matches(key, siblings, 1, 0.5) or difflib.get_close_matches(key, keys, 1, 0.5)
     near = near or [k for k in keys if k.rpartition(".")[2] == last][:1]
-    return f"; did you mean '{near[0]}'?" if near else f"; known here: {', '.join(k.rpartition('.')[2] for k in siblings)}"
+    if near:
+        return f"; did you mean '{near[0]}'?"
+    return f"; known here: {', '.join(k.rpartition('.')[2] for k in siblings)}"
 
 
 def _range_of(key: str, model: type[BaseModel]) -> tuple[str, str]:
@@ -118,6 +134,7 @@ def _range_of(key: str, model: type[BaseModel]) -> tuple[str, str]:
 def _line_of(key: str, text: str) -> int | None:
     """Line of a dotted key in a TOML text, or of its table, or None."""
     table, _, last = key.rpartition(".")
+    assignment = re.compile(rf"""\s*["']?{re.escape(last)}["']?\s*=""")
     current, table_line = "", None
     for number, line in enumerate(text.splitlines(), 1):
         header = re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line)
@@ -125,6 +142,6 @@ def _line_of(key: str, text: str) -> int | None:
             current = header.group(1)
             if current in (table, key):
                 table_line = number
-        elif current == table and re.match(rf"""\s*["']?{re.escape(last)}["']?\s*=""", line):
+        elif current == table and assignment.match(line):
             return number
     return table_line

@@ -2,13 +2,16 @@
 
 import hashlib
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.design import Design
 from probedesign.frames import Array
 from probedesign.units import MM
+
+if TYPE_CHECKING:  # the computer that runs `live` loads no design
+    from probedesign.design import Design
 
 
 @dataclass(frozen=True)
@@ -59,11 +62,6 @@ class ProbeGeometry:
         """Radius [m] at arclength s [m], any shape."""
         return np.interp(s, self.s, self.radius)
 
-    def taper_at(self, s: float) -> float:
-        """tan α = -dr/ds at arclength s [m], of the frustum that s lies in (the lower one at a knot)."""
-        i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, len(self.s) - 2))
-        return float((self.radius[i] - self.radius[i + 1]) / (self.s[i + 1] - self.s[i]))
-
     @property
     def fingerprint(self) -> str:
         """Twelve hex digits that stand for this geometry: SHA-256 of its dimensions rounded to a nanometre."""
@@ -85,7 +83,7 @@ def flange_for(base_d: float) -> Flange:
     return Flange(max(base_d + 2 * FLANGE_LIP, FLANGE_MIN_D), FLANGE_THICKNESS)
 
 
-def build_geometry(design: Design) -> ProbeGeometry:
+def build_geometry(design: "Design") -> ProbeGeometry:
     """The geometry that a design describes, in SI."""
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0

@@ -541,6 +541,40 @@ def solve(t, warm, scratch, body, load, tol, until, columns, nodes, y, contact):
 
 
 @kernel
+def moments_along(stations, load, body, tol, scratch, moments, tips):
+    """Base moment of one and the same force as it acts at each of `stations`, from the base outwards.
+
+    Each equilibrium starts from its neighbour's, so the path is the one continuous from s_contact = 0,
+    where the force bends nothing.
+
+    Args:
+        stations: increasing arclengths [m], (j,).
+        load: as for `solve`, (10,); its s_c is set here.
+        tol: error allowed a step [rad]. Newton stops at ten times as much: closer than the steps' own
+            error the residual is no longer smooth, since steps are chosen anew each time.
+        scratch: (SCRATCH,).
+        moments, tips: base moment [N·m] and tip tangent of each, (j, 3).
+
+    Returns:
+        how many stations were reached; the rest has no equilibrium on this path.
+    """
+    t = scratch[220:223]
+    for j in range(stations.shape[0]):
+        load[9] = stations[j]
+        status = NOT_CONVERGED
+        if j > 0:
+            status, _away, _bend = _newton(t, scratch, body, load, tol, 10.0 * tol, True, 2.0 * MAX_TURN)
+        if status != OK:
+            status, _bend = _trace(t, scratch, body, load, tol, 10.0 * tol, False)
+        if status != OK:
+            return j
+        for q in range(3):
+            moments[j, q] = scratch[147 + q]
+            tips[j, q] = t[q]
+    return stations.shape[0]
+
+
+@kernel
 def states_at(s, nodes, count, body, load, scratch, result):
     """States [t, m, p, d] at arclengths s (j,), one step from the node above each; result (j, 12)."""
     k, out, y = scratch[:96], scratch[96:108], scratch[108:120]

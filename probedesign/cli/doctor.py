@@ -1,0 +1,107 @@
+"""`probedesign doctor`: what is installed, what is missing and how to get it, without importing any of it."""
+
+import os
+import platform
+import re
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from probedesign.cli.output import print_json, print_table
+
+ENABLES = {
+    "": "everything",
+    "plots": "plots of predict",
+    "cad": "export: STL, STEP and 3MF of the parts to print",
+}
+"""What the packages of an extra are for; "" is what the program cannot do without."""
+
+
+def doctor(*, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
+    """Tell what is installed and what is missing for what.
+
+    Exit status 1 if something is missing that the program cannot do without.
+
+    Args:
+        as_json: print one JSON document.
+    """
+    findings = examine()
+    if as_json:
+        print_json(findings)
+    else:
+        _print(findings)
+    return 0 if findings["ok"] else 1
+
+
+def examine() -> dict[str, Any]:
+    """Versions of everything that matters, what is missing, and whether compiled code can be kept."""
+    packages = [_package(extra, requirement) for extra, requirement in _requirements()]
+    missing = [package for package in packages if package["version"] is None]
+    return {
+        "ok": all(package["extra"] for package in missing),
+        "probedesign": metadata.version("probedesign"),
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "packages": packages,
+        "missing": [_remedy(extra, missing) for extra in sorted({str(p["extra"]) for p in missing})],
+        "numba_cache": _numba_cache(),
+    }
+
+
+def _requirements() -> list[tuple[str, str]]:
+    """(extra, requirement) as this package declares them; "" is no extra."""
+    declared = []
+    for line in metadata.requires("probedesign") or []:
+        requirement, _, marker = line.partition(";")
+        extra = re.search(r"extra\s*==\s*['\"](.+?)['\"]", marker)
+        declared.append((extra.group(1) if extra else "", requirement.strip()))
+    return [(extra, requirement) for extra, requirement in declared if extra in ENABLES]
+
+
+def _package(extra: str, requirement: str) -> dict[str, str | None]:
+    name = re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0]
+    try:
+        installed = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        installed = None
+    return {"name": name, "version": installed, "requirement": requirement, "extra": extra}
+
+
+def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
+    """What does not work and the line that mends it; it names the packages, so it works from anywhere."""
+    wanted = [f'"{package["requirement"]}"' for package in missing if package["extra"] == extra]
+    install = f"pip install {' '.join(wanted)}"
+    return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": _no_wheel(extra)}
+
+
+def _no_wheel(extra: str) -> str | None:
+    if extra == "cad" and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
+        return "CadQuery has no wheel for Linux on ARM: export on another machine, everything else runs here"
+    return None
+
+
+def _numba_cache() -> dict[str, Any]:
+    """Where numba would keep compiled code first, and whether it may write there."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(chosen or Path(__file__).parents[1] / "rod" / "__pycache__").absolute()
+    there = next(p for p in (folder, *folder.parents) if p.exists())
+    return {"folder": str(folder), "writable": there.is_dir() and os.access(there, os.W_OK)}
+
+
+def _print(findings: dict[str, Any]) -> None:
+    print(f"probedesign {findings['probedesign']}, Python {findings['python']}, {findings['platform']}")
+    rows = {}
+    for package in findings["packages"]:
+        extra = f"  ({package['extra']})" if package["extra"] else ""
+        rows[package["name"]] = (package["version"] or "missing") + extra
+    print_table(rows)
+    cache = findings["numba_cache"]
+    remedy = "" if cache["writable"] else ", which is not writable; set NUMBA_CACHE_DIR to a folder that is"
+    print(f"compiled code is kept in {cache['folder']}{remedy}")
+    for missing in findings["missing"]:
+        note = f" ({missing['note']})" if missing["note"] else ""
+        print(f"missing for {missing['needed_for']}{note}:\n  {missing['install']}")
+    if not findings["missing"]:
+        print("nothing is missing")

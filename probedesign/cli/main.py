@@ -1,0 +1,89 @@
+"""The command line: which commands there are, and what an error looks like.
+
+Every command lives in a file of its own and is imported when it is called for, so that the help of one
+never waits for the numerics of another.
+"""
+
+import os
+import sys
+from importlib.metadata import version
+
+from cyclopts import App, CycloptsError, Parameter
+
+from probedesign.errors import InputError, MissingDependencyError
+
+COMMANDS = {
+    "new": "Write designs/NAME.toml from a few numbers.",
+    "export": "Make the parts to print: STL, STEP, 3MF and their manifest.",
+    "predict": "Predict sensitivity and contact error of a design.",
+    "deploy": "Freeze the estimator of a design into one file.",
+    "estimate": "Locate the contacts of a recording, one estimate a row.",
+    "live": "Locate contacts as the sensor reads them.",
+    "demo": "Run the whole chain on a built-in example.",
+    "doctor": "Tell what is installed and what is missing for what.",
+}
+"""Commands in the order of the chain, with their line of help: it stands here because reading it from the
+commands would import them all."""
+
+DEBUG = "PROBEDESIGN_DEBUG"
+
+
+def build_app() -> App:
+    """The command line, ready to be called with arguments."""
+    app = App(
+        name="probedesign",
+        help="Design, print and run soft conic probes that locate a touch from the wrench at their base.",
+        version=lambda: version("probedesign"),
+        default_parameter=Parameter(negative=()),
+        help_format="plaintext",
+        print_error=False,
+        exit_on_error=False,
+        result_action="return_value",
+    )
+    for sort_key, (name, line) in enumerate(COMMANDS.items()):
+        app.command(f"probedesign.cli.{name}:{name}", name=name, help=line, sort_key=sort_key)
+    return app
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line.
+
+    Args:
+        arguments: without the program's name.
+
+    Returns:
+        Exit status: 0 done; 2 a wrong file, option or argument; 130 interrupted; 141 the reader of our
+        output went away; 1 anything else.
+    """
+    try:
+        status = build_app()(arguments)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except (CycloptsError, InputError, MissingDependencyError) as error:
+        return _fail(str(error), 2)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains at exit
+        return 141
+    except Exception as error:
+        return _fail(f"{error} ({type(error).__name__}; {DEBUG}=1 shows where)", 1)
+
+
+def _fail(message: str, status: int) -> int:
+    """One line on stderr, with the traceback above it if it was asked for."""
+    if os.environ.get(DEBUG):
+        import traceback
+
+        traceback.print_exc()
+    print("probedesign: error:", " ".join(message.split()), file=sys.stderr)
+    return status
+
+
+def main() -> None:
+    """Entry point of `probedesign`."""
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""The frozen probe: everything that `estimate` and `live` read, in one JSON file that a person can read too."""
+
+import hashlib
+import json
+import math
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.model import ProbeModel
+from probedesign.files import write_atomically
+from probedesign.frames import Array, is_pose
+from probedesign.mass import MassProperties
+from probedesign.materials import Quantity
+from probedesign.rod.rod import Rod
+from probedesign.sensor import Noise
+
+KIND = "probedesign frozen probe"
+SCHEMA = 1
+SECTION_STATIONS = 17
+"""How many stations the section table shows between the knots' own; for people and for the check on load."""
+_UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
+_MAX_BYTES = 10_000_000
+
+
+def freeze(model: ProbeModel) -> dict[str, Any]:
+    """The frozen probe as plain data, its checksum included.
+
+    Args:
+        model: from a design's `Probe.model`.
+    """
+    rod = model.rod
+    data: dict[str, Any] = {
+        "kind": KIND,
+        "schema": SCHEMA,
+        "written_by": f"probedesign {_version()}",
+        "name": model.name,
+        "fingerprint": model.fingerprint,
+        "assumptions": list(model.assumptions),
+        "rod": {
+            "s_m": rod.s.tolist(),
+            "radius_m": rod.radius.tolist(),
+            "rigid_length_m": rod.rigid_length,
+            "shear_coefficient": rod.shear_coefficient,
+        },
+        "material": {
+            f"{name}_{_UNITS[name]}": {"value": q.value, "provenance": q.provenance, "source": q.source}
+            for name, q in model.material.items()
+        },
+        "sections": _sections(rod),
+        "flexible_mass_kg": model.mass,
+        "hanging": {
+            "frame": "sensor",
+            "volume_m3": model.hanging.volume,
+            "mass_kg": model.hanging.mass,
+            "p_com_m": model.hanging.p_com.tolist(),
+            "inertia_kg_m2": model.hanging.inertia.tolist(),
+        },
+        "T_sensor_base": model.T_sensor_base.tolist(),
+        "gravity_base_m_s2": model.gravity_base.tolist(),
+        "sensor": {
+            "force_range_N": model.wrench_range[:3].tolist(),
+            "moment_range_Nm": model.wrench_range[3:].tolist(),
+            "noise_force_N": model.noise.force,
+            "noise_moment_Nm": model.noise.moment,
+        },
+    }
+    return {**data, "checksum": _checksum(data)}
+
+
+def write_frozen(model: ProbeModel, path: Path) -> None:
+    """Write the frozen probe; a file that stands there is replaced only by a whole new one."""
+    write_atomically(path, (json.dumps(freeze(model), indent=2) + "\n").encode())
+
+
+def load_estimator(path: str | Path, manifest: str | Path | None = None) -> Estimator:
+    """The estimator that a frozen probe holds.
+
+    Args:
+        path: `NAME.probe.json`.
+        manifest: of the printed parts, to check against; a `manifest.json` beside the file is checked anyhow.
+
+    Raises:
+        InputError: the file is unreadable, altered, of another schema, or not of the printed parts.
+    """
+    return Estimator(load_model(path, manifest))
+
+
+def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeModel:
+    """The probe that a frozen file holds; see `load_estimator`."""
+    path = Path(path)
+    data = _read_json(path, "frozen probe")
+    _check_identity(data, path)
+    try:
+        model = _thaw(data)
+        _check_sections(data, model.rod)
+    except InputError as error:
+        raise InputError(f"{path}: {error}; deploy it again") from None
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise InputError(f"{path}: not a whole frozen probe ({type(error).__name__}: {error}); deploy it again") from None
+    beside = path.parent / "manifest.json"
+    for found in [Path(manifest)] if manifest is not None else [beside] if beside.exists() else []:
+        check_manifest(model.fingerprint, found)
+    return model
+
+
+def check_manifest(fingerprint: str, manifest: Path) -> None:
+    """Refuse a geometry that is not that of the exported parts.
+
+    Raises:
+        InputError: the manifest is unreadable or of another geometry.
+    """
+    printed = _read_json(manifest, "manifest").get("fingerprint")
+    if printed != fingerprint:
+        raise InputError(
+            f"{manifest}: the parts there have fingerprint {printed}, the probe has {fingerprint}; "
+            "export the design again, or use the frozen probe that belongs to the printed part"
+        )
+
+
+def _check_identity(data: dict[str, Any], path: Path) -> None:
+    if data.get("kind") != KIND:
+        raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
+    if data.get("schema") != SCHEMA:
+        raise InputError(f"{path}: schema {data.get('schema')} is not known here (this version reads {SCHEMA})")
+    body = {key: value for key, value in data.items() if key != "checksum"}
+    if data.get("checksum") != _checksum(body):
+        raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
+
+
+def _thaw(data: dict[str, Any]) -> ProbeModel:
+    material = {
+        name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()
+    }
+    rod, hanging, sensor = data["rod"], data["hanging"], data["sensor"]
+    model = ProbeModel(
+        name=str(data["name"]),
+        fingerprint=str(data["fingerprint"]),
+        rod=Rod(
+            s=_numbers(rod["s_m"]),
+            radius=_numbers(rod["radius_m"]),
+            youngs_modulus=material["youngs_modulus"].value,
+            shear_modulus=material["shear_modulus"].value,
+            density=material["density"].value,
+            shear_coefficient=rod["shear_coefficient"],
+            rigid_length=rod["rigid_length_m"],
+        ),
+        gravity_base=_numbers(data["gravity_base_m_s2"], 3),
+        T_sensor_base=_numbers(data["T_sensor_base"], 4, 4),
+        hanging=MassProperties(
+            hanging["volume_m3"], hanging["mass_kg"], _numbers(hanging["p_com_m"], 3), _numbers(hanging["inertia_kg_m2"], 3, 3)
+        ),
+        wrench_range=np.concatenate([_numbers(sensor["force_range_N"], 3), _numbers(sensor["moment_range_Nm"], 3)]),
+        noise=Noise(sensor["noise_force_N"], sensor["noise_moment_Nm"]),
+        material=material,
+        assumptions=tuple(data["assumptions"]),
+    )
+    if not is_pose(model.T_sensor_base):
+        raise InputError("T_sensor_base is not a rigid pose")
+    if not (0 < model.noise.force < math.inf and 0 < model.noise.moment < math.inf and (model.wrench_range > 0).all()):
+        raise InputError("sensor: ranges and noise must be positive")
+    return model
+
+
+def _numbers(values: Any, *shape: int) -> Array:
+    array = np.array(values, dtype=float)
+    if not np.isfinite(array).all() or (shape and array.shape != shape):
+        raise InputError(f"expected finite numbers of shape {shape or 'any'}, found {str(values)[:60]}")
+    return array
+
+
+def _sections(rod: Rod) -> dict[str, list[float]]:
+    """Section properties along s, as a person would check them by hand."""
+    s = np.unique(np.concatenate([rod.s, np.linspace(0.0, rod.length, SECTION_STATIONS)]))
+    r = np.interp(s, rod.s, rod.radius)
+    area, inertia = np.pi * r**2, np.pi / 4.0 * r**4
+    return {
+        "s_m": s.tolist(),
+        "area_m2": area.tolist(),
+        "second_moment_m4": inertia.tolist(),
+        "polar_moment_m4": (2.0 * inertia).tolist(),
+        "EA_N": (rod.youngs_modulus * area).tolist(),
+        "GA_N": (rod.shear_coefficient * rod.shear_modulus * area).tolist(),
+        "EI_Nm2": (rod.youngs_modulus * inertia).tolist(),
+        "GJ_Nm2": (2.0 * rod.shear_modulus * inertia).tolist(),
+    }
+
+
+def _check_sections(data: dict[str, Any], rod: Rod) -> None:
+    for key, values in _sections(rod).items():
+        # JSON keeps doubles to the last digit; 1e-12 allows for another libm.
+        if not np.allclose(_numbers(data["sections"][key]), values, rtol=1e-12, atol=0.0):
+            raise InputError(f"sections.{key} does not follow from the rod")
+
+
+def _read_json(path: Path, what: str) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(f"{path}: is far too large for a {what}")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such {what}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: is not a {what}: not valid JSON") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: is not a {what}")
+    return data
+
+
+def _checksum(data: dict[str, Any]) -> str:
+    canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _version() -> str:
+    try:
+        return version("probedesign")
+    except PackageNotFoundError:
+        return "(not installed)"

@@ -1,0 +1,224 @@
+"""Writing design files: a checked design as commented TOML, put in place whole or not at all."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from probedesign.design import Design, check_design, load_design, parse_design
+from probedesign.errors import CheckFailedError, InputError
+from probedesign.materials import Quantity, Resin, resin_named
+from probedesign.sensor import SENSORS
+from probedesign.units import MPA
+
+COMMENT_COLUMN = 36
+TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
+"""Default tip: a sixth of the base, as the paper's large probe. Elastic 50A wants features of 1.5 mm; 2 mm
+keeps a margin for a print that comes out thin (assumed)."""
+
+COMMENTS = {
+    "probe.shape": "cone | cylinder | profile",
+    "probe.length_mm": "of the flexible part, base to tip",
+    "probe.profile_mm": 's, diameter; only for shape = "profile"',
+    "probe.assumed": "dimensions that nobody has confirmed; every report names them",
+    "material.resin": "fills what is not given here",
+    "material.shear_coefficient": "of the rod's section; 1 is the paper's",
+    "sensor.averaging_samples": "samples in one reading",
+    "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
+    "mount.root_rigid_radii": "bonded base: rigid over so many base radii; 0 is the bare rod",
+}
+"""What stands beside a key, unless the design's own notes say something better."""
+
+HEADER = """\
+# A soft probe. Edit by hand: every load checks the file and names the line of what is wrong.
+# A number's unit ends its name. Diameters are of the printed part.
+"""
+
+
+def default_tip_d_mm(base_d_mm: float) -> float:
+    """Tip diameter [mm] for a cone of that base diameter [mm] when nobody asks for one.
+
+    A sixth of the base, at least 2 mm, rounded to 0.1 mm, never wider than the base.
+    """
+    return min(base_d_mm, round(max(base_d_mm / TIP_RATIO, MIN_TIP_D_MM), 1))
+
+
+def default_name(shape: str, length_mm: float, base_d_mm: float, tip_d_mm: float | None) -> str:
+    """A name that carries the parameters [mm], such as `cone-150x12x2` or `cylinder-80x6`."""
+    sizes = (length_mm, base_d_mm) if tip_d_mm is None else (length_mm, base_d_mm, tip_d_mm)
+    return f"{shape}-{'x'.join(f'{size:g}' for size in sizes)}".replace("+", "")
+
+
+def sensor_keys(choice: str) -> dict[str, str]:
+    """`[sensor]` for the name of a sensor, which means its finest calibration, or of a calibration.
+
+    Raises:
+        InputError: neither; the message lists the known ones.
+    """
+    known = []
+    for model in SENSORS.values():
+        names = [calibration.name for calibration in model.calibrations]
+        if choice in (model.name, *names):
+            return {"model": model.name, "calibration": names[0] if choice == model.name else choice}
+        known += [model.name, *names]
+    raise InputError(f"sensor.calibration: unknown '{choice}'; known: {', '.join(known)}")
+
+
+def material_keys(resin: Resin) -> dict[str, Any]:
+    """`[material]` with the resin's numbers written out, so that the file stands by itself."""
+    quantities = _quantities(resin)
+    numbers = {key: float(f"{q.value / unit:.9g}") for key, (q, unit) in quantities.items()}
+    provenance = {key: q.provenance for key, (q, _) in quantities.items()}
+    return {"resin": resin.name, **numbers, "provenance": provenance}
+
+
+def _quantities(resin: Resin) -> dict[str, tuple[Quantity, float]]:
+    """The resin's numbers and units by the key of the design file."""
+    return {
+        "youngs_modulus_mpa": (resin.youngs_modulus, MPA),
+        "shear_modulus_mpa": (resin.shear_modulus, MPA),
+        "density_kg_m3": (resin.density, 1.0),
+    }
+
+
+def draft_design(
+    name: str | None,
+    *,
+    shape: str,
+    length_mm: float,
+    base_d_mm: float,
+    tip_d_mm: float | None = None,
+    resin: str = "elastic-50a",
+    sensor: str = "nano17",
+    robot_flange: str = "iso-9409-1-50-4-m6",
+) -> tuple[Design, dict[str, str]]:
+    """A new design from the few numbers that matter; everything else by default.
+
+    Args:
+        name: of the design; None for one that carries the parameters.
+        shape: cone or cylinder.
+        length_mm: of the flexible part [mm].
+        base_d_mm: diameter at the base [mm].
+        tip_d_mm: diameter at the tip [mm]; None for the default.
+        resin: a known resin.
+        sensor: a known sensor or calibration.
+        robot_flange: a known flange pattern.
+
+    Returns:
+        The checked design, and notes for `render_design` that say where its numbers come from.
+
+    Raises:
+        InputError: a value that no design may have.
+    """
+    material = resin_named(resin)
+    notes = {
+        f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()
+    }
+    if tip_d_mm is None and shape == "cone":
+        tip_d_mm = default_tip_d_mm(base_d_mm)
+        notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
+    probe = {"shape": shape, "length_mm": length_mm, "base_d_mm": base_d_mm, "tip_d_mm": tip_d_mm}
+    data = {
+        "schema": 1,
+        "name": default_name(shape, length_mm, base_d_mm, tip_d_mm) if name is None else name,
+        "probe": probe,
+        "material": material_keys(material),
+        "sensor": sensor_keys(sensor),
+        "mount": {"robot_flange": robot_flange},
+    }
+    return check_design(data), notes
+
+
+def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str:
+    """The text of a design file that loads as exactly this design.
+
+    Args:
+        design: what to write.
+        notes: comments by `table.key`, beside the number they speak of; "" is one for the whole file.
+
+    Returns:
+        TOML, ending in a newline.
+    """
+    comments = COMMENTS | dict(notes or {})
+    about = comments.get("", "").splitlines()
+    lines = [HEADER + ("#\n" if about else "") + "".join(f"# {line}\n" for line in about)]
+    for table, values in _tables(design):
+        lines += [f"\n[{table}]"] if table else []
+        for key, value in values.items():
+            lines.append(_commented(f"{key} = {_toml(value)}", comments.get(f"{table}.{key}")))
+        if table == "probe" and design.probe.profile_mm is None:
+            lines.append(
+                _commented(f"# profile_mm = {_toml(_example_profile(design))}", COMMENTS["probe.profile_mm"])
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The design file's tables in order, without what the design leaves open."""
+    document = design.model_dump(by_alias=True)
+    top = {key: value for key, value in document.items() if not isinstance(value, dict)}
+    yield "", top
+    for table, values in document.items():
+        if table in top:
+            continue
+        provenance = values.pop("provenance", {})
+        given = {key: value for key, value in values.items() if value is not None and value != ()}
+        yield table, given
+        told = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
+        if told:
+            yield f"{table}.provenance", told
+
+
+def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:
+    (s0, d0), (s1, d1) = design.probe.knots_mm
+    return (s0, d0), ((s0 + s1) / 2, (d0 + d1) / 2), (s1, d1)
+
+
+def _commented(line: str, comment: str | None) -> str:
+    return f"{line:<{COMMENT_COLUMN - 1}} # {comment}" if comment else line
+
+
+def _toml(value: Any) -> str:
+    """A checked value as TOML: repr of a float reads back exactly, JSON's text is TOML's."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml(v) for v in value)}]"
+    return json.dumps(value) if isinstance(value, str) else repr(value)
+
+
+def write_design(text: str, path: str | Path, force: bool = False) -> None:
+    """Put the text of a design file in place, after it was written whole and read back.
+
+    Args:
+        text: of the design file.
+        path: where; folders that are missing are made.
+        force: replace a file that stands there.
+
+    Raises:
+        InputError: the text is no valid design, a file stands there, or it cannot be written.
+    """
+    path = Path(path)
+    design = parse_design(text, str(path))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            draft.write_bytes(text.encode())
+            if load_design(draft) != design:
+                raise CheckFailedError(f"{path}: did not read back as it was written")
+            if not force:
+                _claim(path)
+            os.replace(draft, path)
+        finally:
+            draft.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _claim(path: Path) -> None:
+    """Take the name, unless a file has it: asking and taking in one step, so that nobody comes between."""
+    try:
+        path.open("x").close()
+    except FileExistsError:
+        message = f"{path}: exists already; --force replaces it, or choose another name"
+        raise InputError(message) from None

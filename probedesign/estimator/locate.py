@@ -1,0 +1,88 @@
+"""Where along the probe a known force acts: the arclengths whose base moment matches the reading.
+
+The paper shoots from the base for zero moment at the tip. Here every trial starts at the tip, where the
+moment is zero by itself, and is matched to the measured moment at the base: the same equation, met from
+the side on which errors die out instead of growing through the thin tip (docs/decisions/0002).
+"""
+
+import numpy as np
+
+from probedesign.frames import Array
+from probedesign.rod import kernels
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+
+STATIONS = 33
+"""Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimator)."""
+SCAN_TOLERANCE = 1e-5
+"""Error a step [rad] while scanning: a thousandth of what moves a minimum by a station."""
+_MAX_ITERATIONS = 30
+_CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
+
+
+def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, Array, Array]:
+    """Misfit of the base moment as the force acts at each of many arclengths.
+
+    Args:
+        rod: the rod.
+        gravity: base axes [m/s²], (3,).
+        force: base axes [N], (3,).
+        moment: measured, about the base [N·m], (3,).
+
+    Returns:
+        Arclengths [m] (j,), squared misfit [N²·m²] (j,) and tip tangents (j, 3), as far as equilibria exist.
+    """
+    stations = np.linspace(0.0, rod.length, STATIONS)
+    load = np.concatenate([force, gravity, np.zeros(4)])
+    moments, tips = np.empty((STATIONS, 3)), np.empty((STATIONS, 3))
+    reached = kernels.moments_along(
+        stations, load, rod.body, SCAN_TOLERANCE, np.empty(kernels.SCRATCH), moments, tips
+    )
+    misfit = ((moments[:reached] - moment) ** 2).sum(axis=1)
+    return stations[:reached], misfit, tips[:reached]
+
+
+def refine(
+    rod: Rod, gravity: Array, force: Array, moment: Array, s: float, low: float, high: float, guess: Array
+) -> Equilibrium | None:
+    """The equilibrium at the nearest least misfit in [low, high], by Gauss-Newton with exact sensitivities.
+
+    Returns:
+        The equilibrium with its load columns, or None if none was found.
+    """
+    best: Equilibrium | None = None
+    least = np.inf
+    for _ in range(_MAX_ITERATIONS):
+        eq = rod.solve(gravity, force, s, guess=guess, columns="load")
+        if not eq.ok or eq.sensitivity is None:
+            return best
+        misfit = eq.wrench_base[3:6] - moment
+        square = float(misfit @ misfit)
+        if square < least:
+            best, least = eq, square
+            a = eq.sensitivity.d_moment[:, 3]
+            slope = float(a @ a)
+            step = -float(a @ misfit) / slope if slope > 0.0 else 0.0
+            at = s
+        else:  # Gauss-Newton overshot: come half the way back
+            step *= 0.5
+        new = min(max(at + step, low), high)
+        if abs(new - at) <= _CLOSE * rod.length:
+            return best
+        s, guess = new, best.tip_tangent if best is not None else guess
+    return best
+
+
+def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Equilibrium]:
+    """Equilibria at the local minima of the misfit along the probe, best first."""
+    stations, misfit, tips = scan(rod, gravity, force, moment)
+    found = []
+    for i in range(len(stations)):
+        before = misfit[i - 1] if i else np.inf
+        after = misfit[i + 1] if i + 1 < len(stations) else np.inf
+        if misfit[i] <= before and misfit[i] <= after:
+            low, high = stations[max(i - 1, 0)], stations[min(i + 1, len(stations) - 1)]
+            eq = refine(rod, gravity, force, moment, stations[i], low, high, tips[i])
+            if eq is not None:
+                found.append(eq)
+    return sorted(found, key=lambda eq: float(((eq.wrench_base[3:6] - moment) ** 2).sum()))

@@ -1,0 +1,71 @@
+"""All that estimation knows of a probe: the rod, what hangs on the sensor, the sensor itself. No design, no CAD."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probedesign.frames import Array, inverse, wrench_map
+from probedesign.mass import MassProperties
+from probedesign.materials import Quantity
+from probedesign.rod.rod import Rod
+from probedesign.sensor import Noise
+
+
+@dataclass(frozen=True)
+class ProbeModel:
+    """One probe on one sensor.
+
+    Attributes:
+        name: of the design.
+        fingerprint: of the geometry that was printed.
+        rod: the flexible part from s = 0, clamped.
+        gravity_base: gravity in base axes where none is said [m/s²], (3,).
+        T_sensor_base: pose of the base in the sensor frame, (4, 4).
+        hanging: mass properties of all that hangs on the sensor below s = 0 (flange, adapter, screws),
+            in the sensor frame.
+        wrench_range: largest reading of each channel [N, N·m], (6,).
+        noise: standard deviations of one reading.
+        material: E, G and density with where they come from.
+        assumptions: what of the design is assumed, for every report.
+    """
+
+    name: str
+    fingerprint: str
+    rod: Rod
+    gravity_base: Array
+    T_sensor_base: Array
+    hanging: MassProperties
+    wrench_range: Array
+    noise: Noise
+    material: dict[str, Quantity] = field(default_factory=dict)
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def mass(self) -> float:
+        """Of the flexible part [kg]."""
+        return float(self.rod.density * self.rod.body.volume_beyond[0])
+
+    def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
+        """What the rigid things between sensor face and s = 0 weigh on the sensor, in its frame, (6,)."""
+        return self.hanging.wrench(self.T_sensor_base[:3, :3] @ np.asarray(gravity_base, dtype=float))
+
+    def to_sensor(self, wrench_base: ArrayLike, gravity_base: ArrayLike) -> Array:
+        """What the sensor reads, free of bias: (6,) or (n, 6) of base wrenches told in the sensor frame,
+        with the weight of what hangs between."""
+        carried = np.asarray(wrench_base, dtype=float) @ wrench_map(self.T_sensor_base).T
+        return carried + self.gravity_wrench_sensor(gravity_base)
+
+    def to_base(self, wrench_sensor: ArrayLike, gravity_base: ArrayLike) -> Array:
+        """The wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
+        own = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
+        return own @ wrench_map(inverse(self.T_sensor_base)).T
+
+    def noise_base(self) -> Array:
+        """Covariance of a reading told at the base origin, (6, 6)."""
+        X = wrench_map(inverse(self.T_sensor_base))
+        return X @ self.noise.covariance() @ X.T
+
+    def with_noise(self, noise: Noise) -> "ProbeModel":
+        """The same probe with another noise."""
+        return replace(self, noise=noise)

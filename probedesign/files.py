@@ -1,0 +1,35 @@
+"""Writing files so that nobody ever finds half of one."""
+
+import os
+import tempfile
+from pathlib import Path
+
+from probedesign.errors import InputError
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write aside, then rename: the file is the old one or the whole new one at every moment.
+
+    Args:
+        path: its folder is made if missing.
+        content: of the file.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(aside, 0o644)
+        os.replace(aside, path)
+    except OSError as error:
+        os.unlink(aside)
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    except BaseException:
+        os.unlink(aside)
+        raise

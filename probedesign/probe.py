@@ -1,0 +1,148 @@
+"""A designed probe as one object: geometry, sections, mass, rod, estimator, prediction. No CAD."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probedesign import mass
+from probedesign.design import Design
+from probedesign.errors import InputError
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.geometry import ProbeGeometry, build_geometry
+from probedesign.mass import MassProperties
+from probedesign.mounting import hanging_mass, sensor_adapter_for
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Columns, Mode, Rod
+from probedesign.sensor import averaged_noise
+
+if TYPE_CHECKING:
+    from probedesign.prediction.predict import Prediction
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a design means for the mechanics.
+
+    Attributes:
+        design: it came from.
+        geometry: the one that CAD builds too.
+    """
+
+    design: Design
+    geometry: ProbeGeometry
+
+    @property
+    def length(self) -> float:
+        """Of the flexible part [m]."""
+        return self.geometry.length
+
+    @cached_property
+    def body(self) -> MassProperties:
+        """Mass properties of the flexible part, undeformed, in the base frame."""
+        return mass.flexible_part(self.geometry, self.design.density.value)
+
+    @property
+    def mass(self) -> float:
+        """Of the flexible part [kg]."""
+        return self.body.mass
+
+    @property
+    def p_base_com(self) -> Array:
+        """Centre of mass of the flexible part, undeformed, in the base frame [m], (3,)."""
+        return self.body.p_com
+
+    @cached_property
+    def rod(self) -> Rod:
+        """The flexible part as a rod, its root as the design holds it."""
+        return self._rod(self.design.mount.root_rigid_radii)
+
+    def _rod(self, root_rigid_radii: float) -> Rod:
+        d = self.design
+        return Rod(
+            s=self.geometry.s,
+            radius=self.geometry.radius,
+            youngs_modulus=d.youngs_modulus.value,
+            shear_modulus=d.shear_modulus.value,
+            density=d.density.value,
+            shear_coefficient=d.material.shear_coefficient,
+            rigid_length=root_rigid_radii * self.geometry.base_radius,
+        )
+
+    @cached_property
+    def model(self) -> ProbeModel:
+        """All that estimation needs of it."""
+        d = self.design
+        adapter = sensor_adapter_for(self.geometry, d.sensor_model)
+        calibration = d.calibration
+        return ProbeModel(
+            name=d.name,
+            fingerprint=self.geometry.fingerprint,
+            rod=self.rod,
+            gravity_base=np.array(d.mount.gravity_base_m_s2),
+            T_sensor_base=adapter.T_sensor_base,
+            hanging=hanging_mass(self.geometry, adapter, d.density.value),
+            wrench_range=np.array([*calibration.force_range, *calibration.moment_range]),
+            noise=averaged_noise(calibration, d.sensor.averaging_samples),
+            material={"youngs_modulus": d.youngs_modulus, "shear_modulus": d.shear_modulus, "density": d.density},
+            assumptions=d.assumptions,
+        )
+
+    def solve(
+        self,
+        gravity_base: ArrayLike | None = None,
+        s_contact: float | None = None,
+        force_base: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        root_rigid_radii: float | None = None,
+        tip_moment_base: ArrayLike = (0.0, 0.0, 0.0),
+        mode: Mode = "fast",
+        columns: Columns = "none",
+    ) -> Equilibrium:
+        """Static equilibrium of the probe under gravity and a dead point force on its centreline.
+
+        Args:
+            gravity_base: in base axes [m/s²], (3,); the design's mount if None.
+            s_contact: where the force acts [m]; the tip if None.
+            force_base: in base axes [N], (3,).
+            root_rigid_radii: how far the bonded root is rigid, in base radii; the design's if None.
+            tip_moment_base: a dead moment at the tip [N·m], (3,).
+            mode: "fast" or "reference" (rod/rod.py).
+            columns: which sensitivities to carry along.
+
+        Returns:
+            The equilibrium; look at its `result` first.
+
+        Raises:
+            InputError: an argument is not finite or s_contact lies off the probe.
+        """
+        gravity = self.design.mount.gravity_base_m_s2 if gravity_base is None else gravity_base
+        if root_rigid_radii is not None and not 0.0 <= root_rigid_radii <= 2.0:
+            raise InputError(f"root_rigid_radii = {root_rigid_radii} must lie in 0 ... 2")
+        rod = self.rod if root_rigid_radii is None else self._rod(root_rigid_radii)
+        return rod.solve(
+            gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns
+        )  # fmt: skip
+
+    def estimator(self) -> Estimator:
+        """The estimator for this very geometry, as `deploy` freezes it."""
+        return Estimator(self.model)
+
+    def predict(self, **options: Any) -> "Prediction":
+        """How well this probe will feel; see `probedesign.prediction.predict.predict`."""
+        from probedesign.prediction.predict import predict
+
+        return predict(self.model, **options)
+
+
+def build_probe(design: Design) -> Probe:
+    """The probe that a design describes.
+
+    Args:
+        design: from `load_design`.
+    """
+    return Probe(design, build_geometry(design))

@@ -1,0 +1,296 @@
+"""The command line as its user meets it: exit status, one line of error, one document of JSON."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import probedesign
+from probedesign.cli import doctor, main
+from probedesign.cli.main import COMMANDS, run
+from probedesign.design import load_design
+from probedesign.errors import CheckFailedError, InputError, MissingDependencyError
+
+NEW = ("new", "--length", "150", "--base-d", "12")
+
+
+def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """`probedesign` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "probedesign.cli.main", *arguments],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def assert_refused(stdout: str, stderr: str, status: int) -> None:
+    """Exit status 2, one clear line on stderr, nothing on stdout."""
+    assert status == 2
+    assert stdout == ""
+    assert stderr.startswith("probedesign: error: ") and stderr.count("\n") == 1
+    assert "Traceback" not in stderr
+
+
+# As a process
+
+
+def test_help_lists_every_command_and_loads_nothing_heavy(tmp_path):
+    code = (
+        "import sys; from probedesign.cli.main import run; status = run(['--help']);"
+        "heavy = {'numpy', 'numba', 'scipy', 'matplotlib', 'cadquery', 'pydantic'} & set(sys.modules);"
+        "print(sorted(heavy), file=sys.stderr); sys.exit(status)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0
+    assert result.stderr == "[]\n"
+    listed = [line.split()[1] for line in result.stdout.splitlines() if line.startswith("│")]
+    assert [name for name in listed if name in COMMANDS] == list(COMMANDS)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("nwe",),
+        ("new",),
+        ("new", "--length", "abc", "--base-d", "12"),
+        ("new", "--length", "nan", "--base-d", "12"),
+        ("new", "../up", "--length", "150", "--base-d", "12"),
+        ("export", "none.toml", "--otu", "x"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line_and_status_2(tmp_path, arguments):
+    result = command(*arguments, cwd=tmp_path)
+    assert_refused(result.stdout, result.stderr, result.returncode)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_traceback_is_there_for_who_asks(tmp_path):
+    result = command("nwe", cwd=tmp_path, PROBEDESIGN_DEBUG="1")
+    assert result.returncode == 2
+    assert "Traceback" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("probedesign: error: ")
+
+
+def test_a_reader_that_goes_away_is_no_drama(tmp_path):
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    with os.fdopen(write_end) as closed:
+        result = subprocess.run(
+            [sys.executable, "-m", "probedesign.cli.main", "doctor"],
+            stdout=closed, stderr=subprocess.PIPE, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    assert (result.returncode, result.stderr) == (141, "")
+
+
+# In this process
+
+
+def test_version_is_the_packages(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == metadata.version("probedesign")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name, capsys):
+    assert run([name, "--help"]) == 0
+    assert COMMANDS[name].split(":")[0].split(";")[0].rstrip(".") in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "told"),
+    [
+        (InputError("a.toml:3: wrong\nin two lines"), 2, "a.toml:3: wrong in two lines"),
+        (MissingDependencyError("needs CadQuery"), 2, "needs CadQuery"),
+        (CheckFailedError("the mesh is open"), 1, "the mesh is open (CheckFailedError; PROBEDESIGN_DEBUG=1"),
+        (
+            ZeroDivisionError("division by zero"),
+            1,
+            "division by zero (ZeroDivisionError; PROBEDESIGN_DEBUG=1",
+        ),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_an_error_becomes_one_line_and_a_status(monkeypatch, capsys, error, status, told):
+    def app(arguments):
+        raise error
+
+    monkeypatch.setattr(main, "build_app", lambda: app)
+    monkeypatch.delenv(main.DEBUG, raising=False)
+    assert run([]) == status
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert captured.err.startswith(f"probedesign: error: {told}")
+
+
+# new
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    """An empty folder, and a summary that needs no mechanics: what `new` does with it is what is tested."""
+
+    def summary(design):
+        return {
+            "mass_g": 6.822,
+            "sag_mm": 12.3,
+            "fits_upright": design.probe.length_mm < 185,
+            "printer": design.print_.printer,
+            "expected_error_mm": float("inf"),
+            "expected_error_condition": "one touch of 10 mN at 0.8 of the length",
+            "assumptions": design.assumptions,
+        }
+
+    stub = SimpleNamespace(summary=summary)
+    monkeypatch.setitem(sys.modules, "probedesign.pipeline", stub)
+    monkeypatch.setattr(probedesign, "pipeline", stub, raising=False)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_new_writes_the_file_and_says_what_to_expect(workplace, capsys):
+    assert run([*NEW, "--tip-d", "2.5"]) == 0
+    design = load_design("designs/cone-150x12x2.5.toml")
+    assert design.probe.knots_mm == ((0.0, 12.0), (150.0, 2.5))
+    out = capsys.readouterr().out
+    for piece in (
+        "designs/cone-150x12x2.5.toml",
+        "6.82 g",
+        "12.3 mm",
+        "fits upright in a form-3",
+        "0.8 of the length",
+    ):
+        assert piece in out
+    assert "material.youngs_modulus_mpa" in out  # what is assumed
+    assert "--tip-d" not in out
+
+
+def test_new_says_when_it_chose_the_tip(workplace, capsys):
+    assert run([*NEW]) == 0
+    assert "2 mm, by default base / 6" in capsys.readouterr().out
+
+
+def test_new_prints_one_json_document(workplace, capsys):
+    assert run([*NEW, "--json", "mine"]) == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert captured.err == ""
+    assert document["file"] == "designs/mine.toml"
+    assert (document["tip_d_mm"], document["mass_g"]) == (2.0, 6.822)
+    assert document["expected_error_mm"] is None  # not finite: JSON has no number for it
+
+
+def test_new_takes_every_option(workplace):
+    options = ["--shape", "cylinder", "--resin", "flexible-80a", "--sensor", "si-25-0.25"]
+    assert run([*NEW, "tube", *options, "--robot-flange", "iso-9409-1-31.5-4-m5"]) == 0
+    design = load_design("designs/tube.toml")
+    assert design.probe.knots_mm == ((0.0, 12.0), (150.0, 12.0))
+    assert (design.material.resin, design.sensor.calibration) == ("flexible-80a", "si-25-0.25")
+    assert design.mount.robot_flange == "iso-9409-1-31.5-4-m5"
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--length", "-5"], "--length = -5.0 is out of range; allowed is 5 ... 400"),
+        (["--length", "0"], "--length = 0.0 is out of range"),
+        (["--length", "1e300"], "--length = 1e+300 is out of range"),
+        (["--length", "inf"], "--length = inf is not a finite number"),
+        (["--base-d", "nan"], "--base-d = nan is not a finite number"),
+        (["--base-d", "0x10"], "--base-d"),
+        (["--base-d", ""], "--base-d"),
+        (["--tip-d", "nan"], "--tip-d = nan is not a finite number"),
+        (["--tip-d", "14"], "--tip-d = 14.0 is wider than --base-d = 12.0"),
+        (["--tip-d", "3", "--shape", "cylinder"], "--tip-d = 3.0 differs from --base-d = 12.0"),
+        (["--shape", "ball"], "--shape"),
+        (["--resin", "jelly"], "--resin: unknown 'jelly'; known: elastic-50a"),
+        (["--sensor", "mini40"], "--sensor: unknown 'mini40'; known: nano17, si-12-0.12"),
+        (["--robot-flange", "x"], "--robot-flange: unknown 'x'"),
+        (["--lenght", "3"], "--lenght"),
+        (["a/b"], "'a/b' is not a plain name"),
+        (["../../etc/passwd"], "is not a plain name"),
+        ([""], "'' is not a plain name"),
+        (["one", "two"], "two"),
+    ],
+)
+def test_new_refuses_bad_values_and_writes_nothing(workplace, capsys, options, told):
+    given = dict(zip(options[::2], options[1::2], strict=False))
+    rest = [o for pair in (("--length", "150"), ("--base-d", "12")) if pair[0] not in given for o in pair]
+    status = run(["new", *options, *rest])
+    captured = capsys.readouterr()
+    assert_refused(captured.out, captured.err, status)
+    assert told in captured.err
+    assert list(workplace.iterdir()) == []
+
+
+def test_new_replaces_a_file_only_with_force(workplace, capsys):
+    assert run([*NEW, "mine"]) == 0
+    before = Path("designs/mine.toml").read_bytes()
+    capsys.readouterr()
+    status = run(["new", "mine", "--length", "50", "--base-d", "5"])
+    captured = capsys.readouterr()
+    assert_refused(captured.out, captured.err, status)
+    assert "designs/mine.toml: exists already; --force" in captured.err
+    assert Path("designs/mine.toml").read_bytes() == before
+    assert run(["new", "mine", "--length", "50", "--base-d", "5", "--force"]) == 0
+    assert load_design("designs/mine.toml").probe.length_mm == 50.0
+
+
+def test_new_tells_when_designs_is_no_folder(workplace, capsys):
+    Path("designs").write_text("in the way")
+    status = run([*NEW])
+    captured = capsys.readouterr()
+    assert_refused(captured.out, captured.err, status)
+
+
+# doctor
+
+
+def test_doctor_reports_what_is_installed(capsys):
+    assert run(["doctor", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    versions = {package["name"]: package["version"] for package in report["packages"]}
+    assert report["ok"] and versions["numpy"] == metadata.version("numpy")
+    assert {"scipy", "numba", "cadquery", "trimesh", "lib3mf", "matplotlib"} <= versions.keys()
+
+
+def without(monkeypatch, *names: str) -> None:
+    """Make the named packages look as if they were not installed."""
+    installed = metadata.version
+
+    def version(name):
+        if name in names:
+            raise metadata.PackageNotFoundError(name)
+        return installed(name)
+
+    monkeypatch.setattr(doctor.metadata, "version", version)
+
+
+def test_doctor_says_what_an_extra_is_for_and_how_to_get_it(monkeypatch, capsys):
+    without(monkeypatch, "cadquery", "matplotlib")
+    assert run(["doctor"]) == 0  # the program runs without them
+    out = capsys.readouterr().out
+    assert "missing for export: STL, STEP and 3MF" in out
+    assert 'pip install "cadquery' in out and 'pip install "matplotlib' in out
+
+
+def test_doctor_fails_without_what_everything_needs(monkeypatch, capsys):
+    without(monkeypatch, "numba")
+    assert run(["doctor", "--json"]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert not report["ok"]
+    assert [remedy["needed_for"] for remedy in report["missing"]] == ["everything"]
+
+
+def test_doctor_sees_a_cache_that_cannot_be_written(monkeypatch, capsys, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    assert run(["doctor"]) == 0
+    assert "not writable; set NUMBA_CACHE_DIR" in capsys.readouterr().out

@@ -1,0 +1,369 @@
+"""Design files: what is written reads back, and what is wrong is told in one line."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from probedesign.design import Design, check_design, load_design, parse_design
+from probedesign.design_file import (
+    default_name,
+    default_tip_d_mm,
+    draft_design,
+    render_design,
+    sensor_keys,
+    write_design,
+)
+from probedesign.errors import InputError
+from probedesign.materials import RESINS
+from probedesign.robot_flange import ROBOT_FLANGES
+from probedesign.sensor import NANO17
+
+DESIGNS = Path(__file__).parents[1] / "designs"
+LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")
+
+
+def plain(text: str) -> str:
+    """A design file without its comments, so that a test can change a value by its text."""
+    return "\n".join(line.split("#")[0].rstrip() for line in text.splitlines()) + "\n"
+
+
+PLAIN = plain(LARGE)
+
+
+def one_line(error: pytest.ExceptionInfo[InputError]) -> str:
+    message = str(error.value)
+    assert message.isprintable() and message
+    return message
+
+
+def problem(old: str, new: str) -> str:
+    """The error of the large probe's file with one piece replaced."""
+    assert old in PLAIN
+    with pytest.raises(InputError) as error:
+        parse_design(PLAIN.replace(old, new, 1), "large.toml")
+    return one_line(error)
+
+
+# The shipped designs
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "assumed"),
+    [
+        ("large", 150.0, ("tip_d_mm",)),
+        ("medium", 100.0, ("base_d_mm", "tip_d_mm")),
+        ("small", 50.0, ("base_d_mm", "tip_d_mm")),
+    ],
+)
+def test_the_papers_probes(name, length, assumed):
+    """Lengths from Table I; E and G from its section IV; what it only draws is marked."""
+    design = load_design(DESIGNS / f"{name}.toml")
+    assert (design.name, design.probe.length_mm, design.probe.assumed) == (name, length, assumed)
+    assert design.youngs_modulus.value == pytest.approx(2.32e6, rel=1e-15)  # one conversion of units
+    assert design.shear_modulus.value == pytest.approx(7.61e5, rel=1e-15)
+    assert design.youngs_modulus.provenance == design.shear_modulus.provenance == "identified"
+    assert design.density.provenance == "datasheet"
+    assert design.assumptions == tuple(f"probe.{key}" for key in assumed)
+
+
+def test_a_named_resin_fills_what_is_not_given():
+    design = check_design(
+        {"schema": 1, "name": "r", "probe": {"shape": "cylinder", "length_mm": 80, "base_d_mm": 6}}
+    )
+    assert design.youngs_modulus == RESINS["elastic-50a"].youngs_modulus
+    assert "material.youngs_modulus_mpa" in design.assumptions
+
+
+def test_a_given_number_goes_before_the_resins():
+    text = plain(LARGE).replace("youngs_modulus_mpa = 2.32", "youngs_modulus_mpa = 3.1")
+    assert parse_design(text).youngs_modulus.value == pytest.approx(3.1e6, rel=1e-15)
+
+
+# What is wrong
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("tip_d_mm = 2.0", "tip_mm = 2.0", "did you mean 'probe.tip_d_mm'"),
+        ("length_mm", "lenght_mm", "did you mean 'probe.length_mm'"),
+        ("[mount]", "[mout]", "did you mean 'mount'"),
+        ("[print]", "[colour]\nred = 1\n[print]", "unknown key 'colour'"),
+        ("printer", "printr", "did you mean 'print.printer'"),
+    ],
+)
+def test_unknown_and_misspelt_keys_suggest_the_nearest(old, new, told):
+    assert told in problem(old, new)
+
+
+@pytest.mark.parametrize(
+    "key", ["length_mm = 150.0", "base_d_mm = 12.0", "tip_d_mm = 2.0", "youngs_modulus_mpa = 2.32"]
+)
+@pytest.mark.parametrize(
+    "value", ["nan", "inf", "-inf", "-3.0", "0.0", "1e9", "true", '"150"', "[1.0]", "1979-05-27"]
+)
+def test_a_bad_number_names_key_and_line(key, value):
+    name = key.split(" = ")[0]
+    line = PLAIN[: PLAIN.index(key)].count("\n") + 1
+    assert problem(key, f"{name} = {value}").startswith(f"large.toml:{line}: ")
+    assert name in problem(key, f"{name} = {value}")
+
+
+def test_a_value_out_of_range_names_the_range():
+    told = problem("length_mm = 150.0", "length_mm = 1500.0")
+    assert "probe.length_mm = 1500.0 is out of range; allowed is 5 ... 400" in told
+
+
+@pytest.mark.parametrize("digits", [400, 5000])
+def test_an_endless_integer(digits):
+    assert "large.toml" in problem("length_mm = 150.0", f"length_mm = {'9' * digits}")
+    assert "large.toml" in problem("[9.81, 0.0, 0.0]", f"[{'9' * digits}, 0, 0]")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("tip_d_mm = 2.0", "tip_d_mm = 14.0", "tip_d_mm = 14.0 is wider than base_d_mm = 12.0"),
+        ("tip_d_mm = 2.0", "", "probe.tip_d_mm is missing; a cone needs its tip diameter"),
+        ('shape = "cone"', 'shape = "cylinder"', "probe.tip_d_mm = 2.0 differs from base_d_mm"),
+        ('shape = "cone"', 'shape = "profile"', "probe.profile_mm needs 2 to 64 pairs"),
+        ('shape = "cone"', 'shape = "ball"', "'cone', 'cylinder' or 'profile'"),
+        ("tip_d_mm = 2.0", "tip_d_mm = 2.0\nprofile_mm = [[0, 12], [150, 2]]", "is only for shape"),
+        ('["tip_d_mm"]', '["tip"]', "'tip' is not a dimension"),
+        ('"elastic-50a"', '"elastic-50b"', "known: elastic-50a"),
+        ('"identified"', '"guessed"', "'assumed', 'datasheet' or 'identified'"),
+        ('"nano17"', '"nano43"', "known: nano17"),
+        ('"si-12-0.12"', '"si-12"', "known: si-12-0.12"),
+        ('"form-3"', '"form-5"', "known: form-2"),
+        ("[9.81, 0.0, 0.0]", "[9810.0, 0.0, 0.0]", "longer than 30 m/s²"),
+        ("[9.81, 0.0, 0.0]", "[9.81, 0.0]", "mount.gravity_base_m_s2, item 3 is missing"),
+        ("[9.81, 0.0, 0.0]", "[9.81, 0.0, nan]", "mount.gravity_base_m_s2, item 3 = nan"),
+        ("[9.81, 0.0, 0.0]", "9.81", "expected a list"),
+        ("averaging_samples = 36", "averaging_samples = 1.5", "expected a whole number"),
+        ("schema = 1", "schema = 2", "schema = 2 is not one of 1"),
+        ("schema = 1", "", "schema is missing"),
+        ("[probe]", "[probe", "not valid TOML"),
+        ("tip_d_mm = 2.0", "tip_d_mm = 2.0\ntip_d_mm = 3.0", "not valid TOML"),
+        ("[print]", f"[{'.'.join('a' * 3000)}]\n[print]", "unknown key 'a'"),
+    ],
+)
+def test_what_does_not_hold_together(old, new, told):
+    assert told in problem(old, new)
+
+
+@pytest.mark.parametrize(
+    ("profile", "told"),
+    [
+        ("[[0, 12], [50, 6], [50, 5], [150, 2]]", "pair 3: s = 50.0 does not increase"),
+        ("[[0, 12], [90, 6], [60, 5], [150, 2]]", "pair 3: s = 60.0 does not increase"),
+        ("[[0, 12], [50, nan], [150, 2]]", "item 2, item 2 = nan"),
+        ("[[0, 12], [50, -6.0], [150, 2]]", "pair 2: diameter -6.0 is outside"),
+        ("[[1, 12], [150, 2]]", "s of the first pair is 1.0"),
+        ("[[0, 12], [140, 2]]", "it must equal length_mm = 150.0"),
+        ("[[0, 11], [150, 2]]", "it must equal base_d_mm = 12.0"),
+        ("[[0, 12], [150, 3]]", "it must equal tip_d_mm = 2.0"),
+        ("[[0, 12]]", "needs 2 to 64 pairs"),
+        ("[[0, 12, 1], [150, 2]]", "too many items"),
+        ("[0, 12]", "expected a list"),
+    ],
+)
+def test_a_profile_that_is_none(profile, told):
+    assert told in problem('shape = "cone"', f'shape = "profile"\nprofile_mm = {profile}')
+
+
+@pytest.mark.parametrize(
+    "name", ["../up", "a/b", "a\\\\b", "/abs", "", ".", "..", ".hidden", "a b", "x.toml", "é", "a" * 65]
+)
+def test_a_name_that_is_no_plain_file_name(name):
+    assert "is not a plain name" in problem('"large"', f'"{name}"')
+
+
+def test_what_cannot_be_read(tmp_path):
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00schema")
+    for path, told in [
+        (tmp_path / "none.toml", "no such design file"),
+        (tmp_path, "cannot be read"),
+        (binary, "UTF-8"),
+        ("a\0b.toml", "cannot be read"),
+    ]:
+        with pytest.raises(InputError, match=told) as error:
+            load_design(path)
+        one_line(error)
+
+
+def test_a_byte_order_mark_is_no_error(tmp_path):
+    path = tmp_path / "windows.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + LARGE.replace("\n", "\r\n").encode())
+    assert load_design(path) == parse_design(LARGE)
+
+
+# Whatever stands in the file: a design or one line
+
+
+def design_or_one_line(text: str) -> None:
+    try:
+        assert isinstance(parse_design(text), Design)
+    except InputError as error:
+        assert str(error).isprintable()
+
+
+@given(st.text())
+def test_any_text(text):
+    design_or_one_line(text)
+
+
+TOKENS = st.sampled_from(
+    ["nan", "-1", "[]", "[[]]", "{}", "true", "''", '"\\u001b"', "[probe]", "[[mount]]", "=", "\n", "#",
+     "1e999", "0x10", "12:00:00", "a.b.c", "[[0, 1], [2, 3]]", "profile_mm = ",
+     'shape = "profile"\n', "'", '"""']
+)  # fmt: skip
+
+
+@given(st.data())
+def test_any_mutation_of_a_design_file(data):
+    text = data.draw(st.sampled_from([PLAIN, LARGE]))
+    for _ in range(data.draw(st.integers(1, 4))):
+        start = data.draw(st.integers(0, len(text)))
+        end = start + data.draw(st.integers(0, 30))
+        text = text[:start] + data.draw(TOKENS | st.text(max_size=5)) + text[end:]
+    design_or_one_line(text)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9) | st.dates(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(st.data())
+def test_any_value_of_any_key(data):
+    document = tomllib.loads(PLAIN)
+    table = data.draw(st.sampled_from([document, *(t for t in document.values() if isinstance(t, dict))]))
+    table[data.draw(st.sampled_from([*table, "profile_mm", "extra"]))] = data.draw(VALUES)
+    try:
+        assert check_design(document).name
+    except InputError as error:
+        assert str(error).isprintable()
+
+
+# Writing
+
+
+def write_new(path: Path, **changes: object) -> Design:
+    design, notes = draft_design(None, **({"shape": "cone", "length_mm": 150.0, "base_d_mm": 12.0} | changes))
+    write_design(render_design(design, notes), path)
+    return design
+
+
+@given(
+    shape=st.sampled_from(["cone", "cylinder"]),
+    length=st.floats(5.0, 400.0),
+    base=st.floats(0.3, 60.0),
+    taper=st.none() | st.floats(0.0, 1.0),
+    resin=st.sampled_from(sorted(RESINS)),
+    sensor=st.sampled_from(["nano17", *(c.name for c in NANO17.calibrations)]),
+    robot_flange=st.sampled_from(sorted(ROBOT_FLANGES)),
+)
+def test_any_valid_parameters_read_back(shape, length, base, taper, resin, sensor, robot_flange):
+    tip = None if taper is None or shape == "cylinder" else 0.3 + taper * (base - 0.3)
+    design, notes = draft_design(
+        None, shape=shape, length_mm=length, base_d_mm=base, tip_d_mm=tip,
+        resin=resin, sensor=sensor, robot_flange=robot_flange,
+    )  # fmt: skip
+    assert parse_design(render_design(design, notes)) == design
+    assert (design.probe.length_mm, design.probe.base_d_mm) == (length, base)
+    assert tip is None or design.probe.tip_d_mm == tip
+
+
+@given(st.lists(st.tuples(st.floats(0.01, 0.99), st.floats(0.3, 60.0)), max_size=6, unique_by=lambda p: p[0]))
+def test_any_profile_reads_back(inner):
+    profile = [[0.0, 12.0], *([150.0 * f, d] for f, d in sorted(inner)), [150.0, 2.0]]
+    probe = {"shape": "profile", "length_mm": 150.0, "base_d_mm": 12.0, "profile_mm": profile}
+    design = check_design({"schema": 1, "name": "p", "probe": probe})
+    assert parse_design(render_design(design)) == design
+
+
+@pytest.mark.parametrize("name", ["large", "medium", "small"])
+def test_the_shipped_designs_read_back(name):
+    design = load_design(DESIGNS / f"{name}.toml")
+    assert parse_design(render_design(design)) == design
+
+
+def test_a_new_design_says_where_its_numbers_come_from(tmp_path):
+    design = write_new(tmp_path / "new.toml")
+    text = (tmp_path / "new.toml").read_text(encoding="utf-8")
+    assert design.assumptions == ("material.youngs_modulus_mpa", "material.shear_modulus_mpa")
+    assert "not on yours" in next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
+    assert "by default" in next(line for line in text.splitlines() if line.startswith("tip_d_mm"))
+
+
+def test_never_overwrites_without_force(tmp_path):
+    path = tmp_path / "deep" / "mine.toml"
+    write_new(path)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"mine\.toml: exists already; --force") as error:
+        write_new(path, length_mm=50.0)
+    one_line(error)
+    assert path.read_bytes() == before
+    write_design(LARGE, path, force=True)
+    assert load_design(path).name == "large"
+    assert [p.name for p in path.parent.iterdir()] == ["mine.toml"]  # no draft is left
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_bad_text_is_never_put_in_place(tmp_path, force):
+    path = tmp_path / "mine.toml"
+    write_new(path)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"mine\.toml"):
+        write_design(LARGE.replace("150.0", "nan"), path, force)
+    assert path.read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.toml").mkdir()
+    for path, force in [(tmp_path / "file" / "x.toml", False), (tmp_path / "folder.toml", True)]:
+        with pytest.raises(InputError, match="cannot be written") as error:
+            write_design(LARGE, path, force)
+        one_line(error)
+
+
+def test_a_dangling_link_is_not_overwritten(tmp_path):
+    link = tmp_path / "link.toml"
+    link.symlink_to(tmp_path / "elsewhere.toml")
+    with pytest.raises(InputError, match="exists already"):
+        write_design(LARGE, link)
+    assert not (tmp_path / "elsewhere.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("base", "tip"), [(12.0, 2.0), (30.0, 5.0), (8.0, 2.0), (5.0, 2.0), (1.57, 1.57), (12.34, 2.1)]
+)
+def test_default_tip(base, tip):
+    """A sixth of the base to 0.1 mm, at least 2 mm, never wider than the base."""
+    assert default_tip_d_mm(base) == tip
+
+
+@given(st.floats(0.3, 60.0))
+def test_a_default_tip_is_always_allowed(base):
+    design, _ = draft_design(None, shape="cone", length_mm=100.0, base_d_mm=base)
+    assert design.probe.tip_d_mm <= base
+
+
+def test_default_names_carry_the_parameters():
+    assert default_name("cone", 150.0, 12.0, 2.0) == "cone-150x12x2"
+    assert default_name("cylinder", 80.5, 6.0, None) == "cylinder-80.5x6"
+
+
+def test_a_sensor_by_model_or_calibration():
+    assert sensor_keys("nano17") == {"model": "nano17", "calibration": "si-12-0.12"}
+    assert sensor_keys("si-25-0.25") == {"model": "nano17", "calibration": "si-25-0.25"}
+    with pytest.raises(InputError, match=r"known: nano17, si-12-0\.12"):
+        sensor_keys("mini40")
