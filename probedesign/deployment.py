@@ -101,7 +101,9 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
     except InputError as error:
         raise InputError(f"{path}: {error}; deploy it again") from None
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise InputError(f"{path}: not a whole frozen probe ({type(error).__name__}: {error}); deploy it again") from None
+        raise InputError(
+            f"{path}: not a whole frozen probe ({type(error).__name__}: {error}); deploy it again"
+        ) from None
     beside = path.parent / "manifest.json"
     for found in [Path(manifest)] if manifest is not None else [beside] if beside.exists() else []:
         check_manifest(model.fingerprint, found)
@@ -126,16 +128,16 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
     if data.get("kind") != KIND:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
     if data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema {data.get('schema')} is not known here (this version reads {SCHEMA})")
+        raise InputError(
+            f"{path}: schema {data.get('schema')} is not known here (this version reads {SCHEMA})"
+        )
     body = {key: value for key, value in data.items() if key != "checksum"}
     if data.get("checksum") != _checksum(body):
         raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
 
 
 def _thaw(data: dict[str, Any]) -> ProbeModel:
-    material = {
-        name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()
-    }
+    material = {name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()}
     rod, hanging, sensor = data["rod"], data["hanging"], data["sensor"]
     model = ProbeModel(
         name=str(data["name"]),
@@ -152,16 +154,25 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         gravity_base=_numbers(data["gravity_base_m_s2"], 3),
         T_sensor_base=_numbers(data["T_sensor_base"], 4, 4),
         hanging=MassProperties(
-            hanging["volume_m3"], hanging["mass_kg"], _numbers(hanging["p_com_m"], 3), _numbers(hanging["inertia_kg_m2"], 3, 3)
+            hanging["volume_m3"],
+            hanging["mass_kg"],
+            _numbers(hanging["p_com_m"], 3),
+            _numbers(hanging["inertia_kg_m2"], 3, 3),
         ),
-        wrench_range=np.concatenate([_numbers(sensor["force_range_N"], 3), _numbers(sensor["moment_range_Nm"], 3)]),
+        wrench_range=np.concatenate(
+            [_numbers(sensor["force_range_N"], 3), _numbers(sensor["moment_range_Nm"], 3)]
+        ),
         noise=Noise(sensor["noise_force_N"], sensor["noise_moment_Nm"]),
         material=material,
         assumptions=tuple(data["assumptions"]),
     )
     if not is_pose(model.T_sensor_base):
         raise InputError("T_sensor_base is not a rigid pose")
-    if not (0 < model.noise.force < math.inf and 0 < model.noise.moment < math.inf and (model.wrench_range > 0).all()):
+    if not (
+        0 < model.noise.force < math.inf
+        and 0 < model.noise.moment < math.inf
+        and (model.wrench_range > 0).all()
+    ):
         raise InputError("sensor: ranges and noise must be positive")
     return model
 

@@ -60,7 +60,8 @@ class ProbeGeometry:
 
     def radius_at(self, s: ArrayLike) -> Array:
         """Radius [m] at arclength s [m], any shape."""
-        return np.interp(s, self.s, self.radius)
+        radius: Array = np.interp(np.asarray(s, dtype=float), self.s, self.radius)
+        return radius
 
     @property
     def fingerprint(self) -> str:

@@ -79,9 +79,7 @@ def frustum(r1: float, r2: float, height: float, z: float, density: float) -> Ma
 def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
     """The body from s = 0 to the tip, undeformed, in the base frame; density [kg/m³]."""
     s, r = geometry.s, geometry.radius
-    return combined(
-        frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density) for i in range(len(s) - 1)
-    )
+    return combined(frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density) for i in range(len(s) - 1))
 
 
 def flange_part(geometry: ProbeGeometry, density: float) -> MassProperties:

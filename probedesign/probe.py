@@ -88,7 +88,11 @@ class Probe:
             hanging=hanging_mass(self.geometry, adapter, d.density.value),
             wrench_range=np.array([*calibration.force_range, *calibration.moment_range]),
             noise=averaged_noise(calibration, d.sensor.averaging_samples),
-            material={"youngs_modulus": d.youngs_modulus, "shear_modulus": d.shear_modulus, "density": d.density},
+            material={
+                "youngs_modulus": d.youngs_modulus,
+                "shear_modulus": d.shear_modulus,
+                "density": d.density,
+            },
             assumptions=d.assumptions,
         )
 

@@ -66,7 +66,7 @@ def test_the_papers_probes(name, length, assumed):
     assert design.shear_modulus.value == pytest.approx(7.61e5, rel=1e-15)
     assert design.youngs_modulus.provenance == design.shear_modulus.provenance == "identified"
     assert design.density.provenance == "datasheet"
-    assert design.assumptions == tuple(f"probe.{key}" for key in assumed)
+    assert design.assumptions == (*(f"probe.{key}" for key in assumed), "mount.root_rigid_radii")
 
 
 def test_a_named_resin_fills_what_is_not_given():
@@ -297,7 +297,11 @@ def test_the_shipped_designs_read_back(name):
 def test_a_new_design_says_where_its_numbers_come_from(tmp_path):
     design = write_new(tmp_path / "new.toml")
     text = (tmp_path / "new.toml").read_text(encoding="utf-8")
-    assert design.assumptions == ("material.youngs_modulus_mpa", "material.shear_modulus_mpa")
+    assert design.assumptions == (
+        "material.youngs_modulus_mpa",
+        "material.shear_modulus_mpa",
+        "mount.root_rigid_radii",
+    )
     assert "not on yours" in next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
     assert "by default" in next(line for line in text.splitlines() if line.startswith("tip_d_mm"))
 

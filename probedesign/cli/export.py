@@ -1,11 +1,12 @@
 """`probedesign export`: the parts to print."""
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, working
+from probedesign.cli.output import print_json, print_table
 
 
 def export(
@@ -15,15 +16,47 @@ def export(
     out: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Make the parts to print: STL, STEP, 3MF and their manifest.
+    """Make the parts to print: STL, STEP, 3MF and their manifest. Needs the extra 'cad'.
 
     Args:
         design: the design file.
         out: folder for the parts; by default exports/NAME.
-        as_json: print the manifest.
+        as_json: print the manifest instead of a summary.
     """
     from probedesign import pipeline
 
-    with working("building the parts"):
-        manifest = pipeline.export(design, out)
-    print_json(manifest)  # lead completes: a readable summary without --json
+    manifest = pipeline.export(design, out, _progress)
+    if as_json:
+        print_json(manifest)
+    else:
+        _print(manifest)
+
+
+def _progress(step: str) -> None:
+    if sys.stderr.isatty():
+        print(f"{step} ...", file=sys.stderr)
+
+
+def _print(manifest: dict[str, Any]) -> None:
+    whole, checks = manifest["mass"]["bodies"]["whole"], manifest["verification"]
+    print(f"wrote {manifest['folder']}: {', '.join([*manifest['files'], 'manifest.json'])}")
+    print_table(
+        {
+            "geometry": manifest["fingerprint"],
+            "mass": f"{1e3 * whole['mass_kg']:.3g} g hang on the sensor",
+            "base": f"{1e3 * manifest['T_sensor_base'][2][3]:.2f} mm above the tool face; "
+            f"{manifest['base']['held_by']}",
+            "checked": f"{sum(c['ok'] for c in checks.values())} of {len(checks)} checks of solids, slices and "
+            "meshes against the formulae hold",
+            "assumed": ", ".join(manifest["assumptions"]),
+        }
+    )
+    print("\nscrews (longer ones destroy the sensor)")
+    for screw in manifest["screws"]:
+        low, high = screw["entry_allowed_mm"]
+        entry = f"enters {screw['entry_mm']:g} mm of {low:g} ... {high:g}"
+        print(f"  {screw['count']} x {screw['screw']:<16} into {screw['into']}: {entry}")
+    print("also needed:", ", ".join(f"{count} x {what}" for what, count in manifest["also_needed"].items()))
+    print("\nin this order")
+    for number, step in enumerate(manifest["assembly_order"], 1):
+        print(f"  {number}. {step}")

@@ -1,11 +1,14 @@
 """`probedesign predict`: what a design will sense, before it is printed."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, working
+from probedesign.cli.output import print_json, print_table, working
+
+if TYPE_CHECKING:
+    from probedesign.prediction.predict import Prediction
 
 
 def predict(
@@ -13,19 +16,77 @@ def predict(
     /,
     *,
     out: Path | None = None,
-    plots: bool = False,
+    plots: Annotated[bool, Parameter(negative="--no-plots")] = True,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Predict sensitivity and contact error of a design.
+    """Predict sensitivity and contact error of a design; write prediction.json and prediction.png.
 
     Args:
         design: the design file.
-        out: folder for tables and plots; by default exports/NAME.
-        plots: draw them too.
-        as_json: print one JSON document.
+        out: folder for them; by default exports/NAME.
+        plots: draw prediction.png (needs matplotlib).
+        as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
 
     with working("predicting"):
-        prediction = pipeline.predict(design, out, plots)
-    print_json(prediction)  # lead completes: a table without --json
+        prediction, files = pipeline.predict(design, out, plots)
+    if as_json:
+        print_json(prediction.as_dict())
+    else:
+        _print(prediction)
+        print("wrote", ", ".join(map(str, files)))
+
+
+def _print(prediction: "Prediction") -> None:
+    sag = "the probe cannot stand" if prediction.tip_sag_mm is None else f"{prediction.tip_sag_mm:.3g} mm"
+    print(f"{prediction.name}  geometry {prediction.fingerprint}")
+    print_table(
+        {
+            "mass": f"{prediction.mass_g:.3g} g, flexible part",
+            "sag": f"{sag} at the tip, under gravity as mounted",
+            "noise": f"{prediction.noise_force_mN:.3g} mN and {prediction.noise_moment_Nmm:.3g} N·mm "
+            "a reading and channel",
+            "assumed": ", ".join(prediction.assumptions) or "nothing",
+        }
+    )
+    print("\nContact error [mm], RMS of one reading, worst of the directions; sensor noise only")
+    print(_error_table(prediction))
+    print("\n- : felt but not located   . : not felt   ^ : beyond the sensor   / : the probe gives way")
+    print("\nAt the lightest force, worst of the directions")
+    print(_sensitivity_table(prediction))
+
+
+_MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
+
+
+def _error_table(prediction: "Prediction") -> str:
+    forces = sorted({c.force_N for c in prediction.conditions})
+    lines = ["  s/L  " + "".join(f"{1e3 * f:>7g} mN" for f in forces)]
+    for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
+        cells = []
+        for force in forces:
+            here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, force)]
+            bad = next((c.result for c in here if c.result != "ok"), None)
+            worst = max((c.predicted_error_mm or 0.0 for c in here), default=0.0)
+            cells.append(_MARKS.get(bad, "/") if bad else f"{worst:.3g}")
+        lines.append(f"  {fraction:<5g}" + "".join(f"{cell:>10}" for cell in cells))
+    return "\n".join(lines)
+
+
+def _sensitivity_table(prediction: "Prediction") -> str:
+    lightest = min(c.force_N for c in prediction.conditions)
+    lines = ["  s/L    detectable    moment/force    moment/press    force/press",
+             "                 mN          N·mm/N         N·mm/mm          mN/mm"]  # fmt: skip
+    for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
+        here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, lightest)]
+        felt = [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == fraction]
+        cells = (
+            max((f for f in felt if f is not None), default=None),
+            min((c.moment_per_N_Nmm for c in here if c.moment_per_N_Nmm is not None), default=None),
+            min((c.moment_per_mm_Nmm for c in here if c.moment_per_mm_Nmm is not None), default=None),
+            min((1e3 * c.force_per_mm_N for c in here if c.force_per_mm_N is not None), default=None),
+        )
+        shown = ["none" if cell is None else f"{cell:.3g}" for cell in cells]
+        lines.append(f"  {fraction:<5g}{shown[0]:>12}{shown[1]:>16}{shown[2]:>16}{shown[3]:>15}")
+    return "\n".join(lines)

@@ -9,7 +9,14 @@ from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 
 Result = Literal[
-    "ok", "no_contact", "too_light", "ambiguous", "inconsistent", "unobservable", "out_of_range", "not_converged"
+    "ok",
+    "no_contact",
+    "too_light",
+    "ambiguous",
+    "inconsistent",
+    "unobservable",
+    "out_of_range",
+    "not_converged",
 ]
 RESULTS: dict[Result, str] = {
     "ok": "one contact was located",

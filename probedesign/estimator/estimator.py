@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from probedesign.errors import InputError
-from probedesign.estimator.covariance import ContactCovariance, propagate
+from probedesign.estimator.covariance import propagate
 from probedesign.estimator.estimate import Candidate, Estimate, Result
 from probedesign.estimator.locate import candidates
 from probedesign.estimator.model import ProbeModel
@@ -117,7 +117,9 @@ class Estimator:
         Args:
             wrench_by_force: change of the base wrench per newton of contact, (6,).
         """
-        return float(np.sqrt(chdtri(6, FALSE_ALARM) / (wrench_by_force @ self._information @ wrench_by_force)))
+        return float(
+            np.sqrt(chdtri(6, FALSE_ALARM) / (wrench_by_force @ self._information @ wrench_by_force))
+        )
 
     @cached_property
     def cov_wrench(self) -> Array:
@@ -126,14 +128,13 @@ class Estimator:
 
     @cached_property
     def _information(self) -> Array:
-        return np.linalg.inv(self.cov_wrench)
+        return np.linalg.inv(self.cov_wrench).astype(float, copy=False)
 
     def _readable(self, wrench: Array, gravity: Array) -> bool:
         """Whether the sensor can have read this."""
         if not np.isfinite(wrench).all():
             return False
         return bool((np.abs(self.model.to_sensor(wrench, gravity)) <= self.model.wrench_range).all())
-
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
         d = wrench - free.wrench_base

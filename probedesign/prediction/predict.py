@@ -19,6 +19,8 @@ DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
 """Way the object pushes, as an angle about the tangent from the section's x axis [rad]."""
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+_NO_TOUCH = {"unstable": "gives_way", "not_converged": "not_converged"}
+"""Why there is no touch to predict: the probe buckles or bends away before it pushes back so hard."""
 _WEAK_N = 1e-6  # a push so light that everything answers in proportion
 
 
@@ -30,7 +32,8 @@ class Condition:
         contact_fraction: s_contact over length.
         force_N: how hard the object pushes.
         direction: which way it pushes, a key of `DIRECTIONS`.
-        result: what the estimator would answer; "ok" is a located contact.
+        result: what the estimator would answer; "ok" is a located contact. "gives_way": the probe cannot
+            push back so hard.
         predicted_error_mm: RMS distance between true and estimated contact point, sensor noise only.
         predicted_error_95_mm: 95 % of the estimates lie within this distance.
         std_s_mm: the part of it along the probe.
@@ -140,7 +143,7 @@ def predict_touch(estimator: Estimator, fraction: float, force_N: float, directi
     """One condition; see `predict`."""
     contact = _touch(estimator, fraction, force_N, direction)
     if contact.result != "ok":
-        return Condition(fraction, force_N, direction, contact.result)
+        return Condition(fraction, force_N, direction, _NO_TOUCH[contact.result])
     model, eq = estimator.model, contact.equilibrium
     cov = propagate(contact.sensitivity, estimator.cov_wrench)
     per_N, p_per_N = contact.d_wrench[:, 2], contact.d_position[:, 2]
@@ -155,7 +158,9 @@ def predict_touch(estimator: Estimator, fraction: float, force_N: float, directi
         predicted_error_mm=_finite(math.sqrt(np.trace(cov.cov_p)) / MM),
         predicted_error_95_mm=_finite(radius_95(cov.cov_p) / MM),
         std_s_mm=_finite(cov.std_s / MM),
-        deflection_mm=float(np.linalg.norm(eq.p_contact_base - estimator.free().p_at(float(eq.load[9]))) / MM),
+        deflection_mm=float(
+            np.linalg.norm(eq.p_contact_base - estimator.free().p_at(float(eq.load[9]))) / MM
+        ),
         moment_per_N_Nmm=1e3 * moment,
         force_per_N_N=force,
         moment_per_mm_Nmm=_finite(1e3 * moment / press * MM) if press > 0 else None,
@@ -195,7 +200,9 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _check_grid(fractions: tuple[float, ...], forces_N: tuple[float, ...], directions: tuple[str, ...]) -> None:
+def _check_grid(
+    fractions: tuple[float, ...], forces_N: tuple[float, ...], directions: tuple[str, ...]
+) -> None:
     for fraction in fractions:
         if not 0.0 < fraction <= 1.0:
             raise InputError(f"contact fraction {fraction:g} must lie in (0, 1]")

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,8 @@ from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Mode, Rod
 
 _MAX_ITERATIONS = 20
-_CLOSE = 1e-12  # relative misfit of force and normal
+_CLOSE = 1e-10  # relative misfit of force and normal
+_LEAST_STEP = 1e-3  # of the magnitude
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,8 @@ def solve_frictionless(
 
     F = f (cos α u - sin α t), where u = x cos φ + y sin φ is the push seen in the bent section's own axes,
     t the bent tangent and α the half-angle of the frustum: the outward normal leans towards the tip, so
-    the push leans towards the base. Solved by Newton on F with the rod's exact sensitivities.
+    the push leans towards the base. Solved by Newton on F with the rod's exact sensitivities, the push
+    growing from nothing in steps that Newton can take.
 
     Args:
         rod: the rod.
@@ -67,38 +70,88 @@ def solve_frictionless(
         s_contact: where the force's line meets the axis [m].
         angle: φ of the push about the tangent, from the section's x axis [rad].
         magnitude: f [N].
+        mode: "fast" or "reference".
 
     Returns:
-        The contact; numbers come only with result "ok".
+        The contact; numbers come only with result "ok". "not_converged" also stands for a push that the
+        rod cannot hold: it bends away.
     """
-    alpha = math.atan(rod.taper_at(s_contact))
-    force = magnitude * _push(np.eye(3), alpha, angle)
-    guess: Array | None = None
-    for _ in range(_MAX_ITERATIONS):
-        eq = rod.solve(gravity, force, s_contact, mode=mode, guess=guess, columns="load")
-        if not eq.ok or eq.sensitivity is None:
-            return FrictionlessContact(eq.result, eq, np.full(3, np.nan), np.full((3, 3), np.nan))
-        frame, d = eq.sensitivity.frame, eq.sensitivity.d_contact
-        R = np.stack([frame[3:6], frame[9:12], frame[0:3]], axis=-1)
-        wanted = magnitude * _push(R, alpha, angle)
-        d_wanted = magnitude * np.stack([_push(_columns(d, j), alpha, angle) for j in range(4)], axis=-1)
-        jacobian = np.eye(3) - d_wanted[:, 0:3]
-        if np.linalg.norm(force - wanted) <= _CLOSE * max(magnitude, 1e-12):
-            across = magnitude * math.cos(alpha) * (R[:, 1] * math.cos(angle) - R[:, 0] * math.sin(angle))
-            direct = np.stack([d_wanted[:, 3], across, _push(R, alpha, angle)], axis=-1)
-            return FrictionlessContact("ok", eq, force, np.linalg.solve(jacobian, direct))
-        force = force - np.linalg.solve(jacobian, force - wanted)
-        guess = eq.tip_tangent
-    return FrictionlessContact("not_converged", eq, np.full(3, np.nan), np.full((3, 3), np.nan))
+    found = _Push(rod, np.asarray(gravity, dtype=float), s_contact, angle, mode).at(magnitude, None)
+    if found.result == "ok":
+        return found
+    push = _Push(rod, np.asarray(gravity, dtype=float), s_contact, angle, mode)
+    reached, step, last = 0.0, magnitude / 4.0, None
+    while reached < magnitude:
+        goal = min(reached + step, magnitude)
+        found = push.at(goal, last)
+        if found.result == "ok":
+            reached, last, step = goal, found, 2.0 * step
+        elif step < _LEAST_STEP * magnitude:
+            return found
+        else:
+            step /= 4.0
+    return found
 
 
-def _push(R: Array, alpha: float, angle: float) -> Array:
-    """Unit push in the axes R (columns x, y, tangent)."""
-    return math.cos(alpha) * (math.cos(angle) * R[:, 0] + math.sin(angle) * R[:, 1]) - math.sin(alpha) * R[:, 2]
+@dataclass(frozen=True)
+class _Push:
+    """A frictionless push at one place from one side."""
+
+    rod: Rod
+    gravity: Array
+    s: float
+    angle: float
+    mode: Mode
+
+    def at(self, magnitude: float, last: FrictionlessContact | None) -> FrictionlessContact:
+        """Newton on F for one magnitude, from the contact at a lesser one or from the unbent rod."""
+        if last is None:
+            force, guess = magnitude * self._normal(np.eye(3)), None
+        else:
+            ahead = magnitude - float(np.linalg.norm(last.force_base))
+            force, guess = last.force_base + ahead * last.d_force[:, 2], last.equilibrium.tip_tangent
+        for _ in range(_MAX_ITERATIONS):
+            eq = self.rod.solve(
+                self.gravity, force, self.s, mode=self.mode, guess=guess, guess_only=True, columns="load"
+            )
+            if not eq.ok or eq.sensitivity is None:
+                return FrictionlessContact(eq.result, eq, np.full(3, np.nan), np.full((3, 3), np.nan))
+            frame, d = eq.sensitivity.frame, eq.sensitivity.d_contact
+            R = _axes(frame)
+            d_normal = magnitude * np.stack([self._normal(_axes(d[:, j])) for j in range(4)], axis=-1)
+            jacobian = np.eye(3) - d_normal[:, 0:3]
+            misfit = force - magnitude * self._normal(R)
+            if np.linalg.norm(misfit) <= _CLOSE * max(magnitude, 1e-12):
+                direct = np.stack([d_normal[:, 3], magnitude * self._turned(R), self._normal(R)], axis=-1)
+                d_force = np.linalg.solve(jacobian, direct).astype(float, copy=False)
+                return FrictionlessContact("ok", eq, force, d_force)
+            force = force - np.linalg.solve(jacobian, misfit)
+            if np.linalg.norm(force) > 3.0 * magnitude:  # Newton left the sphere on which F must lie
+                break
+            guess = eq.tip_tangent
+        return FrictionlessContact("not_converged", eq, np.full(3, np.nan), np.full((3, 3), np.nan))
+
+    @cached_property
+    def _weights(self) -> tuple[float, float, float]:
+        """The push in the section's axes."""
+        alpha = math.atan(self.rod.taper_at(self.s))
+        return (
+            math.cos(alpha) * math.cos(self.angle),
+            math.cos(alpha) * math.sin(self.angle),
+            -math.sin(alpha),
+        )
+
+    def _normal(self, R: Array) -> Array:
+        """Unit push in the axes R (columns x, y, tangent); linear in R, so it serves derivatives too."""
+        x, y, z = self._weights
+        return x * R[:, 0] + y * R[:, 1] + z * R[:, 2]
+
+    def _turned(self, R: Array) -> Array:
+        """Its derivative by the angle."""
+        x, y, _ = self._weights
+        return x * R[:, 1] - y * R[:, 0]
 
 
-def _columns(d_contact: Array, j: int) -> Array:
-    """Derivative j of the frame [x, y, tangent], (3, 3)."""
-    d = d_contact[:, j]
-    return np.stack([d[3:6], d[9:12], d[0:3]], axis=-1)
-
+def _axes(column: Array) -> Array:
+    """[x, y, tangent] as columns from the kernels' [tangent, x, position, y], (12,) to (3, 3)."""
+    return np.stack([column[3:6], column[9:12], column[0:3]], axis=-1)

@@ -121,7 +121,10 @@ class Equilibrium:
         """Internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         weight = self.body.material[3] * _volume_beyond(self.body, s)
-        return np.where(s[:, None] <= self.load[9], self.load[0:3], 0.0) + weight[:, None] * self.load[3:6]
+        n: Array = (
+            np.where(s[:, None] <= self.load[9], self.load[0:3], 0.0) + weight[:, None] * self.load[3:6]
+        )
+        return n
 
     def p_at(self, s: ArrayLike) -> Array:
         """Centreline at any arclength s [m]: (3,) for a number, (j, 3) for an array; exact as the solve itself."""
@@ -134,7 +137,7 @@ class Equilibrium:
         return frames[0] if np.ndim(s) == 0 else frames
 
     def states_at(self, s: ArrayLike) -> Array:
-        """Kernel states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN without an answer or off the rod."""
+        """Kernel states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod or without an answer."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         states = np.full((len(s), 12), np.nan)
         if self.ok:

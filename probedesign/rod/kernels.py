@@ -40,7 +40,6 @@ ALL_COLUMNS = len(PARAMETERS)
 OK, NOT_CONVERGED, UNSTABLE, STEP_LIMIT = 0, 1, 2, 3
 
 
-
 class Body(NamedTuple):
     """What a rod is made of, as arrays for the kernels.
 
@@ -72,10 +71,17 @@ _B = np.array([3 / 40, 0.0, 875 / 2244, 23 / 72, 264 / 1955, 0.0, 125 / 11592, 4
 _B_LOW = np.array([13 / 160, 0.0, 2375 / 5984, 5 / 16, 12 / 85, 3 / 44, 0.0, 0.0])
 _E = _B - _B_LOW
 
-MAX_STEPS = 4000  # of one sweep; a hang is not an answer
+MAX_STEPS = 300  # of one sweep at an error of 1e-7 a step; more where it is less: a hang is not an answer
+COLD, WARM, WARM_ONLY = (
+    0,
+    1,
+    2,
+)  # start from no load; from a guess, else from no load; from a guess or not at all
 SCRATCH = 9 * 12 * (3 + ALL_COLUMNS)  # doubles that `solve` works in
 MAX_NEWTON = 12
-MAX_TURN = 0.35  # largest turn of the tip [rad] between prediction and solution of a load step: keeps the branch
+MAX_TURN = (
+    0.35  # largest turn of the tip [rad] between prediction and solution of a load step: keeps the branch
+)
 PATH_TOLERANCE = 1e-4  # of sweeps on the way to the whole load [rad]; only where they end is reported
 MIN_LOAD_STEP = 1e-4
 
@@ -369,6 +375,7 @@ def sweep(t_tip, y, k, out, nb, blocks, body, load, tol, size, nodes, contact):
     s_c, rigid_end = load[9], body.material[4]
     e = _start(t_tip, y, n, nb, load)
     i, s, h = body.knots.shape[0] - 2, body.knots[-1], -body.knots[-1] / 6.0
+    most = MAX_STEPS * max(1.0, (1e-7 / tol) ** (1.0 / 6.0))
     on, rigid, stable, steps, count, bend = 0.0, False, True, 0, 0, 1e-9
     while True:
         reached = on == 0.0 and s <= s_c
@@ -387,7 +394,7 @@ def sweep(t_tip, y, k, out, nb, blocks, body, load, tol, size, nodes, contact):
         stop = max(body.knots[i], s_c if on == 0.0 else 0.0, 0.0 if rigid else rigid_end)
         s, h, tries = _advance(s, stop, h, i, y, out, k, n, nb, blocks, body, load, tol, size, on, rigid)
         steps += tries
-        if steps > MAX_STEPS or math.isnan(s):
+        if steps > most or math.isnan(s):
             return STEP_LIMIT, count, False, 1.0
         e = _carried(e, y, out)
         _copy(n, out, y)
@@ -498,11 +505,12 @@ def _trace(t, scratch, body, load, tol, until, moment_first):
 
 
 @kernel
-def solve(t, warm, scratch, body, load, tol, until, columns, nodes, y, contact):
+def solve(t, start, scratch, body, load, tol, until, columns, nodes, y, contact):
     """Find the equilibrium and sweep it once more with everything asked for.
 
     Args:
-        t: tip tangent, (3,): a guess if `warm`, the solution on return.
+        t: tip tangent, (3,): a guess unless COLD, the solution on return.
+        start: COLD, WARM or WARM_ONLY.
         scratch: (SCRATCH,).
         load: [force, gravity, tip moment, s_c], (10,), base axes, SI.
         tol: error allowed a step [rad]; until: residual allowed at the base [rad];
@@ -517,11 +525,11 @@ def solve(t, warm, scratch, body, load, tol, until, columns, nodes, y, contact):
     path_tol = max(tol, PATH_TOLERANCE)
     judged = _is_judged(load)
     status, size = NOT_CONVERGED, 1.0
-    if warm:
+    if start != COLD:
         status, _away, size = _newton(t, scratch, body, load, path_tol, 1e-3, judged, MAX_TURN)
-    if status != OK:
+    if status != OK and start != WARM_ONLY:
         status, size = _trace(t, scratch, body, load, path_tol, 1e-3, False)
-    if status != OK and not judged:
+    if status != OK and start != WARM_ONLY and not judged:
         status, size = _trace(t, scratch, body, load, path_tol, 1e-3, True)
     if status != OK:
         return status, 0, False, math.inf
@@ -529,7 +537,9 @@ def solve(t, warm, scratch, body, load, tol, until, columns, nodes, y, contact):
     k, out = scratch[: 8 * n], scratch[8 * n : 9 * n]
     residual = math.inf
     for _ in range(6):
-        status, count, stable, size = sweep(t, y, k, out, 12, 3 + columns, body, load, tol, size, nodes, contact)
+        status, count, stable, size = sweep(
+            t, y, k, out, 12, 3 + columns, body, load, tol, size, nodes, contact
+        )
         if status != OK:
             return status, 0, False, math.inf
         residual = math.sqrt(y[0] * y[0] + y[1] * y[1])

@@ -57,13 +57,21 @@ class Rod:
 
     def __post_init__(self) -> None:
         for name in ("youngs_modulus", "shear_modulus", "shear_coefficient"):
-            _require(bool(0.0 < getattr(self, name) < np.inf), f"{name} = {getattr(self, name)} must be positive")
+            _require(
+                bool(0.0 < getattr(self, name) < np.inf), f"{name} = {getattr(self, name)} must be positive"
+            )
         _require(bool(0.0 <= self.density < np.inf), f"density = {self.density} must not be negative")
         s, r = np.asarray(self.s, dtype=float), np.asarray(self.radius, dtype=float)
-        _require(s.ndim == 1 and s.shape == r.shape and len(s) >= 2, "s and radius need two or more knots each")
-        _require(bool(s[0] == 0.0 and (np.diff(s) > 0).all() and np.isfinite(s).all()), "s must increase from 0")
+        _require(
+            s.ndim == 1 and s.shape == r.shape and len(s) >= 2, "s and radius need two or more knots each"
+        )
+        _require(
+            bool(s[0] == 0.0 and (np.diff(s) > 0).all() and np.isfinite(s).all()), "s must increase from 0"
+        )
         _require(bool((r > 0).all() and np.isfinite(r).all()), "radius must be positive at every knot")
-        _require(bool(0.0 <= self.rigid_length < s[-1]), f"rigid_length = {self.rigid_length} must lie on the rod")
+        _require(
+            bool(0.0 <= self.rigid_length < s[-1]), f"rigid_length = {self.rigid_length} must lie on the rod"
+        )
 
     @property
     def length(self) -> float:
@@ -94,6 +102,7 @@ class Rod:
         tip_moment: ArrayLike = (0.0, 0.0, 0.0),
         mode: Mode = "fast",
         guess: ArrayLike | None = None,
+        guess_only: bool = False,
         columns: Columns = "none",
     ) -> Equilibrium:
         """Static equilibrium under gravity, a dead point force and a dead moment at the tip.
@@ -108,10 +117,11 @@ class Rod:
             tip_moment: in base axes [N·m], (3,).
             mode: "fast" or "reference".
             guess: tangent at the tip to start from, (3,).
+            guess_only: give up where the guess does not lead to an answer, instead of starting cold.
             columns: which exact sensitivities to carry along: "none", "load" (force and s_contact) or "all".
 
         Returns:
-            The equilibrium; its `result` is "ok", "not_converged" or "unstable", and numbers come only with "ok".
+            The equilibrium; its `result` is "ok", "not_converged" or "unstable"; numbers come only with "ok".
 
         Raises:
             InputError: an argument is not finite or s_contact lies off the rod.
@@ -119,25 +129,31 @@ class Rod:
         load = self._load(gravity, force, s_contact, tip_moment)
         tol, until = TOLERANCES[mode]
         k = _COLUMNS[columns]
+        start = kernels.COLD if guess is None else kernels.WARM_ONLY if guess_only else kernels.WARM
         t = np.array([0.0, 0.0, 1.0]) if guess is None else _unit(guess)
         y, contact = np.empty(12 * (3 + k)), np.empty(12 * (3 + k))
         nodes = np.empty((_MAX_NODES if mode == "reference" else 512, 13))
         scratch = np.empty(kernels.SCRATCH)
         status, count, stable, residual = kernels.solve(
-            t, guess is not None, scratch, self.body, load, tol, until, k, nodes, y, contact
+            t, start, scratch, self.body, load, tol, until, k, nodes, y, contact
         )
         sensitivity = self._sensitivity(y, contact, k, load) if k and status == kernels.OK else None
-        return Equilibrium(_RESULTS[status], stable, residual, load, nodes[:count], y, contact, self.body, sensitivity)
+        result, shape = _RESULTS[status], nodes[:count]
+        return Equilibrium(result, stable, residual, load, shape, y, contact, self.body, sensitivity)
 
-    def _load(self, gravity: ArrayLike, force: ArrayLike, s_contact: float | None, moment: ArrayLike) -> Array:
+    def _load(
+        self, gravity: ArrayLike, force: ArrayLike, s_contact: float | None, moment: ArrayLike
+    ) -> Array:
         """[force, gravity, tip moment, s_c] for the kernels, checked."""
         load = np.empty(10)
         for start, name, value in ((0, "force", force), (3, "gravity", gravity), (6, "tip_moment", moment)):
             vector = np.asarray(value, dtype=float)
-            _require(vector.shape == (3,) and bool(np.isfinite(vector).all()), f"{name} = {value} must be three finite numbers")
+            if vector.shape != (3,) or not np.isfinite(vector).all():
+                raise InputError(f"{name} = {value!r} must be three finite numbers")
             load[start : start + 3] = vector
         s = self.length if s_contact is None else float(s_contact)
-        _require(0.0 <= s <= self.length * (1 + 1e-12), f"s_contact = {s_contact} must lie in 0 ... {self.length:g} m")
+        if not 0.0 <= s <= self.length * (1 + 1e-12):  # a fraction of the length may round up
+            raise InputError(f"s_contact = {s_contact} must lie in 0 ... {self.length:g} m")
         load[9] = min(s, self.length)
         return load
 
@@ -150,7 +166,8 @@ class Rod:
 def _unit(t: ArrayLike) -> Array:
     vector = np.array(t, dtype=float)
     norm = float(np.linalg.norm(vector))
-    _require(vector.shape == (3,) and 0.0 < norm < np.inf, f"guess = {t} must be a direction (3,)")
+    if vector.shape != (3,) or not 0.0 < norm < np.inf:
+        raise InputError(f"guess = {t!r} must be a direction (3,)")
     return vector / norm
 
 

@@ -1,0 +1,112 @@
+"""The CAD kernel's door: metres in, CadQuery shapes in millimetres out, SI mass properties back."""
+
+from collections.abc import Sequence
+
+import cadquery as cq
+import numpy as np
+from OCP.BRep import BRep_Tool
+from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+from OCP.BRepGProp import BRepGProp
+from OCP.BRepTools import BRepTools
+from OCP.GProp import GProp_GProps
+
+from probedesign.errors import CheckFailedError
+from probedesign.frames import Array
+from probedesign.mass import MassProperties
+from probedesign.mounting.prism import Point
+from probedesign.units import MM
+
+
+def revolved(outline: Sequence[Point]) -> cq.Solid:
+    """A closed polygon of (radius, z) [m], two of its corners on the axis, turned about z."""
+    corners = [(r / MM, z / MM) for r, z in outline]
+    return single(cq.Workplane("XZ").polyline(corners).close().revolve(360, (0, 0), (0, 1)).val())
+
+
+def cylinder(d: float, z0: float, z1: float, p: Point = (0.0, 0.0)) -> cq.Solid:
+    """An upright cylinder of diameter d between z0 and z1 about p [m]."""
+    return cq.Solid.makeCylinder(d / 2 / MM, (z1 - z0) / MM, _vector(p, z0))
+
+
+def hexagon(af: float, z0: float, z1: float, p: Point) -> cq.Solid:
+    """An upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis."""
+    outline = cq.Workplane().polygon(6, 2 * af / np.sqrt(3.0) / MM).extrude((z1 - z0) / MM)
+    azimuth = np.degrees(np.arctan2(p[1], p[0]))
+    return single(
+        outline.val().rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0).moved(cq.Location(_vector(p, z0)))
+    )
+
+
+def block(x: Point, y: Point, z: Point) -> cq.Solid:
+    """A box between the two values of x, of y and of z [m]."""
+    lengths = [(b - a) / MM for a, b in (x, y, z)]
+    return cq.Solid.makeBox(*lengths, pnt=_vector((x[0], y[0]), z[0]))
+
+
+def placed(shape: cq.Shape, T_a_b: Array) -> cq.Shape:
+    """A shape given in frame b, told in frame a; T (4, 4) in metres."""
+    return shape.moved(location(T_a_b))
+
+
+def location(T: Array) -> cq.Location:
+    """CadQuery's form of a pose (4, 4) in metres."""
+    origin = _vector((T[0, 3], T[1, 3]), T[2, 3])
+    return cq.Location(cq.Plane(origin=origin, xDir=cq.Vector(*T[:3, 0]), normal=cq.Vector(*T[:3, 2])))
+
+
+def single(shape: cq.Shape) -> cq.Solid:
+    """The one closed, valid solid that a shape is made of.
+
+    Raises:
+        CheckFailedError: there is none, or more than one, or it is not valid.
+    """
+    solids = shape.Solids()
+    if len(solids) != 1 or not solids[0].isValid():
+        raise CheckFailedError(f"the kernel returned {len(solids)} solids where one valid solid was drawn")
+    return solids[0]
+
+
+def mass_of(shape: cq.Shape, density: float) -> MassProperties:
+    """Mass properties of a solid, in SI, from its exact surfaces; density [kg/m³]."""
+    gprops = GProp_GProps()
+    BRepGProp.VolumeProperties_s(shape.wrapped, gprops)
+    centre, matrix = gprops.CentreOfMass(), gprops.MatrixOfInertia()  # the matrix is about the centre
+    inertia = np.array([[matrix.Value(i, j) for j in (1, 2, 3)] for i in (1, 2, 3)])
+    volume = gprops.Mass() * MM**3
+    p_com = np.array([centre.X(), centre.Y(), centre.Z()]) * MM
+    return MassProperties(volume, density * volume, p_com, density * inertia * MM**5)
+
+
+def section_of(solid: cq.Solid, z: float) -> tuple[float, Array]:
+    """Area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m]."""
+    box = solid.BoundingBox()
+    width = 4.0 * max(box.xmax - box.xmin, box.ymax - box.ymin)
+    cut = cq.Face.makePlane(width, width, _vector((0.0, 0.0), z)).intersect(solid)
+    if any(edge.geomType() != "CIRCLE" for edge in cut.Edges()):
+        cut = _iso_cut(solid, z / MM)
+    gprops = GProp_GProps()
+    BRepGProp.SurfaceProperties_s(cut.wrapped, gprops)
+    matrix = gprops.MatrixOfInertia()
+    return gprops.Mass() * MM**2, np.array([matrix.Value(1, 1), matrix.Value(2, 2)]) * MM**4
+
+
+def _iso_cut(solid: cq.Solid, z: float) -> cq.Face:
+    """The cut at height z [mm] through a single ruled face, along the face's own coordinate line.
+
+    A plane's cut through a cone of less than about 0.02° is not a circle to the kernel but a curve fitted
+    to 1e-5; the coordinate line is exact.
+    """
+    boxes = ((face, face.BoundingBox()) for face in solid.Faces())
+    (face,) = (face for face, box in boxes if box.zmin < z < box.zmax)
+    surface = BRep_Tool.Surface_s(face.wrapped)
+    u, _, v0, v1 = BRepTools.UVBounds_s(face.wrapped)
+    z0, z1 = (surface.Value(u, v).Z() for v in (v0, v1))
+    curve = surface.VIso(v0 + (z - z0) / (z1 - z0) * (v1 - v0))
+    edge = cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge())
+    if max(abs(edge.positionAt(t).z - z) for t in (0.0, 0.25, 0.5, 0.75)) > 1e-9:
+        raise CheckFailedError(f"the face at z = {z:g} mm is not ruled about the axis")
+    return cq.Face.makeFromWires(cq.Wire.assembleEdges([edge]))
+
+
+def _vector(p: Point, z: float) -> cq.Vector:
+    return cq.Vector(p[0] / MM, p[1] / MM, z / MM)

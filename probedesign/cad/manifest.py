@@ -1,0 +1,106 @@
+"""The record that lies beside the exported files: what they are, how they go together, what was checked."""
+
+from typing import Any
+
+import cadquery as cq
+import numpy as np
+
+from probedesign.cad.assembly import Part
+from probedesign.cad.drawing import Drawing
+from probedesign.cad.kernel import mass_of
+from probedesign.cad.verify import Findings
+from probedesign.frames import Array
+from probedesign.mass import MassProperties, combined
+from probedesign.mounting.adapter import SQUEEZE
+from probedesign.units import MM
+
+SCHEMA = 1
+
+ASSEMBLY_ORDER = (
+    "screw the flange adapter to the sensor's mounting side from below: 3 M2x6, never longer",
+    "bolt the flange adapter to the robot: 4 bolts from above, dowel pin in the slot",
+    "press M2 nuts into the four pockets of the sensor adapter and dowel pins into its underside",
+    "screw the sensor adapter to the tool side from above through its recess: 3 M2x6, never longer",
+    "lay the flange into the recess, its hole over the peg: peg and the flat on the rim are at +X",
+    "slip the clamp ring over the tip and screw it down with its 4 M2 until it sits on the wall",
+)
+
+
+def manifest_of(drawing: Drawing, files: dict[str, dict[str, Any]], findings: Findings) -> dict[str, Any]:
+    """The manifest of an export.
+
+    Args:
+        drawing: of the design.
+        files: by name, each with its sha256 and size.
+        findings: of `verify`.
+    """
+    design = drawing.design
+    return {
+        "schema": SCHEMA,
+        "name": design.name,
+        "fingerprint": drawing.geometry.fingerprint,
+        "made_with": {"cadquery": cq.__version__},
+        "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
+        "assumptions": [*design.assumptions, "density of the rigid parts", "density of the steel parts"],
+        "files": files,
+        "parts": {part.name: _part(part) for part in drawing.printed},
+        "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
+        "T_sensor_base": _pose(drawing.adapter.T_sensor_base),
+        "T_sensor_robotflange": _pose(drawing.plate.T_sensor_robotflange),
+        "mass": _mass(drawing),
+        "screws": [use.as_record() for use in drawing.screws],
+        "also_needed": {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(drawing.adapter.p_dowels)},
+        "assembly_order": list(ASSEMBLY_ORDER),
+        "base": _base(drawing),
+        "verification": findings,
+        "intersections_m3": drawing.shared_volumes,
+    }
+
+
+def _part(part: Part) -> dict[str, Any]:
+    return {
+        "frame": part.frame,
+        "T_sensor_part": _pose(part.T_sensor_part),
+        "density_kg_m3": part.density,
+        **_body(mass_of(part.shape, part.density)),
+    }
+
+
+def _pose(T: Array) -> list[list[float]]:
+    rounded = np.round(T, 12) + 0.0  # to a picometre: spares the reader sums like 0.008199999999999999
+    return [[float(x) for x in row] for row in rounded]
+
+
+def _mass(drawing: Drawing) -> dict[str, Any]:
+    bodies = drawing.bodies
+    rigid = combined(body for name, body in bodies.items() if name != "flexible")
+    return {
+        "frame": "sensor; inertia about the centre of mass",
+        "counts": "everything beyond the tool face: the probe with its flange, sensor adapter, clamp ring, "
+        "and the screws, nuts and dowel pins on the tool side",
+        "bodies": {name: _body(body) for name, body in bodies.items()},
+        "rigid": _body(rigid),
+        "whole": _body(combined([bodies["flexible"], rigid])),
+    }
+
+
+def _body(body: MassProperties) -> dict[str, Any]:
+    return {
+        "volume_m3": body.volume,
+        "mass_kg": body.mass,
+        "p_com_m": body.p_com.tolist(),
+        "inertia_kg_m2": body.inertia.tolist(),
+    }
+
+
+def _base(drawing: Drawing) -> dict[str, Any]:
+    flange, a = drawing.geometry.flange, drawing.adapter
+    return {
+        "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
+        f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
+        f"{SQUEEZE / MM:g} mm",
+        "root_rigid_radii": drawing.design.mount.root_rigid_radii,
+        "root_rigid_radii_means": "0.12 comes from finite elements of a base face bonded to a rigid part; "
+        "a flange as soft as the probe may hold less firmly: identify it on the bench",
+        "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
+    }

@@ -1,0 +1,155 @@
+"""Proof that what was drawn is what the mechanics compute with: solids, slices, meshes against formulae."""
+
+from typing import Any
+
+import numpy as np
+
+from probedesign import section
+from probedesign.cad.assembly import cable_sector, shared_volume
+from probedesign.cad.drawing import Drawing
+from probedesign.cad.kernel import mass_of, section_of
+from probedesign.cad.mesh import Mesh
+from probedesign.cad.threemf import read_back
+from probedesign.errors import CheckFailedError
+from probedesign.frames import Array
+from probedesign.geometry import ProbeGeometry
+from probedesign.mass import MassProperties, combined, flexible_part
+from probedesign.mounting import hanging_mass, hanging_parts
+from probedesign.units import MM
+
+Findings = dict[str, dict[str, Any]]
+
+SOLID_LIMIT = 1e-9
+"""Relative. The kernel integrates these surfaces to about 1e-14; anything drawn wrongly is far above."""
+SECTION_LIMIT = 1e-6
+"""Relative."""
+MESH_LIMIT = 1e-3
+"""Relative. The chosen facets leave out 0.04 % of a cone."""
+OVERLAP_LIMIT = 1e-12
+"""Of volume [m³]: a thousandth of a cubic millimetre; touching faces share none."""
+STATIONS = 9
+
+
+def verify(drawing: Drawing, meshes: dict[str, Mesh], threemf: bytes) -> Findings:
+    """Check a drawing, its meshes and its 3MF package.
+
+    Args:
+        drawing: of the design.
+        meshes: of the printed parts, by name.
+        threemf: content of the probe's 3MF file.
+
+    Returns:
+        Each finding by name, with `measured`, `limit`, `ok` and `what`.
+
+    Raises:
+        CheckFailedError: naming every finding that is not ok.
+    """
+    findings = {
+        **_solids(drawing),
+        **_sections(drawing),
+        **_meshes(drawing, meshes),
+        **_threemf(meshes["probe"], threemf),
+        **_room(drawing),
+    }
+    failed = [
+        f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
+    ]
+    if failed:
+        raise CheckFailedError(f"{drawing.design.name}: the drawn parts do not hold: {'; '.join(failed)}")
+    return findings
+
+
+def _solids(drawing: Drawing) -> Findings:
+    geometry, adapter = drawing.geometry, drawing.adapter
+    density = drawing.design.density.value
+    drawn = dict(drawing.bodies)
+    drawn["hanging"] = combined(body for name, body in drawn.items() if name != "flexible")
+    formula = hanging_parts(geometry, adapter, density)
+    formula["hanging"] = hanging_mass(geometry, adapter, density)
+    formula["flexible"] = flexible_part(geometry, density).moved(adapter.T_sensor_base)
+    findings: Findings = {}
+    for name, body in drawn.items():
+        findings |= _same_body(name, body, formula[name])
+    return findings
+
+
+def _same_body(name: str, drawn: MassProperties, formula: MassProperties) -> Findings:
+    extent = float(np.sqrt(np.trace(formula.inertia) / formula.mass))
+    volume = abs(drawn.volume / formula.volume - 1.0)
+    centre = _largest(drawn.p_com - formula.p_com) / extent
+    inertia = _largest(drawn.inertia - formula.inertia) / _largest(formula.inertia)
+    return {
+        f"{name}_volume": _finding(volume, SOLID_LIMIT, "relative"),
+        f"{name}_centre": _finding(centre, SOLID_LIMIT, "relative to the body's extent"),
+        f"{name}_inertia": _finding(inertia, SOLID_LIMIT, "relative, about the centre of mass"),
+    }
+
+
+def _sections(drawing: Drawing) -> Findings:
+    geometry, solid = drawing.geometry, drawing.parts["probe"].shape
+    area_error, moment_error = 0.0, 0.0
+    for s in _stations(geometry):
+        area, moments = section_of(solid, s)
+        area_error = max(area_error, abs(area / float(section.area(geometry, s)) - 1.0))
+        moment_error = max(moment_error, _largest(moments / float(section.second_moment(geometry, s)) - 1.0))
+    what = f"relative, worst of {STATIONS} slices of the solid"
+    return {
+        "section_area": _finding(area_error, SECTION_LIMIT, what),
+        "section_second_moment": _finding(moment_error, SECTION_LIMIT, what),
+    }
+
+
+def _stations(geometry: ProbeGeometry) -> list[float]:
+    """Heights spread evenly, kept off the knots: a cut along the edge between two faces is ill-posed."""
+    even = (np.arange(STATIONS) + 0.5) / STATIONS * geometry.length
+    gaps = np.diff(geometry.s)
+    i = np.clip(np.searchsorted(geometry.s, even, side="right") - 1, 0, len(gaps) - 1)
+    clear = 0.01 * gaps[i]
+    return [float(s) for s in np.clip(even, geometry.s[i] + clear, geometry.s[i + 1] - clear)]
+
+
+def _meshes(drawing: Drawing, meshes: dict[str, Mesh]) -> Findings:
+    findings: Findings = {}
+    for name, mesh in meshes.items():
+        missing = abs(mesh.volume / mass_of(drawing.parts[name].shape, 1.0).volume - 1.0)
+        findings[f"{name}_mesh_closed"] = _yes(mesh.closed, "watertight, winding consistent, outside outside")
+        findings[f"{name}_mesh_volume"] = _finding(missing, MESH_LIMIT, "relative, to the solid")
+    return findings
+
+
+def _threemf(mesh: Mesh, content: bytes) -> Findings:
+    read, name, warnings = read_back(content)
+    lost = abs(len(read.triangles) - len(mesh.triangles))
+    return {
+        "3mf_warnings": _finding(warnings, 0.0, "of a strict reader"),
+        "3mf_name": _yes(name == "probe", "the object's name survives"),
+        "3mf_triangles": _finding(lost, 0.0, "difference to the mesh"),
+        # 3MF writes coordinates as decimals, cut after some digits.
+        "3mf_volume": _finding(abs(read.volume / mesh.volume - 1.0), 1e-5, "relative, to the mesh"),
+    }
+
+
+def _room(drawing: Drawing) -> Findings:
+    ours = [part for part in drawing.parts.values() if part.name != "sensor"]
+    sector = cable_sector(drawing.design.sensor_model)
+    in_sector = sum(shared_volume(sector, part.placed) for part in ours)
+    wide = ("probe", "sensor_adapter", "clamp_ring", "ring_screws", "ring_nuts")
+    lowest = min(drawing.parts[name].placed.BoundingBox().zmin for name in wide) * MM
+    return {
+        "overlap": _finding(max(drawing.shared_volumes.values()), OVERLAP_LIMIT, "m³, worst pair of parts"),
+        "cable_sector": _finding(in_sector, OVERLAP_LIMIT, "m³ of our parts where the cable must be free"),
+        # A nanometre: the kernel's boxes are wider than the part by its tolerance of 1e-10 m.
+        "below_tool_face": _finding(max(0.0, -lowest), 1e-9, "m that wide parts reach below the tool face"),
+    }
+
+
+def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:
+    return {"measured": float(measured), "limit": limit, "ok": bool(measured <= limit), "what": what}
+
+
+def _yes(ok: bool, what: str) -> dict[str, Any]:
+    return _finding(0.0 if ok else 1.0, 0.0, f"{what} (0 is yes)")
+
+
+def _largest(values: Array) -> float:
+    return float(np.max(np.abs(values)))

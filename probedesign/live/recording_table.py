@@ -1,0 +1,101 @@
+"""The lines of a recording: text, header, rows and the frame a comment names. Nothing of numbers yet."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NoReturn
+
+from probedesign.errors import InputError
+
+Frame = Literal["sensor", "base"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """The lines of a recording that hold something.
+
+    Attributes:
+        path: of the file.
+        header: names of the columns.
+        header_number: line of the file that holds them.
+        rows: the lines after it.
+        numbers: line of the file of each row.
+        ends_whole: whether the file ends in a newline.
+        frame: of the wrench.
+    """
+
+    path: Path
+    header: list[str]
+    header_number: int
+    rows: list[str]
+    numbers: list[int]
+    ends_whole: bool
+    frame: Frame
+
+    def fail(self, number: int, problem: str) -> NoReturn:
+        """Raise the error of one line of the file."""
+        raise InputError(f"{self.path}:{number}: {problem}")
+
+
+def read_table(path: Path, like: str) -> Table:
+    """Header, rows and frame of a file, without blank lines and comments.
+
+    Args:
+        path: of a text file in UTF-8.
+        like: the header that an empty file is told to start with.
+
+    Raises:
+        InputError: the file cannot be read, is no text, is empty or names no known frame.
+    """
+    text = _text(path)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    held = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
+    comments = [(i, line) for i, line in held if line.lstrip().startswith("#")]
+    frame = _frame(path, comments)
+    if comments:
+        held = [(i, line) for i, line in held if not line.lstrip().startswith("#")]
+    if not held:
+        raise InputError(f"{path}: is empty; a recording starts with the header {like}")
+    header_number, header = held[0]
+    names = [name.strip().strip("\"'").strip() for name in header.split(",")]
+    rows, numbers = [line for _, line in held[1:]], [i for i, _ in held[1:]]
+    return Table(path, names, header_number, rows, numbers, text.endswith(("\n", "\r")), frame)
+
+
+def shown(text: str) -> str:
+    """A piece of the file as it may stand in a message: quoted, escaped, never long."""
+    quoted = repr(text)
+    return quoted if len(quoted) <= 40 else quoted[:37] + "..."
+
+
+def _text(path: Path) -> str:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such recording") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file in UTF-8; a recording is CSV") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
+    if "\0" in text:
+        raise InputError(f"{path}: is a binary file; a recording is CSV")
+    return text
+
+
+def _frame(path: Path, comments: list[tuple[int, str]]) -> Frame:
+    """The frame that a comment `# frame: ...` names; the sensor's own if none does."""
+    frames: set[Frame] = set()
+    for number, line in comments:
+        said = re.match(r"\s*#\s*frame\s*[:=](.*)", line, re.IGNORECASE)
+        if not said:
+            continue
+        match said.group(1).strip().lower():
+            case "sensor":
+                frames.add("sensor")
+            case "base":
+                frames.add("base")
+            case other:
+                raise InputError(f"{path}:{number}: frame {shown(other)} is not known; say sensor or base")
+    if len(frames) > 1:
+        raise InputError(f"{path}: names two frames; a recording has one")
+    return frames.pop() if frames else "sensor"

@@ -1,0 +1,101 @@
+"""`sim:`: the rod itself under a frictionless contact that moves along it, read with the sensor's noise."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimator.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.live.reading import FREE, Reading, Truth, paced
+from probedesign.live.spec import SPEED, Parameter, parse_parameters
+from probedesign.rod.contact import solve_frictionless
+from probedesign.units import MILLINEWTON, MM
+
+PARAMETERS = {
+    "force_mN": Parameter(20.0, 1e-3, 1e5),
+    "angle_deg": Parameter(30.0, -360.0, 360.0),
+    "period_s": Parameter(20.0, 0.1, 3600.0),
+    "seconds": Parameter(20.0, 0.01, 1e7),
+    "rate_hz": Parameter(50.0, 0.1, 7000.0),
+    "seed": Parameter(1, 0, 2**32 - 1, whole=True),
+    "speed": SPEED,
+}
+
+PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
+WHERE = (0.3, 0.30, 0.30, 0.95, 0.30, 0.30, 0.3)
+PRESS = (0.0, 0.00, 1.00, 1.00, 1.00, 0.00, 0.0)
+"""One period: free, pressed at 0.3 of the length, moved to 0.95 and back, released, free. Linear between."""
+
+
+class Simulation:
+    """A contact that sweeps along the probe. Iterating again gives the same readings again.
+
+    Attributes:
+        title: one line that says what it is.
+        notes: nothing to say.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, model: ProbeModel, query: str = "") -> None:
+        """Check that the probe bears the contact.
+
+        Args:
+            model: the probe.
+            query: parameters, as `PARAMETERS` has them.
+
+        Raises:
+            InputError: a parameter is wrong, or the probe has no equilibrium under that force.
+        """
+        said = parse_parameters("sim:", query, PARAMETERS)
+        self._model = model
+        self._force = said["force_mN"] * MILLINEWTON
+        self._angle = math.radians(said["angle_deg"])
+        self._period, self._rate, self._speed = said["period_s"], said["rate_hz"], said["speed"]
+        self._count = max(1, round(said["seconds"] * said["rate_hz"]))
+        self._seed = int(said["seed"])
+        for where in np.linspace(min(WHERE), max(WHERE), 8):
+            self._touched(where * model.rod.length, self._force)
+        low, high = min(WHERE) * model.rod.length / MM, max(WHERE) * model.rod.length / MM
+        self.title = (
+            f"simulated contact of {said['force_mN']:g} mN sweeping s = {low:.1f} ... {high:.1f} mm, "
+            f"{said['seconds']:g} s at {self._rate:g} readings/s, noise seed {self._seed}"
+        )
+
+    def __iter__(self) -> Iterator[Reading]:
+        return paced(self._readings(), self._speed)
+
+    def _readings(self) -> Iterator[Reading]:
+        noise = np.random.default_rng(self._seed)
+        std = np.sqrt(np.diag(self._model.noise.covariance()))
+        gravity = self._model.gravity_base
+        for i in range(self._count):
+            time = i / self._rate
+            wrench, truth = self._at(time)
+            wrench_sensor = self._model.to_sensor(wrench, gravity) + std * noise.standard_normal(6)
+            yield Reading(time, wrench_sensor, gravity, truth)
+
+    def _at(self, time: float) -> tuple[Array, Truth]:
+        """Base wrench (6,) and truth at a time [s]."""
+        phase = time / self._period % 1.0
+        press = float(np.interp(phase, PHASE, PRESS))
+        if press == 0.0:
+            return self._model.rod.solve(self._model.gravity_base, mode="reference").wrench_base, FREE
+        return self._touched(float(np.interp(phase, PHASE, WHERE)) * self._model.rod.length, press * self._force)
+
+    def _touched(self, s: float, force: float) -> tuple[Array, Truth]:
+        """Base wrench (6,) and truth under a force [N] at s [m].
+
+        Raises:
+            InputError: there is no equilibrium.
+        """
+        contact = solve_frictionless(
+            self._model.rod, self._model.gravity_base, s, self._angle, force, mode="reference"
+        )
+        if contact.result != "ok":
+            at = f"{force / MILLINEWTON:g} mN at s = {s / MM:.1f} mm"
+            raise InputError(f"sim: the probe does not bear {at} ({contact.result}); say a smaller force_mN")
+        eq = contact.equilibrium
+        return eq.wrench_base, Truth(s, eq.p_contact_base, contact.force_base)

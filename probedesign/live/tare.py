@@ -1,0 +1,124 @@
+"""The tare: what the sensor reads more than it should while the probe is free. Only ever on demand."""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimator.estimator import Estimator
+from probedesign.frames import Array
+from probedesign.live.reading import Reading
+
+FEWEST = 10
+"""Readings of a window: their mean adds a tenth to the variance of every later reading."""
+STEADY = 3.0
+"""A channel that scatters more than this many times its noise is not the noise of a free probe. Ten readings
+of pure noise do so once in 1e13 windows."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """When the probe is free.
+
+    Attributes:
+        start: from the first reading [s].
+        end: from the first reading [s]; not in the window itself.
+    """
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Tare:
+    """A bias and what it was taken from.
+
+    Attributes:
+        bias_sensor: to take from every reading, in the sensor frame [N, N·m], (6,).
+        std_sensor: scatter of the window's readings [N, N·m], (6,).
+        readings: how many there were.
+        window: when.
+    """
+
+    bias_sensor: Array
+    std_sensor: Array
+    readings: int
+    window: Window
+
+
+def parse_window(text: str) -> Window:
+    """The window that START:END in seconds names.
+
+    Raises:
+        InputError: these are no two numbers, 0 ≤ START < END.
+    """
+    start, _, end = text.partition(":")
+    try:
+        window = Window(float(start), float(end))
+    except ValueError:
+        window = Window(math.nan, math.nan)
+    if not 0.0 <= window.start < window.end < math.inf:
+        raise InputError(f"--tare-s {text} must be START:END in seconds from the first reading, START < END")
+    return window
+
+
+def take_tare(readings: list[Reading], window: Window, estimator: Estimator) -> Tare:
+    """Bias of the sensor from the readings of a window in which nothing touches the probe.
+
+    A touch that stays perfectly still looks like a bias: that nothing touches is the user's word.
+
+    Args:
+        readings: those of the window.
+        window: when they were read.
+        estimator: of the probe, for what the free probe weighs and for the noise.
+
+    Raises:
+        InputError: the readings are too few, or scatter more than a free probe's.
+    """
+    told = f"tare window {window.start:g}:{window.end:g} s"
+    if len(readings) < FEWEST:
+        raise InputError(f"{told} holds {len(readings)} readings; a tare needs {FEWEST}")
+    excess = np.array([reading.wrench_sensor - _free(reading, estimator) for reading in readings])
+    bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
+    noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    if (std > STEADY * noise).any():
+        raise InputError(f"{told} is not steady: {_worst(std, noise)}; touched, moving or not averaged?")
+    return Tare(bias, std, len(readings), window)
+
+
+def _free(reading: Reading, estimator: Estimator) -> Array:
+    """What a sensor without bias reads of the free probe, (6,)."""
+    free = estimator.free(reading.gravity_base)
+    if not free.ok:
+        raise InputError(f"the free probe has no equilibrium under gravity {reading.gravity_base} m/s²")
+    return estimator.model.to_sensor(free.wrench_base, reading.gravity_base)
+
+
+def _worst(std: Array, noise: Array) -> str:
+    """The channel that scatters most for its noise."""
+    i = int(np.argmax(std / noise))
+    name, unit, factor = (
+        ("FxFyFz"[2 * i : 2 * i + 2], "mN", 1e3) if i < 3 else ("MxMyMz"[2 * i - 6 : 2 * i - 4], "Nmm", 1e3)
+    )
+    return f"{name} scatters by {std[i] * factor:.3g} {unit}, its noise is {noise[i] * factor:.3g} {unit}"
+
+
+def without_bias(reading: Reading, tare: Tare | None) -> Reading:
+    """The reading less the bias; itself where no tare was taken."""
+    if tare is None:
+        return reading
+    return replace(reading, wrench_sensor=reading.wrench_sensor - tare.bias_sensor)
+
+
+def in_window(readings: Iterable[Reading], window: Window) -> Iterator[Reading]:
+    """Readings of the window; the stream is read to its end and not past it."""
+    start: float | None = None
+    for reading in readings:
+        start = reading.time if start is None else start
+        since = reading.time - start
+        if since >= window.start:
+            yield reading
+        if since >= window.end:
+            return

@@ -1,0 +1,6 @@
+"""How a probe hangs on its sensor: the adapter's dimensions and mass, for CAD and for the frozen probe."""
+
+from probedesign.mounting.adapter import SensorAdapter as SensorAdapter
+from probedesign.mounting.adapter import sensor_adapter_for as sensor_adapter_for
+from probedesign.mounting.hanging import hanging_mass as hanging_mass
+from probedesign.mounting.hanging import hanging_parts as hanging_parts

@@ -1,0 +1,45 @@
+"""Screws, nuts and pins as data, and the clearances that resin leaves for them."""
+
+from dataclasses import dataclass
+
+from probedesign.units import MM
+
+
+@dataclass(frozen=True)
+class SocketScrew:
+    """A socket head cap screw, ISO 4762; the shank counts as a cylinder of the thread's pitch diameter.
+
+    Attributes:
+        thread: name.
+        head_d, head_height: of the head [m].
+        socket_af, socket_depth: hexagon across flats and its depth [m].
+        pitch_d: pitch diameter of the thread [m].
+        stock_mm: lengths that shops keep [mm].
+    """
+
+    thread: str
+    head_d: float
+    head_height: float
+    socket_af: float
+    socket_depth: float
+    pitch_d: float
+    stock_mm: tuple[int, ...]
+
+
+# Source: ISO 4762 (heads, sockets, lengths) and ISO 724 (pitch diameters).
+M2 = SocketScrew("M2", 3.8 * MM, 2.0 * MM, 1.5 * MM, 1.0 * MM, 1.740 * MM, (3, 4, 5, 6, 8, 10, 12))
+M5 = SocketScrew("M5", 8.5 * MM, 5.0 * MM, 4.0 * MM, 2.5 * MM, 4.480 * MM, (8, 10, 12, 16, 20, 25))
+M6 = SocketScrew("M6", 10.0 * MM, 6.0 * MM, 5.0 * MM, 3.0 * MM, 5.350 * MM, (10, 12, 16, 20, 25, 30))
+SCREWS = {s.thread: s for s in (M2, M5, M6)}
+
+M2_CLEARANCE_D = 2.4 * MM
+M2_COUNTERBORE_D = M2.head_d + 0.4 * MM
+M2_GRIP = 3.0 * MM
+"""Resin under an M2 head; with the stock M2×6 the sensor is entered by 3.0 mm."""
+M2_LENGTH = 6.0 * MM
+HEAD_SUNK = 0.2 * MM
+"""A head lies that much below the face, so that it cannot dent what rests on it."""
+M2_NUT_AF, M2_NUT_HEIGHT = 4.0 * MM, 1.6 * MM  # ISO 4032
+NUT_PROTRUSION = 0.4 * MM  # one pitch of M2 beyond the nut
+STEEL_DENSITY = 7900.0
+"""Of screws, nuts and pins [kg/m³]. Source: stainless A2, any table; assumed."""

@@ -1,0 +1,109 @@
+"""The whole chain, one function an arrow. Read this page first.
+
+    designs/NAME.toml → design → geometry → section, mass ─→ rod ─→ estimator ─→ prediction ─→ report
+                            └→ cad (solids, adapters) → exports/NAME/ + manifest      └→ frozen probe → live
+
+`probe.build_probe` is the middle of it: one `ProbeGeometry` feeds the rod here and CadQuery there. The
+frozen probe at the end is all that `estimate` and `live` ever read.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from probedesign.deployment import check_manifest, write_frozen
+from probedesign.design import Design, load_design
+from probedesign.estimator.estimator import Estimator
+from probedesign.files import write_atomically
+from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
+from probedesign.probe import Probe, build_probe
+
+EXPORTS = Path("exports")
+SUMMARY_TOUCH = (0.8, 0.010, "+y")
+"""Fraction, newtons and direction of the touch that `new` speaks of: delicate, and near the tip."""
+
+
+def _quiet(_: str) -> None:
+    """Say nothing."""
+
+
+def probe_of(design_path: Path) -> Probe:
+    """Design file → design → geometry, mass, rod."""
+    return build_probe(load_design(design_path))
+
+
+def summary(design: Design) -> dict[str, Any]:
+    """What to expect of a design, in a few numbers.
+
+    Returns:
+        mass_g, sag_mm, fits_upright, printer, expected_error_mm, expected_error_condition, assumptions.
+    """
+    probe = build_probe(design)
+    estimator = probe.estimator()
+    fraction, force_N, direction = SUMMARY_TOUCH
+    touch = predict_touch(estimator, fraction, force_N, direction)
+    flange = probe.geometry.flange
+    return {
+        "mass_g": 1e3 * probe.mass,
+        "sag_mm": tip_sag_mm(estimator),
+        "fits_upright": design.printer.fits_upright(flange.diameter, probe.length + flange.thickness),
+        "printer": design.print_.printer,
+        "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,
+        "expected_error_condition": f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
+        f"of {design.sensor.averaging_samples} samples ({touch.result})",
+        "assumptions": list(design.assumptions),
+    }
+
+
+def export(
+    design_path: Path, out: Path | None = None, progress: Callable[[str], None] = _quiet
+) -> dict[str, Any]:
+    """Design → solids, adapters, meshes → exports/NAME/ with their manifest. Needs CadQuery."""
+    from probedesign.cad import export_parts
+
+    return export_parts(load_design(design_path), out, progress)
+
+
+def predict(design_path: Path, out: Path | None = None, plots: bool = True) -> tuple[Prediction, list[Path]]:
+    """Design → rod → estimator → prediction → report.
+
+    Args:
+        design_path: the design file.
+        out: folder for prediction.json and prediction.png; exports/NAME if None.
+        plots: draw them too (needs matplotlib).
+
+    Returns:
+        The prediction and the files written.
+    """
+    probe = probe_of(design_path)
+    prediction = probe.predict()
+    folder = EXPORTS / probe.design.name if out is None else out
+    files = [folder / "prediction.json"]
+    write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
+    if plots:
+        from probedesign.report import draw_prediction
+
+        files.append(folder / "prediction.png")
+        write_atomically(files[1], draw_prediction(prediction, probe.estimator()))
+    return prediction, files
+
+
+def deploy(design_path: Path, out: Path | None = None) -> Path:
+    """Design → frozen probe. Refused where the parts exported beside it are of another geometry.
+
+    Returns:
+        The file written: exports/NAME/NAME.probe.json unless `out` says otherwise.
+    """
+    probe = probe_of(design_path)
+    path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
+    manifest = path.parent / "manifest.json"
+    if manifest.exists():
+        check_manifest(probe.geometry.fingerprint, manifest)
+    write_frozen(probe.model, path)
+    return path
+
+
+def estimator_of(design_path: Path) -> Estimator:
+    """Design → estimator, without the frozen file between."""
+    return probe_of(design_path).estimator()

@@ -1,0 +1,185 @@
+"""The paper's equations 1 and 2 as they stand, shot from the base: slow on purpose, the oracle of the compiled rod.
+
+Nothing is shared with `kernels` but the rod's dimensions: the whole frame R is carried, n is integrated
+along, the unknown is the moment at the base and the condition the moment at the tip. Signs are the standard
+ones: n' + f = 0, m' + p' × n = 0, with n and m what lies beyond s does to what lies before it.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+
+from probedesign.errors import CheckFailedError
+from probedesign.frames import Array
+from probedesign.rod.rod import Rod
+
+LOOSE, TIGHT = 1e-7, 3e-13
+"""Tolerances of the integration, relative: while the load grows, and of the answer."""
+MAX_TURN = 0.6
+"""Largest turn of the tip [rad] in one step of the load: a longer leap may land on another branch."""
+LEAST_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class PlainLoad:
+    """Gravity [m/s²], a dead force [N] at s_contact [m] and a dead moment at the tip [N·m], in base axes."""
+
+    gravity: Array
+    force: Array
+    tip_moment: Array
+    s_contact: float
+
+    def scaled(self, share: float) -> "PlainLoad":
+        """A share of it."""
+        return PlainLoad(share * self.gravity, share * self.force, share * self.tip_moment, self.s_contact)
+
+
+@dataclass(frozen=True)
+class PlainEquilibrium:
+    """The bent rod at arclengths s, in base axes.
+
+    Attributes:
+        s: [m], (k,).
+        p: centreline [m], (k, 3).
+        R: sections' axes as columns, (k, 3, 3).
+        n: internal force [N], (k, 3); at s_contact itself the force is counted.
+        m: internal moment [N·m], (k, 3).
+        wrench_base: what the rod does to its mount [N, N·m], (6,).
+        misfit: what is left of the moment's condition at the tip [N·m].
+    """
+
+    s: Array
+    p: Array
+    R: Array
+    n: Array
+    m: Array
+    wrench_base: Array
+    misfit: float
+
+
+def solve_plain(
+    rod: Rod,
+    gravity: ArrayLike,
+    force: ArrayLike,
+    s_contact: float,
+    tip_moment: ArrayLike = (0.0, 0.0, 0.0),
+    s: ArrayLike | None = None,
+) -> PlainEquilibrium:
+    """Static equilibrium on the branch that grows out of the unloaded rod.
+
+    Args:
+        rod: the rod.
+        gravity: in base axes [m/s²], (3,).
+        force: dead, in base axes, on the centreline [N], (3,).
+        s_contact: where it acts [m].
+        tip_moment: dead, in base axes [N·m], (3,).
+        s: arclengths where the answer is wanted [m], (k,); 17 even ones if None.
+
+    Returns:
+        The equilibrium.
+
+    Raises:
+        CheckFailedError: the load could not be reached.
+    """
+    load = PlainLoad(*(np.asarray(x, dtype=float) for x in (gravity, force, tip_moment)), float(s_contact))
+    stations = np.linspace(0.0, rod.length, 17) if s is None else np.asarray(s, dtype=float)
+    m_base = _shoot(rod, load, _grow(rod, load), TIGHT)
+    y = integrate(rod, load, m_base, TIGHT, stations)
+    end = integrate(rod, load, m_base, TIGHT, np.array([rod.length]))[0]
+    return PlainEquilibrium(
+        s=stations,
+        p=y[:, 0:3],
+        R=y[:, 3:12].reshape(-1, 3, 3),
+        n=y[:, 12:15],
+        m=y[:, 15:18],
+        wrench_base=np.concatenate([n_base(rod, load), m_base]),
+        misfit=float(np.linalg.norm(end[15:18] - load.tip_moment)),
+    )
+
+
+def rates(s: float, y: Array, rod: Rod, gravity: Array, rigid: bool) -> Array:
+    """Right-hand side of equation 1 with the stiffness of equation 2; y = [p, R row by row, n, m], (18,).
+
+    Args:
+        s: arclength [m].
+        y: the state.
+        rod: the rod.
+        gravity: in base axes [m/s²], (3,).
+        rigid: whether the rod neither bends nor twists here.
+    """
+    R, n, m = y[3:12].reshape(3, 3), y[12:15], y[15:18]
+    r = np.interp(s, rod.s, rod.radius)
+    area, inertia = np.pi * r**2, np.pi / 4.0 * r**4
+    E, G, k = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient
+    K_se = np.diag([k * G * area, k * G * area, E * area])
+    K_bt = np.diag([E * inertia, E * inertia, G * 2.0 * inertia])
+    v = np.array([0.0, 0.0, 1.0]) + (0.0 if rod.inextensible else np.linalg.inv(K_se) @ R.T @ n)
+    u = np.zeros(3) if rigid else np.linalg.inv(K_bt) @ R.T @ m
+    u_hat = np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
+    p_s = R @ v
+    R_s = R @ u_hat
+    n_s = -rod.density * area * gravity
+    m_s = -np.cross(p_s, n)
+    return np.concatenate([p_s, R_s.ravel(), n_s, m_s])
+
+
+def n_base(rod: Rod, load: PlainLoad) -> Array:
+    """n(0) = F + m g, equation 3 [N], (3,)."""
+    r0, r1 = rod.radius[:-1], rod.radius[1:]
+    volume = float(np.sum(np.pi / 3.0 * np.diff(rod.s) * (r0 * r0 + r0 * r1 + r1 * r1)))
+    return load.force + rod.density * volume * load.gravity
+
+
+def integrate(rod: Rod, load: PlainLoad, m_base: Array, tol: float, stations: Array) -> Array:
+    """States at the stations, (k, 18), outwards from the base, anew at each break of the right-hand side."""
+    y = np.concatenate([np.zeros(3), np.eye(3).ravel(), n_base(rod, load), m_base])
+    size = np.concatenate([np.full(3, rod.length), np.ones(9), np.full(3, 1.0), np.full(3, rod.length)])
+    size[12:18] *= max(float(np.linalg.norm(y[12:15])), float(np.linalg.norm(m_base)) / rod.length, 1e-12)
+    points = np.unique(np.concatenate([rod.s, [load.s_contact, rod.rigid_length], stations]))
+    states = {0.0: y}
+    for low, high in pairwise(points.tolist()):
+        if low == load.s_contact:
+            y = y - np.concatenate([np.zeros(12), load.force, np.zeros(3)])
+        arguments = (rod, load.gravity, high <= rod.rigid_length)
+        y = solve_ivp(rates, (low, high), y, "DOP853", args=arguments, rtol=tol, atol=tol * size).y[:, -1]
+        states[high] = y
+    return np.array([states[s] for s in stations.tolist()])
+
+
+def _shoot(rod: Rod, load: PlainLoad, guess: Array, tol: float) -> Array:
+    """The moment at the base that leaves the tip with the moment put on it, from a guess [N·m], (3,)."""
+    size = rod.length * float(np.linalg.norm(n_base(rod, load))) + float(np.linalg.norm(load.tip_moment)) or 1.0
+    tip = np.array([rod.length])
+
+    def misfit(m: Array) -> Array:
+        return (integrate(rod, load, m * size, tol, tip)[0, 15:18] - load.tip_moment) / size
+
+    found = root(misfit, guess / size, options={"xtol": tol, "eps": 1e-6})
+    # The residual ends at the integration's own error, a few times its tolerance a step.
+    if not np.abs(found.fun).max() <= 1e3 * tol:
+        raise CheckFailedError(f"the plain rod was not found: {found.message}")
+    return np.asarray(found.x * size, dtype=float)
+
+
+def _grow(rod: Rod, load: PlainLoad) -> Array:
+    """The moment at the base [N·m], (3,), as the load grows from nothing in steps that turn the tip little."""
+    at, step, m, tangent = 0.0, 0.25, np.zeros(3), np.array([0.0, 0.0, 1.0])
+    while at < 1.0:
+        goal = min(1.0, at + step)
+        part = load.scaled(goal)
+        try:
+            m_new = _shoot(rod, part, m * (goal / at if at else 1.0), LOOSE)
+            new = integrate(rod, part, m_new, LOOSE, np.array([rod.length]))[0, [5, 8, 11]]
+        except CheckFailedError:
+            new = -tangent
+        if float(new @ tangent) > np.cos(MAX_TURN):
+            at, m, tangent = goal, m_new, new
+        else:
+            step *= 0.5
+            if step < LEAST_STEP:
+                raise CheckFailedError(f"the plain rod gave way at {at:.3g} of the load")
+    return m

@@ -1,0 +1,182 @@
+"""The folder that an export leaves: which files, what is in them, and what happens when it goes wrong."""
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
+
+import cadquery as cq
+import trimesh
+
+from probedesign.cad import export_parts
+from probedesign.design import Design
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.geometry import build_geometry
+from probedesign.mass import MassProperties, combined, flexible_part
+from probedesign.mounting import hanging_mass, sensor_adapter_for
+
+FILES = {
+    "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
+    "assembly.step", "probe.3mf", "manifest.json",
+}  # fmt: skip
+
+Exported = tuple[Path, dict[str, Any]]
+
+
+def test_files_and_their_digests(exported: Exported) -> None:
+    folder, returned = exported
+    assert {p.name for p in folder.iterdir()} == FILES
+    assert [p.name for p in folder.parent.iterdir()] == [folder.name]  # no staging folder left
+    manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
+    assert returned == {**manifest, "folder": str(folder)}
+    assert set(manifest["files"]) == FILES - {"manifest.json"}
+    for name, record in manifest["files"].items():
+        content = (folder / name).read_bytes()
+        assert (
+            hashlib.sha256(content).hexdigest() == record["sha256"] and len(content) == record["size_bytes"]
+        )
+
+
+def test_manifest_says_what_was_made(exported: Exported, make_design: Callable[..., Design]) -> None:
+    _, manifest = exported
+    design = make_design()
+    assert manifest["schema"] == 1 and manifest["name"] == "large"
+    assert manifest["fingerprint"] == build_geometry(design).fingerprint
+    assert Design.model_validate_json(json.dumps(manifest["design"])) == design  # the echo is the design
+    assert set(design.assumptions) <= set(manifest["assumptions"])
+    assert all(finding["ok"] for finding in manifest["verification"].values())
+    assert all(volume == 0.0 for volume in manifest["intersections_m3"].values())
+    for screw in manifest["screws"]:
+        low, high = screw["entry_allowed_mm"]
+        assert low <= screw["entry_mm"] <= high
+    assert manifest["base"]["root_rigid_radii"] == 0.12
+
+
+def test_manifest_weighs_what_the_mechanics_weigh(
+    exported: Exported, make_design: Callable[..., Design]
+) -> None:
+    _, manifest = exported
+    design = make_design()
+    geometry = build_geometry(design)
+    adapter = sensor_adapter_for(geometry, design.sensor_model)
+    rigid = hanging_mass(geometry, adapter, design.density.value)
+    whole = combined([rigid, flexible_part(geometry, design.density.value).moved(adapter.T_sensor_base)])
+    for name, formula in (("rigid", rigid), ("whole", whole)):
+        record = manifest["mass"][name]
+        drawn = MassProperties(
+            *(np.array(record[k]) for k in ("volume_m3", "mass_kg", "p_com_m", "inertia_kg_m2"))
+        )
+        # Solids and formulae agree to 1e-9; the centre is compared on the scale of the body, 10 mm.
+        assert drawn.mass == pytest.approx(formula.mass, rel=1e-9)
+        assert drawn.p_com == pytest.approx(formula.p_com, abs=1e-11)
+        assert drawn.inertia == pytest.approx(formula.inertia, abs=1e-9 * formula.inertia.max())
+    assert np.array(manifest["T_sensor_base"]) == pytest.approx(adapter.T_sensor_base, abs=1e-12)
+
+
+def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> None:
+    mesh = trimesh.load(exported[0] / "probe.stl")
+    assert mesh.is_watertight and mesh.is_winding_consistent
+    # Single precision at 150 mm is 8e-6 mm.
+    assert mesh.bounds == pytest.approx(np.array([[-9.5, -9.5, -3.0], [9.5, 9.5, 150.0]]), abs=0.02)
+    assert mesh.bounds[:, 2] == pytest.approx([-3.0, 150.0], abs=1e-5)
+    above = mesh.vertices[mesh.vertices[:, 2] > 1e-3]
+    radius = np.hypot(above[:, 0], above[:, 1])
+    cone = 6.0 - above[:, 2] * (5.0 / 150.0)
+    assert (radius <= cone + 1e-5).all()  # facets lie inside the cone, corners on it
+
+
+def test_step_holds_named_parts_with_the_drawn_volume(exported: Exported) -> None:
+    folder, manifest = exported
+    text = (folder / "assembly.step").read_text("utf-8", "replace")
+    for name in ("probe", "sensor_adapter", "clamp_ring", "flange_adapter", "sensor", "ring_screws"):
+        assert f"'{name}'" in text
+    solids = cq.importers.importStep(str(folder / "assembly.step")).solids().vals()
+    volumes = [s.Volume() for s in solids]
+    for part in manifest["parts"].values():
+        # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
+        assert min(abs(v / (part["volume_m3"] * 1e9) - 1.0) for v in volumes) < 1e-9
+
+
+def test_export_says_nothing_on_stdout(
+    make_design: Callable[..., Design], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    said: list[str] = []
+    first = export_parts(make_design(), tmp_path / "a", said.append)
+    assert capfd.readouterr().out == ""  # --json owns it; the kernel likes to chat
+    assert said and all("\n" not in line for line in said)
+    second = export_parts(make_design(), tmp_path / "a")
+    meshes = [name for name in FILES if name.endswith(".stl")]
+    assert [first["files"][n] for n in meshes] == [second["files"][n] for n in meshes]
+    assert first["fingerprint"] == second["fingerprint"]
+
+
+def stop_at(step: str) -> Callable[[str], None]:
+    def progress(said: str) -> None:
+        if said == step:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize("trouble", [KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_interrupted_export_leaves_nothing(
+    make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Any
+) -> None:
+    def fail(*_: Any) -> None:
+        assert any(tmp_path.rglob("probe.stl"))  # half of the files are there already
+        raise trouble
+
+    monkeypatch.setattr("probedesign.cad.export._write_step", fail)
+    with pytest.raises(
+        (KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"
+    ):
+        export_parts(make_design(), tmp_path / "large")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_foreign_files_and_an_older_export_survive(
+    make_design: Callable[..., Design], tmp_path: Path
+) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    ours, foreign = folder / "manifest.json", folder / "large.probe.json"
+    for path in (ours, foreign):
+        path.write_text("earlier")
+    with pytest.raises(KeyboardInterrupt):
+        export_parts(make_design(), folder, stop_at("meshing"))
+    assert sorted(folder.iterdir()) == sorted([ours, foreign])
+    assert ours.read_text() == foreign.read_text() == "earlier"
+    export_parts(make_design(), folder)
+    assert {p.name for p in folder.iterdir()} == FILES | {foreign.name}
+    assert foreign.read_text() == "earlier" and json.loads(ours.read_text("utf-8"))["name"] == "large"
+
+
+def test_a_target_that_cannot_be_written_is_one_line(
+    make_design: Callable[..., Design], tmp_path: Path
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for target in (file, file / "below"):
+        with pytest.raises(InputError) as error:
+            export_parts(make_design(), target)
+        assert "\n" not in str(error.value) and str(target) in str(error.value)
+    assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("package", ["cadquery", "trimesh", "lib3mf"])
+def test_a_missing_package_is_one_line(
+    make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("probedesign.cad.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingDependencyError, match=r"^export needs .*pip install 'probedesign\[cad\]'$"):
+        export_parts(make_design(), tmp_path / "large")
+    assert list(tmp_path.iterdir()) == []

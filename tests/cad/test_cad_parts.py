@@ -1,0 +1,231 @@
+"""The drawn parts, asked by points, slices and overlaps; no drawing code is trusted to check itself."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
+
+import cadquery as cq
+
+from probedesign.cad.assembly import IN_SENSOR_FRAME, overlaps
+from probedesign.cad.drawing import Drawing, draw
+from probedesign.cad.mesh import Mesh, mesh_of, stl_bytes
+from probedesign.cad.threemf import threemf_bytes
+from probedesign.cad.verify import verify
+from probedesign.design import Design
+from probedesign.errors import CheckFailedError
+from probedesign.frames import Array, pose
+
+Meshes = tuple[dict[str, Mesh], bytes]
+PROFILE = (
+    'shape = "profile"\nlength_mm = 120.0\nbase_d_mm = 12.0\n'
+    "profile_mm = [[0, 12], [40, 13], [60, 7], [80, 7], [120, 2]]"
+)
+
+
+def at(azimuth_deg: float, r: float, z: float) -> Array:
+    """A point in millimetres by azimuth, radius and height."""
+    a = np.radians(azimuth_deg)
+    return np.array([r * np.cos(a), r * np.sin(a), z])
+
+
+def filled(shape: Any, p: Array, T_sensor_part: Array = IN_SENSOR_FRAME) -> bool:
+    """Whether a part has material at point p of the sensor frame [mm]."""
+    local = T_sensor_part[:3, :3].T @ (p - 1e3 * T_sensor_part[:3, 3])
+    return bool(shape.isInside(cq.Vector(*local)))
+
+
+def meshed(drawing: Drawing) -> Meshes:
+    meshes = {part.name: mesh_of(part.shape) for part in drawing.printed}
+    return meshes, threemf_bytes(meshes["probe"], "probe", "p", {"Title": "t"})
+
+
+@pytest.fixture(scope="module")
+def large_meshes(large: Drawing) -> Meshes:
+    return meshed(large)
+
+
+# ---- sensor adapter
+
+
+@pytest.mark.parametrize("azimuth", [60, 180, 300])
+def test_tool_side_holes(large: Drawing, azimuth: float) -> None:
+    adapter = large.parts["sensor_adapter"].shape
+    hole, below_head, above_head = at(azimuth, 6.25, 1.5), 2.9, 3.1
+    assert not filled(adapter, hole)
+    for side in (-1.25, 1.25):  # Ø2.4 clearance
+        assert filled(adapter, at(azimuth, 6.25 + side, 1.5))
+    for side in (-1.15, 1.15):
+        assert not filled(adapter, at(azimuth, 6.25 + side, 1.5))
+    # Under a Ø3.8 head there is resin up to 3.0 mm and room from there on: the grip of an M2×6.
+    assert filled(adapter, at(azimuth, 6.25 - 1.9, below_head))
+    assert not filled(adapter, at(azimuth, 6.25 - 1.9, above_head))
+
+
+@pytest.mark.parametrize("azimuth", [95, 215, 335])
+def test_tool_side_has_no_hole_of_the_mounting_side(large: Drawing, azimuth: float) -> None:
+    assert filled(large.parts["sensor_adapter"].shape, at(azimuth, 6.25, 1.5))
+
+
+def test_dowel_holes_are_blind(large: Drawing) -> None:
+    adapter = large.parts["sensor_adapter"].shape
+    for azimuth in (0, 120):
+        assert not filled(adapter, at(azimuth, 6.25, 2.9))  # 3 mm of a 6 mm pin stand out of the sensor
+        assert filled(adapter, at(azimuth, 6.25, 3.5))
+    assert filled(adapter, at(240, 6.25, 1.0))
+
+
+def test_clocking_is_at_plus_x_only(large: Drawing) -> None:
+    probe, adapter = large.parts["probe"], large.parts["sensor_adapter"]
+    r = 1e3 * large.adapter.peg_x
+    assert 6.0 < r < 9.5  # on the lip
+    mid_flange = 1e3 * large.adapter.floor + 1.5
+    assert filled(adapter.shape, at(0, r, mid_flange))
+    assert not filled(probe.shape, at(0, r, mid_flange), probe.T_sensor_part)
+    for azimuth in (90, 180, 270):
+        assert not filled(adapter.shape, at(azimuth, r, mid_flange))
+        assert filled(probe.shape, at(azimuth, r, mid_flange), probe.T_sensor_part)
+
+
+def test_nothing_wide_reaches_below_the_tool_face(large: Drawing) -> None:
+    foot_r = 1e3 * large.design.sensor_model.body_d / 2
+    adapter = large.parts["sensor_adapter"].shape
+    assert adapter.BoundingBox().zmin == pytest.approx(0.0, abs=1e-6)  # the kernel pads boxes by 1e-7 mm
+    for azimuth in np.arange(0, 360, 15):  # half a millimetre of air beside the body
+        assert not filled(adapter, at(azimuth, foot_r + 0.3, 0.5))
+
+
+# ---- flange adapter
+
+
+def test_mounting_triad_is_turned_from_the_tool_triad(large: Drawing) -> None:
+    plate = large.parts["flange_adapter"]
+    just_below_the_sensor = -14.5 - 1.0
+    for azimuth in (95, 215, 335):
+        assert not filled(plate.shape, at(azimuth, 6.25, just_below_the_sensor), plate.T_sensor_part)
+        # The heads rest 3.0 mm below the mounting face.
+        assert filled(plate.shape, at(azimuth, 6.25 + 1.8, -14.5 - 2.9), plate.T_sensor_part)
+        assert not filled(plate.shape, at(azimuth, 6.25 + 1.8, -14.5 - 3.1), plate.T_sensor_part)
+    for azimuth in (60, 180, 300):
+        assert filled(plate.shape, at(azimuth, 6.25, just_below_the_sensor), plate.T_sensor_part)
+
+
+@pytest.mark.parametrize(
+    ("flange", "reach", "spigot_r"),
+    [("iso-9409-1-50-4-m6", 25.0, 15.65), ("iso-9409-1-31.5-4-m5", 15.75, 9.9)],
+)
+def test_robot_side(make_design: Callable[..., Design], flange: str, reach: float, spigot_r: float) -> None:
+    drawing = draw(make_design(robot_flange=flange))
+    plate = drawing.parts["flange_adapter"].shape
+    for azimuth in (45, 135, 225, 315):  # from the dowel, through and through
+        assert not any(filled(plate, at(azimuth, reach, z)) for z in (0.1, 3.0, 6.4))
+    assert not filled(plate, at(0, reach, 0.1))  # the pin's slot
+    assert filled(plate, at(180, reach, 0.1))  # and only one of them
+    assert filled(plate, at(20, spigot_r - 0.1, -3.9)) and not filled(plate, at(20, spigot_r + 0.1, -0.1))
+    assert drawing.shared_volumes and max(drawing.shared_volumes.values()) == 0.0
+
+
+def test_cable_leaves_midway_between_two_bolts(large: Drawing) -> None:
+    plate = large.parts["flange_adapter"]
+    for azimuth in (150 - 45, 150 + 45):
+        assert not filled(plate.shape, at(azimuth, 25.0, -22.0 + 0.1), plate.T_sensor_part)
+    everything = [part for part in large.parts.values() if part.name != "sensor"]
+    for azimuth in np.linspace(125, 175, 11):
+        for r in (8.6, 12.0, 20.0, 30.0):
+            p = at(azimuth, r, -14.5 + 4.0)
+            assert not any(
+                filled(s, p, part.T_sensor_part) for part in everything for s in part.shape.Solids()
+            )
+
+
+# ---- screws
+
+
+def test_every_screw_enters_within_its_limits(large: Drawing) -> None:
+    entries = {use.name: use.entry for use in large.screws}
+    assert entries["sensor_adapter_screws"] == pytest.approx(3e-3)
+    assert entries["mounting_screws"] == pytest.approx(3e-3)
+    assert entries["robot_bolts"] <= 6e-3
+    # Measured on the solids too: no point of a screw lies deeper in the sensor than 3.5 mm.
+    tool = large.parts["sensor_adapter_screws"].placed.BoundingBox()
+    mounting = large.parts["mounting_screws"].placed.BoundingBox()
+    assert -3.5 < tool.zmin < -2.5
+    assert 2.5 < mounting.zmax + 14.5 < 3.5
+
+
+def test_a_longer_screw_is_refused(large: Drawing) -> None:
+    use = next(u for u in large.screws if u.name == "sensor_adapter_screws")
+    with pytest.raises(CheckFailedError, match=r"M2×8 would enter .* 5\.00 mm; allowed 2\.5 to 3\.5 mm"):
+        replace(use, length=8e-3).check()
+    with pytest.raises(CheckFailedError, match="no stock length"):
+        replace(use, length=6.3e-3).check()
+
+
+# ---- the whole
+
+
+@pytest.mark.parametrize(
+    "probe",
+    [
+        "length_mm = 60.0\nbase_d_mm = 3.0\ntip_d_mm = 1.0",
+        "length_mm = 150.0\nbase_d_mm = 25.0\ntip_d_mm = 2.0",
+        "length_mm = 400.0\nbase_d_mm = 12.0\ntip_d_mm = 11.98",  # to the kernel neither cone nor cylinder
+        PROFILE,
+    ],
+    ids=["base 3", "base 25", "nearly a cylinder", "profile"],
+)
+def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], probe: str) -> None:
+    drawing = draw(make_design(probe))
+    findings = verify(drawing, *meshed(drawing))
+    assert all(f["ok"] for f in findings.values())
+    # The promise is 1e-9; the kernel is known to do far better, so growth of this number is news.
+    assert max(f["measured"] for name, f in findings.items() if name.endswith(("volume", "centre", "inertia"))
+               and "mesh" not in name and "3mf" not in name) < 1e-12  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flange", ["iso-9409-1-50-4-m6", "iso-9409-1-31.5-4-m5"])
+@pytest.mark.parametrize("base_d", [0.5, 3, 6, 9, 12, 18, 25, 40, 60])
+@pytest.mark.parametrize("length", [5.0, 400.0])
+def test_wider_grid(make_design: Callable[..., Design], base_d: float, length: float, flange: str) -> None:
+    probe = f"length_mm = {length}\nbase_d_mm = {float(base_d)}\ntip_d_mm = 0.3"
+    drawing = draw(make_design(probe, flange))
+    assert all(f["ok"] for f in verify(drawing, *meshed(drawing)).values())
+
+
+def test_verify_sees_a_probe_that_is_a_micrometre_off(large: Drawing, large_meshes: Meshes) -> None:
+    other = replace(large.geometry, radius=large.geometry.radius + 1e-6)
+    with pytest.raises(CheckFailedError, match=r"flexible_volume.*section_area") as error:
+        verify(replace(large, geometry=other), *large_meshes)
+    assert "clamp_ring" not in str(error.value)
+
+
+def test_verify_sees_an_open_mesh(large: Drawing, large_meshes: Meshes) -> None:
+    meshes, content = large_meshes
+    ring = meshes["clamp_ring"]
+    with pytest.raises(CheckFailedError, match="clamp_ring_mesh_closed"):
+        verify(large, meshes | {"clamp_ring": Mesh(ring.vertices, ring.triangles[1:])}, content)
+
+
+def test_overlap_is_seen(large: Drawing) -> None:
+    """The ring pressed 0.2 mm into the lip shares with it an annulus of that height."""
+    probe, ring = large.parts["probe"], large.parts["clamp_ring"]
+    pressed = replace(ring, T_sensor_part=ring.T_sensor_part @ pose(p=[0.0, 0.0, -0.2e-3]))
+    (shared,) = overlaps({"probe": probe, "clamp_ring": pressed}).values()
+    a = large.adapter
+    inner = np.pi / 3 * 0.2e-3 * sum(x * y for x, y in [(6.5e-3, 6.5e-3), (6.5e-3, 6.7e-3), (6.7e-3, 6.7e-3)])
+    mark = np.pi / 4 * a.peg_hole_d**2 * 0.2e-3
+    expected = np.pi / 4 * a.flange.diameter**2 * 0.2e-3 - inner - mark
+    assert shared == pytest.approx(expected, rel=1e-9)  # exact surfaces
+
+
+def test_same_triangles_on_every_run(
+    make_design: Callable[..., Design], large: Drawing, large_meshes: Meshes
+) -> None:
+    again = draw(make_design())
+    for name, mesh in large_meshes[0].items():
+        assert stl_bytes(mesh, "t") == stl_bytes(mesh_of(again.parts[name].shape), "t")

@@ -1,0 +1,112 @@
+"""The mount without CAD: its closed forms, its screws, and that the light install suffices."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from probedesign.design import Design
+from probedesign.errors import InputError
+from probedesign.frames import is_pose
+from probedesign.geometry import build_geometry
+from probedesign.mounting import SensorAdapter, hanging_mass, hanging_parts, sensor_adapter_for
+from probedesign.mounting.fasteners import M2_GRIP, M2_LENGTH
+from probedesign.mounting.prism import cylinder, hexagon, segment, without
+from probedesign.sensor import NANO17
+
+
+def adapter_of(design: Design) -> SensorAdapter:
+    return sensor_adapter_for(build_geometry(design), design.sensor_model)
+
+
+def moments(
+    width_at: Callable[[np.ndarray], np.ndarray], x0: float, x1: float
+) -> tuple[float, float, float, float]:
+    """Area, mean x, ∫x² about the mean and ∫y² of a shape as tall as `width_at(x)`, by fine strips."""
+    edges = np.linspace(x0, x1, 200_001)
+    x, dx = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
+    w = width_at(x)
+    area = float(np.sum(w) * dx)
+    mean = float(np.sum(w * x) * dx) / area
+    return area, mean, float(np.sum(w * (x - mean) ** 2) * dx), float(np.sum(w**3) * dx) / 12.0
+
+
+def test_segment_is_the_integral_over_its_strips() -> None:
+    r, x, h = 15.0, 14.2, 2.0
+    area, mean, Iy, Ix = moments(lambda x: 2 * np.sqrt(r * r - x * x), x, r)
+    body = segment(r, x, 1.0, 1.0 + h, density=1.0)
+    # 200 000 strips of a square-root edge: the midpoint rule is good to about 1e-8.
+    assert body.volume == pytest.approx(area * h, rel=1e-7)
+    assert body.p_com == pytest.approx([mean, 0.0, 2.0], rel=1e-7)
+    slab = body.mass * h * h / 12
+    assert np.diag(body.inertia) == pytest.approx([Ix * h + slab, Iy * h + slab, (Ix + Iy) * h], rel=1e-6)
+
+
+def test_hexagon_is_the_integral_over_its_strips() -> None:
+    af, h = 4.2, 3.5
+    corner = af / np.sqrt(3.0)
+    area, _, Iy, Ix = moments(lambda x: np.minimum(af, 2 * np.sqrt(3.0) * (corner - abs(x))), -corner, corner)
+    body = hexagon(af, 0.0, h, 1.0, (3.0, -1.0))
+    # Straight edges: the midpoint rule is good to the square of the strip's width, 1e-9.
+    assert body.volume == pytest.approx(area * h, rel=1e-8)
+    assert body.inertia[2, 2] == pytest.approx((Ix + Iy) * h, rel=1e-8)
+    assert body.p_com == pytest.approx([3.0, -1.0, h / 2])
+
+
+def test_a_tube_is_a_rod_without_its_bore() -> None:
+    tube = without(cylinder(10.0, 0.0, 4.0, 2.0), [cylinder(6.0, 0.0, 4.0, 2.0)])
+    m = 2.0 * np.pi / 4 * (100 - 36) * 4
+    assert tube.mass == pytest.approx(m)  # sums of a few terms: pytest's 1e-6 is ample
+    assert tube.inertia[2, 2] == pytest.approx(m * (5.0**2 + 3.0**2) / 2)
+    assert tube.inertia[0, 0] == pytest.approx(m * (3 * (25 + 9) + 16) / 12)
+
+
+def test_base_sits_straight_above_the_tool_face(make_design: Callable[..., Design]) -> None:
+    adapter = adapter_of(make_design())
+    T = adapter.T_sensor_base
+    assert is_pose(T)
+    assert np.array_equal(T[:3, :3], np.eye(3))
+    # 3.0 mm of grip, a 2.0 mm head sunk by 0.2 mm, a 3.0 mm flange; sums of decimals, hence a picometre.
+    assert T[:3, 3] == pytest.approx([0.0, 0.0, 8.2e-3], abs=1e-12)
+
+
+def test_screws_into_the_sensor_keep_its_limits() -> None:
+    entry = M2_LENGTH - M2_GRIP
+    assert NANO17.tool.min_entry < entry < NANO17.tool.max_entry
+    assert NANO17.mounting.min_entry < entry < NANO17.mounting.max_entry
+
+
+@pytest.mark.parametrize("base_d", [0.5, 3.0, 12.0, 25.0, 60.0])
+def test_adapter_fits_together(make_design: Callable[..., Design], base_d: float) -> None:
+    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 0.4"))
+    assert a.foot_height < a.nut_pocket_top < a.floor < a.peg_top < a.body_top < a.ring_top
+    assert a.flange.diameter < a.recess_d < a.body_d
+    assert base_d * 1e-3 < a.ring_bore_d < a.ring_bore_top_d < a.flange.diameter
+    assert np.hypot(*a.p_ring_screws[0]) - a.nut_pocket_af / 2 > a.foot_d / 2  # nuts go in beside the sensor
+
+
+def test_hanging_mass_is_the_sum_of_its_parts(make_design: Callable[..., Design]) -> None:
+    geometry = build_geometry(make_design())
+    adapter = sensor_adapter_for(geometry, NANO17)
+    whole = hanging_mass(geometry, adapter, 1010.0)
+    parts = hanging_parts(geometry, adapter, 1010.0)
+    gravity = np.array([3.0, -5.0, 8.0])
+    assert whole.wrench(gravity) == pytest.approx(sum(p.wrench(gravity) for p in parts.values()))
+    assert 5e-3 < whole.mass < 15e-3  # ten grams, beside a sensor that weighs nine
+    assert abs(whole.p_com[:2]).max() < 0.2e-3  # pins and peg are all that is not symmetric
+
+
+def test_a_probe_too_wide_for_any_ring_is_refused(make_design: Callable[..., Design]) -> None:
+    bulge = (
+        'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
+    )
+    with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 15 mm") as error:
+        adapter_of(make_design(bulge))
+    assert "\n" not in str(error.value)
+
+
+def test_weighing_the_mount_needs_no_cad() -> None:
+    code = "import sys, probedesign.mounting; assert not {'cadquery', 'OCP', 'trimesh'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,109 @@
+"""The rod against closed forms, published tables and converged solutions: every entry of data/truth.json."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probedesign.rod.plain import solve_plain
+from probedesign.rod.rod import Rod
+
+ENTRIES = json.loads((Path(__file__).parents[1] / "data/truth.json").read_text())["entries"]
+EXACT = [e for e in ENTRIES if "linear" not in e["expected"]]
+LINEAR = [e for e in ENTRIES if "linear" in e["expected"]]
+ORACLE = ("elastica_end_load_2", "circle_0.5", "twist_cone_L50", "combined3d_D_mid_0.2N_up")
+
+
+def rod_of(entry):
+    return Rod(
+        s=np.array([0.0, entry["length_m"]]),
+        radius=np.array([entry["base_d_m"], entry["tip_d_m"]]) / 2.0,
+        youngs_modulus=entry["youngs_modulus_Pa"],
+        shear_modulus=entry["shear_modulus_Pa"],
+        density=entry["density_kg_m3"],
+        shear_coefficient=entry["shear_coefficient"],
+        inextensible=entry["inextensible_unshearable"],
+    )
+
+
+def solve(entry):
+    # The helix is one of several equilibria under its load: it is entered at its own tip tangent.
+    guess = entry["expected"]["tip_tangent"] if entry["id"].startswith("helix") else None
+    return rod_of(entry).solve(
+        entry["gravity_base_m_s2"],
+        entry["force_base_N"],
+        entry["s_contact_m"],
+        tip_moment=entry["tip_moment_base_Nm"],
+        mode="reference",
+        guess=guess,
+    )
+
+
+def assert_as_expected(entry, found):
+    """Within the entry's tolerance, relative to the length, to 1 for a direction, to its own size for a load."""
+    for key, wanted in entry["expected"].items():
+        if key.startswith("p_"):
+            size = entry["length_m"]
+        else:
+            size = 1.0 if key == "tip_tangent" else np.linalg.norm(wanted)
+        error = np.abs(found[key] - np.array(wanted)).max()
+        assert error <= entry["suggested_tolerance"] * size, f"{key} is off by {error:g}"
+
+
+def test_the_table_is_whole():
+    assert len(ENTRIES) == 56
+    assert all(entry["source"] for entry in ENTRIES)
+    assert len(EXACT) == 50 and len(LINEAR) == 6
+
+
+@pytest.mark.parametrize("entry", EXACT, ids=[e["id"] for e in EXACT])
+def test_reference_solution_meets_the_table(entry):
+    eq = solve(entry)
+    assert eq.result == "ok"
+    assert_as_expected(
+        entry,
+        {
+            "p_tip_base_m": eq.p_base[-1],
+            "p_contact_base_m": eq.p_contact_base,
+            "tip_tangent": eq.R_base[-1, :, 2],
+            "base_force_N": eq.wrench_base[:3],
+            "moment_base_Nm": eq.wrench_base[3:],
+        },
+    )
+
+
+@pytest.mark.parametrize("entry", LINEAR, ids=[e["id"] for e in LINEAR])
+def test_a_slight_bend_is_that_of_linear_beam_theory(entry):
+    eq, wanted = solve(entry), entry["expected"]["linear"]
+    found = {
+        "tip_x_m": eq.p_base[-1, 0],
+        "contact_x_m": eq.p_contact_base[0],
+        "slope_rad": np.arctan2(eq.R_base[-1, 0, 2], eq.R_base[-1, 2, 2]),
+    }
+    known = {key: value for key, value in wanted.items() if value is not None}
+    assert "tip_x_m" in known
+    for key, value in known.items():
+        assert found[key] == pytest.approx(value, rel=1e-8), key  # the entries' own: O(deflection²/L²) is left
+
+
+@pytest.mark.parametrize("entry", [e for e in EXACT if e["id"] in ORACLE], ids=ORACLE)
+def test_the_plain_oracle_meets_the_table_too(entry):
+    plain = solve_plain(
+        rod_of(entry),
+        entry["gravity_base_m_s2"],
+        entry["force_base_N"],
+        entry["s_contact_m"],
+        entry["tip_moment_base_Nm"],
+        s=np.array([0.0, entry["s_contact_m"], entry["length_m"]]),
+    )
+    assert_as_expected(
+        entry,
+        {
+            "p_tip_base_m": plain.p[-1],
+            "p_contact_base_m": plain.p[1],
+            "tip_tangent": plain.R[-1, :, 2],
+            "base_force_N": plain.wrench_base[:3],
+            "moment_base_Nm": plain.wrench_base[3:],
+        },
+    )
