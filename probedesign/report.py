@@ -1,18 +1,21 @@
 """Pictures of a prediction, made to be read at half size and in print."""
 
 import io
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from probedesign.errors import MissingDependencyError
 from probedesign.estimator.estimator import Estimator
+from probedesign.frames import Array
 from probedesign.prediction.predict import DIRECTIONS, Condition, Prediction
 from probedesign.rod.contact import solve_frictionless
 from probedesign.units import MM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 STYLES = ("-", "--", ":", "-.")
 SHAPE_TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
@@ -25,6 +28,64 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
+    figure = _figure(12, 8.6)
+    axes: Any = figure.subplots(2, 2)
+    _draw_error(axes[0, 0], prediction)
+    _draw_detection(axes[0, 1], prediction)
+    _draw_sensitivity(axes[1, 0], prediction)
+    _draw_shapes(axes[1, 1], estimator)
+    figure.suptitle(_title(prediction), fontsize=12, x=0.01, ha="left")
+    return _png(figure)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Estimates of a moving contact beside the truth, each (n,); NaN where nothing touches or is located.
+
+    Attributes:
+        time_s: of each reading.
+        true_s_mm, s_mm: arclength of the contact, true and estimated.
+        std_s_mm: standard deviation that the estimate states.
+        error_mm: distance between true and estimated contact point.
+        predicted_mm: RMS distance that the estimate's covariance states.
+    """
+
+    time_s: Array
+    true_s_mm: Array
+    s_mm: Array
+    std_s_mm: Array
+    error_mm: Array
+    predicted_mm: Array
+
+
+def draw_sweep(sweep: Sweep) -> bytes:
+    """A moving contact: where it was, where it was located, and how far off; a PNG.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    figure = _figure(9, 6)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    t = sweep.time_s
+    low, high = sweep.s_mm - 2 * sweep.std_s_mm, sweep.s_mm + 2 * sweep.std_s_mm
+    upper.fill_between(
+        t, low, high, color=_colour(0.6), alpha=0.3, lw=0, label="± 2 standard deviations, as stated"
+    )
+    upper.plot(t, sweep.true_s_mm, color="black", lw=1.5, label="true")
+    upper.plot(t, sweep.s_mm, ".", color=_colour(0.3), ms=5, label="located")
+    upper.set(ylabel="contact s [mm]", title="A simulated touch sweeps along the probe")
+    upper.legend(fontsize=8, loc="lower center")
+    lower.plot(t, sweep.error_mm, ".", color=_colour(0.3), ms=5, label="distance from the truth")
+    lower.plot(t, sweep.predicted_mm, color=_colour(0.6), label="RMS that the estimate states")
+    lower.set(xlabel="time [s]", ylabel="error [mm]")
+    lower.legend(fontsize=8)
+    for ax in (upper, lower):
+        ax.grid(True, alpha=0.25)
+    return _png(figure)
+
+
+def _figure(width: float, height: float) -> "Figure":
+    """An empty figure of that size [inch], drawn without a screen."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -32,14 +93,12 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
         raise MissingDependencyError(
             "plots need matplotlib: pip install 'probedesign[plots]', or give --no-plots"
         ) from None
-    figure = Figure(figsize=(12, 8.6), layout="constrained")
+    figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    axes: Any = figure.subplots(2, 2)
-    _draw_error(axes[0, 0], prediction)
-    _draw_detection(axes[0, 1], prediction)
-    _draw_sensitivity(axes[1, 0], prediction)
-    _draw_shapes(axes[1, 1], estimator)
-    figure.suptitle(_title(prediction), fontsize=12, x=0.01, ha="left")
+    return figure
+
+
+def _png(figure: "Figure") -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=110, metadata={"Software": None})
     return picture.getvalue()

@@ -1,11 +1,15 @@
 """`probedesign demo`: the whole chain on a built-in example."""
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json
+from probedesign.cli.output import print_json, print_table
+
+if TYPE_CHECKING:
+    from probedesign.demo import Demo
 
 
 def demo(
@@ -13,12 +17,31 @@ def demo(
     out: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Run the whole chain on a built-in example.
+    """Run the whole chain on a built-in example: design, predict, export, deploy, touch, locate.
 
     Args:
         out: folder for what it makes; by default exports/demo.
         as_json: print one JSON document.
     """
-    from probedesign import pipeline
+    from probedesign.demo import run_demo
 
-    print_json(pipeline.demo(out))  # lead completes
+    made = run_demo(out, _say)
+    if as_json:
+        print_json(made.as_dict())
+    else:
+        _print(made)
+
+
+def _say(step: str) -> None:
+    print(f"{step} ...", file=sys.stderr, flush=True)
+
+
+def _print(made: "Demo") -> None:
+    print("made")
+    print_table(made.made)
+    for reason in made.skipped:
+        print("left out:", reason)
+    print(
+        f"\nlocated {made.located} of {made.touches} touches; contact error {made.error_mm:.2f} mm RMS, "
+        f"the estimates themselves said {made.predicted_mm:.2f} mm"
+    )

@@ -1,11 +1,17 @@
 """`probedesign estimate`: a recording in, one estimate a row out."""
 
+import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from probedesign.cli.output import print_json, working
+from probedesign.errors import InputError
+
+if TYPE_CHECKING:
+    from probedesign.live.reading import Reading
 
 
 def estimate(
@@ -14,18 +20,70 @@ def estimate(
     /,
     *,
     out: Path | None = None,
+    force: bool = False,
+    tare_s: str | None = None,
+    average: int = 1,
+    manifest: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Locate the contacts of a recording, one estimate a row.
+
+    The rows are CSV on standard output, or in a file with --out; notes go to standard error. A row has a
+    position only if its result is ok. See docs/live.md.
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
         recording: CSV with named units; see docs/recording-format.md.
         out: the CSV to write.
-        as_json: print one JSON document.
+        force: replace the file that --out names.
+        tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
+        average: estimate from the means of so many readings.
+        manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        as_json: print one JSON document: the rows and all that is to know of them.
     """
-    from probedesign import pipeline
+    from probedesign.deployment import load_estimator
+    from probedesign.files import write_atomically
+    from probedesign.live.offline import estimate_recording
+    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.tare import parse_window
 
-    with working("estimating"):
-        estimates = pipeline.estimate(bundle, recording, out)
-    print_json(estimates)  # lead completes
+    _check_free(out, recording, force)
+    window = parse_window(tare_s) if tare_s is not None else None
+    estimator = load_estimator(bundle, manifest)
+    with working("loading the rod kernels"):
+        warm_up(estimator, _say)
+    estimates = estimate_recording(estimator, recording, window, average, _progress)
+    for note in estimates.notes:
+        _say(note)
+    if out is not None:
+        write_atomically(out, estimates.csv().encode())
+    if as_json:
+        print_json(estimates.document())
+    elif out is not None:
+        print(f"wrote {out}: {describe_counts(estimates.counts)}")
+    else:
+        sys.stdout.write(estimates.csv())
+
+
+def _check_free(out: Path | None, recording: Path, force: bool) -> None:
+    """Refuse to replace a file unasked, and the recording itself at all."""
+    if out is None or not out.exists():
+        return
+    if recording.exists() and out.samefile(recording):
+        raise InputError(f"{out}: is the recording itself; name another file")
+    if not force:
+        raise InputError(f"{out}: exists; say --force to replace it, or name another file")
+
+
+def _say(note: str) -> None:
+    print(f"note: {note}", file=sys.stderr)
+
+
+def _progress(readings: "list[Reading]") -> "Iterable[Reading]":
+    """The readings, with a bar on a terminal."""
+    if not sys.stderr.isatty():
+        return readings
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(readings, "estimating", console=Console(stderr=True), transient=True)

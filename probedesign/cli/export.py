@@ -38,7 +38,7 @@ def _progress(step: str) -> None:
 
 
 def _print(manifest: dict[str, Any]) -> None:
-    whole, checks = manifest["mass"]["bodies"]["whole"], manifest["verification"]
+    whole, checks = manifest["mass"]["whole"], manifest["verification"]
     print(f"wrote {manifest['folder']}: {', '.join([*manifest['files'], 'manifest.json'])}")
     print_table(
         {

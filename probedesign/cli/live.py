@@ -1,19 +1,90 @@
 """`probedesign live`: contacts as the sensor reads them."""
 
+import sys
+from contextlib import closing, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from probedesign.cli.output import print_json
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from probedesign.live.run import Answer
 
 
-def live(bundle: Path, /, *, source: str, record: Path | None = None, view: bool = False) -> None:
-    """Locate contacts as the sensor reads them.
+def live(
+    bundle: Path,
+    /,
+    *,
+    source: str,
+    record: Path | None = None,
+    force: bool = False,
+    tare_s: str | None = None,
+    average: int = 1,
+    rate_hz: float = 20.0,
+    count: int | None = None,
+    seconds: float | None = None,
+    manifest: Path | None = None,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+) -> None:
+    """Locate contacts as the sensor reads them, one line an estimate.
+
+    Ends with the source, at --count or --seconds, or with Ctrl-C, and then says how many estimates had which
+    result. What sources take, as in "sim:?force_mN=50&seconds=60" or "replay:FILE?speed=max", and what a
+    tare is: docs/live.md.
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
-        source: netft://HOST, daq://Dev1/ai0:5?cal=FILE, replay:FILE or sim:
-        record: write what the sensor reads to this file.
-        view: show the probe in the browser.
+        source: sim: (a simulated contact that moves along the probe) or replay:FILE (a recording).
+        record: write every reading to this recording.
+        force: replace the file that --record names.
+        tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
+        average: estimate from the mean of so many readings.
+        rate_hz: at most so many estimates a second; readings between are left out.
+        count: end after so many estimates.
+        seconds: end so many seconds after the first reading.
+        manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        as_json: print each estimate as one line of JSON.
     """
-    from probedesign import pipeline
+    from probedesign.deployment import load_estimator
+    from probedesign.live.recorder import Recorder
+    from probedesign.live.run import Plan, estimate_stream, warm_up
+    from probedesign.live.source import open_source
+    from probedesign.live.tare import parse_window
 
-    print_json(pipeline.live(bundle, source, record, view))  # lead completes
+    window = parse_window(tare_s) if tare_s is not None else None
+    plan = Plan(window, average, rate_hz, count, seconds)
+    estimator = load_estimator(bundle, manifest)
+    opened = open_source(source, estimator.model)
+    warm_up(estimator, _say)
+    _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+    for note in opened.notes:
+        _say(note)
+    with Recorder(record, force=force) if record is not None else nullcontext() as recorder:
+        _print(estimate_stream(estimator, opened, plan, _say, recorder), as_json)
+
+
+def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
+    """A line for each estimate; at the end, Ctrl-C included, a summary."""
+    from probedesign.live.row import json_line, readable_line, row
+    from probedesign.live.run import count_results, describe_counts
+
+    results: list[str] = []
+    start: float | None = None
+    try:
+        with closing(answers):
+            for reading, estimate in answers:
+                start = reading.time if start is None else start
+                results.append(estimate.result)
+                if as_json:
+                    print(json_line(row(reading, estimate)), flush=True)
+                else:
+                    print(readable_line(reading.time - start, reading, estimate), flush=True)
+    except KeyboardInterrupt:
+        pass
+    _say(describe_counts(count_results(results)))
+
+
+def _say(note: str) -> None:
+    print(note, file=sys.stderr, flush=True)

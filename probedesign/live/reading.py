@@ -1,7 +1,7 @@
 """One reading of a wrench sensor, and what may be done to a stream of them."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -78,7 +78,7 @@ def paced(
     speed: float,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Reading]:
+) -> Generator[Reading, None, None]:
     """Readings at their own time, `speed` times as fast; at once if it is infinite. A late one does not delay
     those that follow."""
     start: tuple[float, float] | None = None
@@ -92,8 +92,9 @@ def paced(
 
 def thinned(readings: Iterable[Reading], rate: float) -> Iterator[Reading]:
     """At most `rate` readings a second of the source's clock [Hz]; the others are left out."""
-    due = -np.inf
+    due: float | None = None
     for reading in readings:
+        due = reading.time if due is None else due
         if reading.time >= due:
             due = max(due + 1.0 / rate, reading.time)
             yield reading

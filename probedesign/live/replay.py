@@ -1,6 +1,6 @@
 """`replay:FILE`: a recording, as if the sensor read it now."""
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from probedesign.errors import InputError
@@ -39,7 +39,7 @@ class Replay:
         self.title = f"replay of {path}, {len(self._recording.time)} readings"
         self.notes = self._recording.notes
 
-    def __iter__(self) -> Iterator[Reading]:
+    def __iter__(self) -> Generator[Reading, None, None]:
         return paced(readings_of(self._recording, self._model), self._speed)
 
 

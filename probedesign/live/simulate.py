@@ -1,7 +1,7 @@
 """`sim:`: the rod itself under a frictionless contact that moves along it, read with the sensor's noise."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 
@@ -11,17 +11,23 @@ from probedesign.frames import Array
 from probedesign.live.reading import FREE, Reading, Truth, paced
 from probedesign.live.spec import SPEED, Parameter, parse_parameters
 from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.rod import Rod
 from probedesign.units import MILLINEWTON, MM
 
 PARAMETERS = {
-    "force_mN": Parameter(20.0, 1e-3, 1e5),
+    "force_mN": Parameter(math.nan, 1e-3, 1e5),  # see _bearable
     "angle_deg": Parameter(30.0, -360.0, 360.0),
     "period_s": Parameter(20.0, 0.1, 3600.0),
     "seconds": Parameter(20.0, 0.01, 1e7),
     "rate_hz": Parameter(50.0, 0.1, 7000.0),
-    "seed": Parameter(1, 0, 2**32 - 1, whole=True),
+    "seed": Parameter(1, 0, 1e9, whole=True),
     "speed": SPEED,
 }
+
+USUAL_FORCE = 20.0 * MILLINEWTON
+"""Of the contact where none is said [N], if the probe bears it."""
+BENT = 0.8
+"""F s² r(0)/(E I(0) r(s)) that a probe bears well: one radian or so of bending, under any lean of the force."""
 
 PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
 WHERE = (0.3, 0.30, 0.30, 0.95, 0.30, 0.30, 0.3)
@@ -40,34 +46,36 @@ class Simulation:
     notes: tuple[str, ...] = ()
 
     def __init__(self, model: ProbeModel, query: str = "") -> None:
-        """Check that the probe bears the contact.
+        """Read the parameters.
 
         Args:
             model: the probe.
             query: parameters, as `PARAMETERS` has them.
 
         Raises:
-            InputError: a parameter is wrong, or the probe has no equilibrium under that force.
+            InputError: a parameter is wrong; and, once it is iterated, the probe does not bear that force.
         """
         said = parse_parameters("sim:", query, PARAMETERS)
         self._model = model
         self._force = said["force_mN"] * MILLINEWTON
+        if math.isnan(self._force):
+            self._force = _bearable(model.rod)
         self._angle = math.radians(said["angle_deg"])
         self._period, self._rate, self._speed = said["period_s"], said["rate_hz"], said["speed"]
         self._count = max(1, round(said["seconds"] * said["rate_hz"]))
         self._seed = int(said["seed"])
-        for where in np.linspace(min(WHERE), max(WHERE), 8):
-            self._touched(where * model.rod.length, self._force)
         low, high = min(WHERE) * model.rod.length / MM, max(WHERE) * model.rod.length / MM
         self.title = (
-            f"simulated contact of {said['force_mN']:g} mN sweeping s = {low:.1f} ... {high:.1f} mm, "
+            f"simulated contact of {self._force / MILLINEWTON:.3g} mN sweeping s = {low:.1f} ... {high:.1f} mm, "
             f"{said['seconds']:g} s at {self._rate:g} readings/s, noise seed {self._seed}"
         )
 
-    def __iter__(self) -> Iterator[Reading]:
+    def __iter__(self) -> Generator[Reading, None, None]:
         return paced(self._readings(), self._speed)
 
     def _readings(self) -> Iterator[Reading]:
+        for where in np.linspace(min(WHERE), max(WHERE), 8):  # an unbearable force fails here, not halfway
+            self._touched(where * self._model.rod.length, self._force)
         noise = np.random.default_rng(self._seed)
         std = np.sqrt(np.diag(self._model.noise.covariance()))
         gravity = self._model.gravity_base
@@ -83,7 +91,8 @@ class Simulation:
         press = float(np.interp(phase, PHASE, PRESS))
         if press == 0.0:
             return self._model.rod.solve(self._model.gravity_base, mode="reference").wrench_base, FREE
-        return self._touched(float(np.interp(phase, PHASE, WHERE)) * self._model.rod.length, press * self._force)
+        where = float(np.interp(phase, PHASE, WHERE))
+        return self._touched(where * self._model.rod.length, press * self._force)
 
     def _touched(self, s: float, force: float) -> tuple[Array, Truth]:
         """Base wrench (6,) and truth under a force [N] at s [m].
@@ -99,3 +108,11 @@ class Simulation:
             raise InputError(f"sim: the probe does not bear {at} ({contact.result}); say a smaller force_mN")
         eq = contact.equilibrium
         return eq.wrench_base, Truth(s, eq.p_contact_base, contact.force_base)
+
+
+def _bearable(rod: Rod) -> float:
+    """The usual force [N], or a smaller one on a probe that it would bend too far."""
+    s = max(WHERE) * rod.length
+    radius, base = float(np.interp(s, rod.s, rod.radius)), float(rod.radius[0])
+    stiffness = rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
+    return min(USUAL_FORCE, BENT * stiffness / s**2)

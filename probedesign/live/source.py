@@ -1,6 +1,6 @@
 """Sources of readings: peers behind one small interface."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Protocol
 
@@ -19,7 +19,7 @@ class Source(Protocol):
     notes: tuple[str, ...]
     """What a user should know of it, each one line."""
 
-    def __iter__(self) -> Iterator[Reading]:
+    def __iter__(self) -> Generator[Reading, None, None]:
         """Readings in order of time, each as soon as it is there."""
         ...
 

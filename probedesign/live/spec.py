@@ -68,8 +68,8 @@ def _pairs(source: str, query: str) -> list[tuple[str, str]]:
 def _value(what: str, text: str, parameter: Parameter) -> float:
     if text in parameter.words:
         return parameter.words[text]
-    allowed = f"{'a whole number' if parameter.whole else 'a number'} in {parameter.low:g} ... {parameter.high:g}"
-    allowed += "".join(f" or {word}" for word in parameter.words)
+    kind = "a whole number" if parameter.whole else "a number"
+    allowed = " or ".join([f"{kind} in {parameter.low:g} ... {parameter.high:g}", *parameter.words])
     try:
         value = float(text)
     except ValueError:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -15,7 +16,8 @@ FEWEST = 10
 """Readings of a window: their mean adds a tenth to the variance of every later reading."""
 STEADY = 3.0
 """A channel that scatters more than this many times its noise is not the noise of a free probe. Ten readings
-of pure noise do so once in 1e13 windows."""
+of pure noise do so once in 1e12 windows."""
+CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,22 @@ def _free(reading: Reading, estimator: Estimator) -> Array:
 def _worst(std: Array, noise: Array) -> str:
     """The channel that scatters most for its noise."""
     i = int(np.argmax(std / noise))
-    name, unit, factor = (
-        ("FxFyFz"[2 * i : 2 * i + 2], "mN", 1e3) if i < 3 else ("MxMyMz"[2 * i - 6 : 2 * i - 4], "Nmm", 1e3)
-    )
-    return f"{name} scatters by {std[i] * factor:.3g} {unit}, its noise is {noise[i] * factor:.3g} {unit}"
+    milli = "mN" if i < 3 else "Nmm"
+    return f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {milli}, its noise is {noise[i] * 1e3:.3g} {milli}"
+
+
+def split(readings: Iterable[Reading], window: Window) -> tuple[list[Reading], Iterator[Reading]]:
+    """Readings of the window, read as soon as they are there, and the stream of those after it."""
+    stream = iter(readings)
+    inside: list[Reading] = []
+    start: float | None = None
+    for reading in stream:
+        start = reading.time if start is None else start
+        if reading.time - start >= window.end:
+            return inside, chain([reading], stream)
+        if reading.time - start >= window.start:
+            inside.append(reading)
+    return inside, iter(())
 
 
 def without_bias(reading: Reading, tare: Tare | None) -> Reading:
@@ -110,15 +124,3 @@ def without_bias(reading: Reading, tare: Tare | None) -> Reading:
     if tare is None:
         return reading
     return replace(reading, wrench_sensor=reading.wrench_sensor - tare.bias_sensor)
-
-
-def in_window(readings: Iterable[Reading], window: Window) -> Iterator[Reading]:
-    """Readings of the window; the stream is read to its end and not past it."""
-    start: float | None = None
-    for reading in readings:
-        start = reading.time if start is None else start
-        since = reading.time - start
-        if since >= window.start:
-            yield reading
-        if since >= window.end:
-            return

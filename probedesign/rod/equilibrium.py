@@ -137,7 +137,7 @@ class Equilibrium:
         return frames[0] if np.ndim(s) == 0 else frames
 
     def states_at(self, s: ArrayLike) -> Array:
-        """Kernel states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod or without an answer."""
+        """Kernel states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         states = np.full((len(s), 12), np.nan)
         if self.ok:

@@ -85,7 +85,8 @@ def solve_plain(
     Raises:
         CheckFailedError: the load could not be reached.
     """
-    load = PlainLoad(*(np.asarray(x, dtype=float) for x in (gravity, force, tip_moment)), float(s_contact))
+    vectors = np.array([gravity, force, tip_moment], dtype=float)
+    load = PlainLoad(vectors[0], vectors[1], vectors[2], float(s_contact))
     stations = np.linspace(0.0, rod.length, 17) if s is None else np.asarray(s, dtype=float)
     m_base = _shoot(rod, load, _grow(rod, load), TIGHT)
     y = integrate(rod, load, m_base, TIGHT, stations)
@@ -145,14 +146,18 @@ def integrate(rod: Rod, load: PlainLoad, m_base: Array, tol: float, stations: Ar
         if low == load.s_contact:
             y = y - np.concatenate([np.zeros(12), load.force, np.zeros(3)])
         arguments = (rod, load.gravity, high <= rod.rigid_length)
-        y = solve_ivp(rates, (low, high), y, "DOP853", args=arguments, rtol=tol, atol=tol * size).y[:, -1]
-        states[high] = y
+        with np.errstate(all="ignore"):  # a trial far off may overflow; its steps then fail
+            piece = solve_ivp(rates, (low, high), y, "DOP853", args=arguments, rtol=tol, atol=tol * size)
+        if not piece.success:
+            raise CheckFailedError(f"the plain rod could not be integrated: {piece.message}")
+        states[high] = y = piece.y[:, -1]
     return np.array([states[s] for s in stations.tolist()])
 
 
 def _shoot(rod: Rod, load: PlainLoad, guess: Array, tol: float) -> Array:
     """The moment at the base that leaves the tip with the moment put on it, from a guess [N·m], (3,)."""
-    size = rod.length * float(np.linalg.norm(n_base(rod, load))) + float(np.linalg.norm(load.tip_moment)) or 1.0
+    force, moment = np.linalg.norm(n_base(rod, load)), np.linalg.norm(load.tip_moment)
+    size = float(rod.length * force + moment) or 1.0
     tip = np.array([rod.length])
 
     def misfit(m: Array) -> Array:

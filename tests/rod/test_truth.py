@@ -84,7 +84,8 @@ def test_a_slight_bend_is_that_of_linear_beam_theory(entry):
     known = {key: value for key, value in wanted.items() if value is not None}
     assert "tip_x_m" in known
     for key, value in known.items():
-        assert found[key] == pytest.approx(value, rel=1e-8), key  # the entries' own: O(deflection²/L²) is left
+        # The entries' own tolerance: terms of order (deflection/L)² are left out of the theory.
+        assert found[key] == pytest.approx(value, rel=1e-8), key
 
 
 @pytest.mark.parametrize("entry", [e for e in EXACT if e["id"] in ORACLE], ids=ORACLE)

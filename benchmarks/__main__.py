@@ -1,0 +1,24 @@
+"""`python -m benchmarks [rod|start|estimate ...]`: every part, or those named, in one run."""
+
+import sys
+
+from benchmarks import estimate, rod, start
+from benchmarks.timing import print_machine
+
+PARTS = {"rod": rod.report, "start": start.report, "estimate": estimate.report}
+
+
+def main(names: list[str]) -> int:
+    """Run the parts named, all if none; the exit status."""
+    unknown = [name for name in names if name not in PARTS]
+    if unknown:
+        print(f"benchmarks: error: no part '{unknown[0]}'; there are {', '.join(PARTS)}", file=sys.stderr)
+        return 2
+    print_machine()
+    for name in names or PARTS:
+        PARTS[name]()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,45 @@
+"""Whole commands, each in a process of its own: what a user waits for."""
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.timing import print_table, shown
+
+ROOT = Path(__file__).parents[1]
+RUNS = 5
+PROBEDESIGN = (sys.executable, "-m", "probedesign.cli.main")
+PYTHON = (sys.executable, "-c")
+
+
+def wall(command: tuple[str, ...]) -> float:
+    """Seconds from start to end of a command that must succeed."""
+    start = time.perf_counter()
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    return time.perf_counter() - start
+
+
+def report() -> None:
+    """Print the table."""
+    with tempfile.TemporaryDirectory() as out:
+        commands = {
+            "python -c pass": ((*PYTHON, "pass"), ""),
+            "probedesign --help": ((*PROBEDESIGN, "--help"), "≤ 0.5 s"),
+            'python -c "import probedesign"': ((*PYTHON, "import probedesign"), "≤ 0.4 s"),
+            "probedesign predict designs/large.toml": (
+                (*PROBEDESIGN, "predict", "designs/large.toml", "--out", out), "≤ 5 s"),
+        }  # fmt: skip
+        first = {name: wall(command) for name, (command, _) in commands.items()}
+        rounds = [{name: wall(command) for name, (command, _) in commands.items()} for _ in range(RUNS)]
+    rows = [
+        [name, shown(first[name]), shown(statistics.median(found[name] for found in rounds)), target]
+        for name, (_, target) in commands.items()
+    ]
+    print_table(
+        f"Whole processes: the first run, then the median of {RUNS} interleaved runs",
+        ["command", "first", "warm", "target"],
+        rows,
+    )

@@ -1,0 +1,117 @@
+"""A recording in, one estimate a row out."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from probedesign.errors import InputError
+from probedesign.estimator.estimator import Estimator
+from probedesign.live.reading import Reading, averaged
+from probedesign.live.recording import Recording, read_recording
+from probedesign.live.replay import readings_of
+from probedesign.live.row import COLUMNS, Row, csv_line, row
+from probedesign.live.run import count_results, describe_tare, locate
+from probedesign.live.tare import Tare, Window, split, take_tare, without_bias
+
+Progress = Callable[[list[Reading]], Iterable[Reading]]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """What `estimate` found in a recording.
+
+    Attributes:
+        estimator: that found it.
+        recording: that it was found in.
+        path: of the recording.
+        samples: how many readings were averaged to one.
+        tare: taken from every reading, if one was asked for.
+        rows: one for each reading or mean.
+        notes: what a user should know of all that, each one line.
+    """
+
+    estimator: Estimator
+    recording: Recording
+    path: Path
+    samples: int
+    tare: Tare | None
+    rows: list[Row]
+    notes: tuple[str, ...]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many rows have each result."""
+        return count_results(str(row["result"]) for row in self.rows)
+
+    def csv(self) -> str:
+        """The rows as CSV with a header."""
+        return ",".join(COLUMNS) + "\n" + "".join(map(csv_line, self.rows))
+
+    def document(self) -> dict[str, Any]:
+        """Everything, for JSON."""
+        model, tare = self.estimator.model, self.tare
+        return {
+            "probe": model.name,
+            "fingerprint": model.fingerprint,
+            "assumptions": model.assumptions,
+            "recording": self.path,
+            "frame": self.recording.frame,
+            "readings": len(self.recording.time),
+            "missing_samples": self.recording.missing_samples,
+            "average": self.samples,
+            "noise_force_N": model.noise.force,
+            "noise_moment_Nm": model.noise.moment,
+            "tare": tare and {
+                "start_s": tare.window.start,
+                "end_s": tare.window.end,
+                "readings": tare.readings,
+                "bias_force_N": tare.bias_sensor[:3],
+                "bias_moment_Nm": tare.bias_sensor[3:],
+            },
+            "notes": self.notes,
+            "counts": self.counts,
+            "estimates": self.rows,
+        }  # fmt: skip
+
+
+def estimate_recording(
+    estimator: Estimator,
+    path: Path,
+    window: Window | None = None,
+    samples: int = 1,
+    progress: Progress = iter,
+) -> Estimates:
+    """Locate the contacts of a recording.
+
+    Args:
+        estimator: of the probe it was recorded with.
+        path: of the recording.
+        window: when the probe is free, for the tare; None takes none.
+        samples: how many readings are averaged to one.
+        progress: is handed the readings and hands them on one by one.
+
+    Raises:
+        InputError: the recording or the tare's window is no good.
+    """
+    if samples < 1:
+        raise InputError(f"--average {samples} must be positive")
+    recording = read_recording(path)
+    readings = list(averaged(readings_of(recording, estimator.model), samples))
+    if not readings:
+        raise InputError(f"{path}: holds {len(recording.time)} readings, fewer than --average {samples}")
+    tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None
+    rows = [row(reading, locate(estimator, without_bias(reading, tare))) for reading in progress(readings)]
+    notes = recording.notes + _notes(len(recording.time), samples, tare)
+    return Estimates(estimator, recording, path, samples, tare, rows, notes)
+
+
+def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:
+    """What averaging and tare did."""
+    notes = []
+    if samples > 1:
+        left = f"; {readings % samples} readings at the end fill none" if readings % samples else ""
+        notes.append(f"each estimate is of the mean of {samples} readings{left}")
+    if tare is not None:
+        notes.append(describe_tare(tare))
+    return tuple(notes)

@@ -1,0 +1,93 @@
+"""One estimate as a row: names that end in units for CSV and JSON, a readable line for people."""
+
+import json
+import math
+
+from probedesign.estimator.estimate import Estimate
+from probedesign.frames import Array
+from probedesign.live.reading import Reading
+from probedesign.units import MILLINEWTON, MM
+
+Row = dict[str, float | str]
+
+COVARIANCE = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
+COLUMNS = (
+    "time_s",
+    "result",
+    "s_contact_mm",
+    "std_s_mm",
+    *(f"p_contact_base_{axis}_mm" for axis in "xyz"),
+    *(f"p_surface_base_{axis}_mm" for axis in "xyz"),
+    *(f"force_base_{axis}_N" for axis in "xyz"),
+    *(f"cov_contact_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "detection_chi2",
+)
+TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"))
+
+
+def row(reading: Reading, estimate: Estimate) -> Row:
+    """The estimate in the units of `COLUMNS`, and of `TRUE_COLUMNS` where the truth is known; what the result
+    does not tell is NaN."""
+    values: list[float | str] = [reading.time, estimate.result, estimate.s_contact / MM, estimate.std_s / MM]
+    values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
+    values += [float(estimate.cov_contact_base[i, j]) / MM**2 for _, i, j in COVARIANCE]
+    answer: Row = dict(zip(COLUMNS, [*values, estimate.detection_chi2], strict=True))
+    if reading.truth is not None:
+        true = [reading.truth.s_contact / MM, *_mm(reading.truth.p_contact_base)]
+        answer |= dict(zip(TRUE_COLUMNS, true, strict=True))
+    return answer
+
+
+def _mm(p: Array) -> list[float]:
+    return [float(value) / MM for value in p]
+
+
+def csv_line(row: Row) -> str:
+    """The row's `COLUMNS` as a line of CSV: nine digits, the time to its last bit, nothing for NaN."""
+    return ",".join(_field(name, row[name]) for name in COLUMNS) + "\n"
+
+
+def _field(name: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    if math.isnan(value):
+        return ""
+    return repr(value) if name == "time_s" else f"{value:.9g}"
+
+
+def json_line(row: Row) -> str:
+    """The row as one line of JSON, null for what is not finite."""
+    return json.dumps({name: _json(value) for name, value in row.items()}, allow_nan=False)
+
+
+def _json(value: float | str) -> float | str | None:
+    return value if isinstance(value, str) or math.isfinite(value) else None
+
+
+def readable_line(since: float, reading: Reading, estimate: Estimate) -> str:
+    """One line of fixed columns for a person; what the result does not tell is left blank.
+
+    Args:
+        since: when it was read, counted from the first line [s].
+        reading: what was estimated from.
+        estimate: the answer.
+    """
+    force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
+    cells = [
+        f"{since:9.2f} s",
+        f"{estimate.result:<13}",
+        _cell("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM),
+        _cell("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_contact_base)),
+        _cell("F {:7.1f} mN", force),
+    ]
+    if reading.truth is not None:
+        true_s = reading.truth.s_contact / MM
+        cells.append(_cell("true s {:6.1f} mm", true_s) if math.isfinite(true_s) else "true: free")
+    return "  ".join(cells).rstrip()
+
+
+def _cell(template: str, *values: float) -> str:
+    """The template with its numbers; blanks as wide where there are none."""
+    if all(math.isfinite(value) for value in values):
+        return template.format(*values)
+    return " " * len(template.format(*[0.0] * len(values)))

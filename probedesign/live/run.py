@@ -1,0 +1,120 @@
+"""From readings to estimates: of a recording at once, or of a source as long as it runs."""
+
+import math
+import threading
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+
+from probedesign.errors import InputError
+from probedesign.estimator.estimate import RESULTS, Estimate
+from probedesign.estimator.estimator import Estimator
+from probedesign.live.reading import Reading, averaged, recorded, thinned, until
+from probedesign.live.recorder import Recorder
+from probedesign.live.source import Source
+from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
+
+Answer = tuple[Reading, Estimate]
+Say = Callable[[str], None]
+
+PATIENCE = 6.0
+"""Kernels that take longer than this are not read from the cache but compiled [s]."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What `live` does with the readings of a source.
+
+    Attributes:
+        window: when the probe is free, for the tare; None takes none.
+        samples: how many readings are averaged to one.
+        rate: at most so many estimates a second of the source's clock [Hz].
+        count: end after so many estimates.
+        seconds: end so long after the first reading [s].
+    """
+
+    window: Window | None = None
+    samples: int = 1
+    rate: float = math.inf
+    count: int | None = None
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError where a number cannot be meant."""
+        said = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds}
+        for name, value in said.items():
+            if value is not None and not value > 0:
+                raise InputError(f"--{name} {value} must be positive")
+
+
+def estimate_stream(
+    estimator: Estimator, source: Source, plan: Plan, say: Say, recorder: Recorder | None = None
+) -> Generator[Answer, None, None]:
+    """Estimates as the readings come.
+
+    Args:
+        estimator: of the probe.
+        source: of the readings; closed at the end, however that comes.
+        plan: what to do with them.
+        say: takes each line that a user should know.
+        recorder: takes every reading as it was read, before averaging and tare.
+
+    Raises:
+        InputError: the tare's window is no good, or the source fails.
+    """
+    with closing(iter(source)) as stream:
+        readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
+        if recorder is not None:
+            readings = recorded(readings, recorder)
+        readings = averaged(readings, plan.samples)
+        tare: Tare | None = None
+        if plan.window is not None:
+            inside, readings = split(readings, plan.window)
+            tare = take_tare(inside, plan.window, estimator)
+            say(describe_tare(tare))
+        for reading in islice(thinned(readings, plan.rate), plan.count):
+            yield reading, locate(estimator, without_bias(reading, tare))
+
+
+def locate(estimator: Estimator, reading: Reading) -> Estimate:
+    """The estimate of one reading that is free of bias."""
+    wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
+    return estimator.estimate(wrench_base, reading.gravity_base)
+
+
+def warm_up(estimator: Estimator, say: Say) -> None:
+    """Load or compile the rod's kernels before anything is read, and say so if it takes long."""
+    model = estimator.model
+    notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, about 20 s"])
+    notice.daemon = True
+    notice.start()
+    try:
+        weight = 10.0 * float(estimator.model.noise.force)
+        eq = model.rod.solve(model.gravity_base, (weight, 0.0, 0.0), 0.8 * model.rod.length)
+        if eq.ok:
+            estimator.estimate(eq.wrench_base)
+    finally:
+        notice.cancel()
+
+
+def describe_tare(tare: Tare) -> str:
+    """The tare in one line."""
+    bias = ", ".join(
+        f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
+        for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)
+    )
+    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}"
+
+
+def count_results(answers: Iterable[str]) -> dict[str, int]:
+    """How many estimates had each result, in the order of `RESULTS`, without those that none had."""
+    counted = Counter(answers)
+    return {result: counted[result] for result in RESULTS if counted[result]}
+
+
+def describe_counts(counts: dict[str, int]) -> str:
+    """The counts in one line."""
+    told = ", ".join(f"{count} {result}" for result, count in counts.items())
+    return f"{sum(counts.values())} estimates" + (f": {told}" if told else "")
