@@ -7,7 +7,6 @@ and one dead force. Neither is part of the package.
 import numpy as np
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import fsolve
-from scipy.spatial.transform import Rotation
 
 from probedesign.frames import Array
 from probedesign.rod.rod import Rod

@@ -71,6 +71,7 @@ _B = np.array([3 / 40, 0.0, 875 / 2244, 23 / 72, 264 / 1955, 0.0, 125 / 11592, 4
 _B_LOW = np.array([13 / 160, 0.0, 2375 / 5984, 5 / 16, 12 / 85, 3 / 44, 0.0, 0.0])
 _E = _B - _B_LOW
 
+CAREFUL_TOLERANCE = 1e-9  # of a second try along the path
 MAX_STEPS = 300  # of one sweep at an error of 1e-7 a step; more where it is less: a hang is not an answer
 COLD, WARM, WARM_ONLY = (
     0,
@@ -443,12 +444,13 @@ def _newton(t, scratch, body, load, tol, until, judged, reach):
         status, _count, stable, bend = sweep(t, y, k, out, 6, 3, body, load, tol, 1.0, none, contact)
         if status != OK:
             return status, away, bend
-        facing = y[2] > 0.0
+        # The tip alone does not tell: what it lacks by a hair, a soft hanging rod lacks by turns at its base.
+        clamped = y[2] > 0.0 and y[0] * y[0] + y[1] * y[1] < 100.0 * until * until
         angle = _turn(t, 6, y)
         away = math.sqrt((t[0] - gx) ** 2 + (t[1] - gy) ** 2 + (t[2] - gz) ** 2)
         if angle < 0.0 or angle > 1.0 or away > reach:
             return NOT_CONVERGED, max(away, angle), bend
-        if angle < until and facing:
+        if angle < until and clamped:
             return (OK if stable or not judged else UNSTABLE), away, max(bend, min(angle, 1.0))
     return NOT_CONVERGED, away, 1.0
 
@@ -504,6 +506,13 @@ def _trace(t, scratch, body, load, tol, until, moment_first):
     return OK, bend
 
 
+@inner
+def _rounding(y):
+    """What of the base's residual is only the tip's last digits, grown on the way [rad]."""
+    growth = max(abs(y[12]), abs(y[13]), abs(y[24]), abs(y[25]))
+    return 1e-14 * growth
+
+
 @kernel
 def solve(t, start, scratch, body, load, tol, until, columns, nodes, y, contact):
     """Find the equilibrium and sweep it once more with everything asked for.
@@ -529,6 +538,8 @@ def solve(t, start, scratch, body, load, tol, until, columns, nodes, y, contact)
         status, _away, size = _newton(t, scratch, body, load, path_tol, 1e-3, judged, MAX_TURN)
     if status != OK and start != WARM_ONLY:
         status, size = _trace(t, scratch, body, load, path_tol, 1e-3, False)
+        if status != OK and judged:  # a very soft rod magnifies the errors of the steps themselves
+            status, size = _trace(t, scratch, body, load, CAREFUL_TOLERANCE, 1e-3, False)
     if status != OK and start != WARM_ONLY and not judged:
         status, size = _trace(t, scratch, body, load, path_tol, 1e-3, True)
     if status != OK:
@@ -543,7 +554,7 @@ def solve(t, start, scratch, body, load, tol, until, columns, nodes, y, contact)
         if status != OK:
             return status, 0, False, math.inf
         residual = math.sqrt(y[0] * y[0] + y[1] * y[1])
-        if residual <= until * size and y[2] > 0.0:
+        if residual <= max(until * size, _rounding(y)) and y[2] > 0.0:
             return (OK if stable or not judged else UNSTABLE), count, stable, residual
         if _turn(t, 12, y) < 0.0:
             break

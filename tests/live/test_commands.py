@@ -1,0 +1,255 @@
+"""`estimate` and `live` as their user meets them: what they print, what they refuse, how they end."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.live.recorder import Recorder
+from probedesign.live.recording import read_recording
+from probedesign.live.row import COLUMNS, TRUE_COLUMNS
+from probedesign.live.simulate import Simulation
+
+PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
+POSITION = [name for name in COLUMNS if name.startswith(("s_", "std_", "p_", "cov_"))]
+SIM = "sim:?speed=max&rate_hz=3"
+
+
+@pytest.fixture(scope="module")
+def recording(estimator, tmp_path_factory):
+    path = tmp_path_factory.mktemp("commands") / "sim.csv"
+    with Recorder(path) as recorder:
+        for reading in Simulation(estimator.model, "speed=max&rate_hz=3"):
+            recorder.write(reading.time, reading.wrench_sensor, reading.gravity_base)
+    return path
+
+
+@pytest.fixture
+def call(capsys):
+    """Runs a command line here; (exit status, stdout, stderr)."""
+
+    def call(*arguments) -> tuple[int, str, str]:
+        status = run([str(argument) for argument in arguments])
+        return (status, *capsys.readouterr())
+
+    return call
+
+
+def refused(result: tuple[int, str, str]) -> str:
+    status, out, err = result
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1 and "Traceback" not in err
+    return err
+
+
+# estimate
+
+
+def assert_positions_only_with_ok(rows: list[dict], nothing) -> None:
+    assert {row["result"] for row in rows} >= {"ok", "no_contact"}
+    for row in rows:
+        given = [row[name] != nothing for name in POSITION]
+        assert all(given) if row["result"] == "ok" else not any(given)
+
+
+def test_estimate_prints_csv(call, bundle, recording):
+    status, out, err = call("estimate", bundle, recording)
+    rows = list(csv.DictReader(out.splitlines()))
+    assert (status, err) == (0, "")
+    assert tuple(rows[0]) == COLUMNS
+    assert [float(row["time_s"]) for row in rows] == read_recording(recording).time.tolist()
+    assert_positions_only_with_ok(rows, "")
+
+
+def test_estimate_prints_one_json_document(call, bundle, recording):
+    status, out, err = call("estimate", bundle, recording, "--json", "--average", 2)
+    document = json.loads(out)
+    assert status == 0
+    assert (document["probe"], document["readings"], document["average"]) == ("large", 60, 2)
+    assert document["tare"] is None
+    assert sum(document["counts"].values()) == len(document["estimates"]) == 30
+    assert_positions_only_with_ok(document["estimates"], None)
+    assert err == "note: each estimate is of the mean of 2 readings\n"
+
+
+def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
+    out = tmp_path / "new" / "estimates.csv"
+    status, printed, _ = call("estimate", bundle, recording, "--out", out)
+    assert status == 0 and printed.startswith(f"wrote {out}: 60 estimates: ")
+    assert out.read_text() == call("estimate", bundle, recording)[1]
+
+
+def test_estimate_replaces_no_file_unasked(call, bundle, recording, tmp_path):
+    out = tmp_path / "estimates.csv"
+    out.write_text("mine")
+    assert "say --force" in refused(call("estimate", bundle, recording, "--out", out))
+    assert out.read_text() == "mine"
+    assert call("estimate", bundle, recording, "--out", out, "--force")[0] == 0
+    assert out.read_text().startswith("time_s,")
+
+
+def test_estimate_never_replaces_the_recording(call, bundle, recording):
+    before = recording.read_bytes()
+    assert "is the recording" in refused(call("estimate", bundle, recording, "--out", recording, "--force"))
+    assert recording.read_bytes() == before
+
+
+def test_estimate_tells_its_tare(call, bundle, estimator, tmp_path):
+    path = tmp_path / "biased.csv"
+    with Recorder(path) as recorder:
+        for reading in Simulation(estimator.model, "speed=max&rate_hz=10&seconds=4"):
+            wrench = reading.wrench_sensor + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+            recorder.write(reading.time, wrench, reading.gravity_base)
+    status, out, err = call("estimate", bundle, path, "--tare-s", "0:2", "--json")
+    tare = json.loads(out)["tare"]
+    assert status == 0 and err.startswith("note: tare from 20 readings in 0:2 s: Fx 1e+03 mN")
+    assert tare["bias_force_N"][0] == pytest.approx(1.0, abs=0.001)  # 8 standard deviations of the mean
+    assert json.loads(out)["estimates"][0]["result"] == "no_contact"
+
+
+def test_what_the_recording_lacks_goes_to_stderr(call, bundle, recording, tmp_path):
+    cut = tmp_path / "cut.csv"
+    lines = recording.read_text().splitlines(keepends=True)
+    cut.write_text("".join(lines[:10] + lines[13:20]) + "6.0,0.1")
+    _, out, err = call("estimate", bundle, cut)
+    assert err.splitlines() == [
+        "note: line 18 is half a line at the end: dropped",
+        "note: 3 samples are missing in 1 gaps",
+    ]
+    assert len(out.splitlines()) == 16
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--tare-s", "3:9"], "is not steady"),
+        (["--tare-s", "5"], "START:END"),
+        (["--average", "0"], "--average 0 must be positive"),
+        (["--average", "1000"], "holds 60 readings, fewer than --average 1000"),
+        (["--manifest", "none.json"], "none.json: no such manifest"),
+    ],
+)
+def test_estimate_refuses(call, bundle, recording, options, told):
+    assert told in refused(call("estimate", bundle, recording, *options))
+
+
+# live
+
+
+def test_live_prints_lines_of_equal_columns(call, bundle):
+    status, out, err = call("live", bundle, "--source", SIM)
+    lines = out.splitlines()
+    assert (status, len(lines)) == (0, 60)
+    assert "noise seed 1" in err.splitlines()[0]
+    assert err.splitlines()[-1].startswith("60 estimates: ")
+    ok = [line for line in lines if " ok " in line]
+    assert len({(line.index("±"), line.index("true s"), len(line)) for line in ok}) == 1
+    assert any("no_contact" in line and "±" not in line for line in lines)
+
+
+def test_live_prints_lines_of_json(call, bundle):
+    status, out, _ = call("live", bundle, "--source", SIM, "--json")
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert status == 0
+    assert tuple(rows[0]) == (*COLUMNS, *TRUE_COLUMNS)
+    assert_positions_only_with_ok(rows, None)
+
+
+def test_live_stops_where_it_is_told(call, bundle):
+    assert len(call("live", bundle, "--source", SIM, "--count", 3)[1].splitlines()) == 3
+    assert len(call("live", bundle, "--source", SIM, "--seconds", 2)[1].splitlines()) == 6
+    assert len(call("live", bundle, "--source", SIM, "--seconds", 3.5, "--rate-hz", 1)[1].splitlines()) == 4
+
+
+def test_live_records_what_it_read(call, bundle, recording, tmp_path):
+    """Every reading, also those that are averaged, and to the last bit: the fixture is the same run."""
+    path = tmp_path / "new" / "record.csv"
+    status, *_ = call("live", bundle, "--source", SIM, "--average", 5, "--record", path)
+    assert status == 0
+    assert path.read_bytes() == recording.read_bytes()
+
+
+def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
+    path = tmp_path / "record.csv"
+    path.write_text("mine")
+    status, out, err = call("live", bundle, "--source", SIM, "--record", path)
+    assert (status, out) == (2, "")
+    assert "say --force" in err.splitlines()[-1]
+    assert path.read_text() == "mine"
+    assert call("live", bundle, "--source", SIM, "--record", path, "--force", "--count", 1)[0] == 0
+    assert path.read_text().startswith("# frame: sensor\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--source", "netft://host"], "there are sim: and replay:FILE"),
+        (["--source", "sim:?force=1"], "did you mean force_mN?"),
+        (["--source", SIM, "--rate-hz", "nan"], "--rate-hz nan must be positive"),
+        (["--source", SIM, "--seconds", "0"], "--seconds 0.0 must be positive"),
+        (["--source", SIM, "--count", "0"], "--count 0 must be positive"),
+        (["--source", SIM, "--average", "-1"], "--average -1 must be positive"),
+        (["--source", SIM, "--tare-s", "1"], "START:END"),
+        ([], "--source"),
+    ],
+)
+def test_live_refuses(call, bundle, options, told):
+    assert told in refused(call("live", bundle, *options))
+
+
+def live_process(bundle, *options: str) -> subprocess.Popen[str]:
+    """`live` as a process of its own, at a sensor's pace and without an end."""
+    command = [*PROGRAM, "live", str(bundle), "--source", "sim:?seconds=1000000", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_interrupted_live_ends_well_and_leaves_a_whole_recording(bundle, tmp_path):
+    path = tmp_path / "record.csv"
+    with live_process(bundle, "--record", str(path)) as process:
+        seen = list(islice(process.stdout, 5))
+        process.send_signal(signal.SIGINT)
+        rest, err = process.communicate(timeout=60)
+    lines = seen + rest.splitlines()
+    assert process.returncode == 0
+    assert "Traceback" not in err
+    assert err.splitlines()[-1] == f"{len(lines)} estimates: {len(lines)} no_contact"
+    recording = read_recording(path)
+    assert (recording.dropped_lines, recording.notes) == (0, ())
+    assert len(recording.time) >= len(lines)
+
+
+def test_killed_live_leaves_a_recording_too(bundle, tmp_path):
+    path = tmp_path / "record.csv"
+    with live_process(bundle, "--record", str(path)) as process:
+        seen = list(islice(process.stdout, 5))
+        process.kill()
+    assert len(read_recording(path).time) >= len(seen)
+
+
+def test_live_ends_quietly_with_its_reader(bundle):
+    with live_process(bundle) as process:
+        process.stdout.readline()
+        process.stdout.close()
+        err = process.stderr.read()
+    assert process.returncode == 141
+    assert "Traceback" not in err and "error" not in err
+
+
+@pytest.mark.parametrize("arguments", [["estimate", "RECORDING"], ["live", "--source", SIM, "--count", "1"]])
+def test_nothing_of_the_design_side_is_imported(bundle, recording, arguments):
+    heavy = ("pydantic", "cadquery", "matplotlib", "tomlkit", "probedesign.design", "probedesign.pipeline")
+    name, *rest = [str(recording) if argument == "RECORDING" else argument for argument in arguments]
+    code = (
+        "import sys; from probedesign.cli.main import run;"
+        f"status = run({[name, str(bundle), *rest]!r});"
+        f"print([m for m in {heavy!r} if m in sys.modules], file=sys.stderr); sys.exit(status)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0
+    assert result.stderr.splitlines()[-1] == "[]"

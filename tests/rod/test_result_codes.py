@@ -1,0 +1,173 @@
+"""What the rod says where there is no answer, and where the critical loads are."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rods import CONE, CYLINDER, PROFILE, RHO, E, G
+
+from probedesign.errors import InputError
+from probedesign.rod.rod import Rod
+
+ELASTICA = replace(CYLINDER, inextensible=True)
+EI = ELASTICA.youngs_modulus * np.pi / 4.0 * ELASTICA.radius[0] ** 4
+EULER = np.pi**2 * EI / (4.0 * ELASTICA.length**2)
+"""Critical load of a clamped-free column [N]: Gere & Timoshenko, Mechanics of Materials, chapter 11."""
+GREENHILL = 7.8373474 * EI / ELASTICA.length**3
+"""Critical weight per length of a clamped-free column [N/m], 7.8373 = 9/4 · (first zero of J_-1/3)²:
+A. G. Greenhill, Proc. Cambridge Phil. Soc. 4 (1881) 65-73."""
+
+COARSE = "a straight rod's few long steps pass over conjugate points and blur the first"
+
+
+def standing(weight):
+    """The elastica upright under a weight per length [N/m]."""
+    g = weight / (ELASTICA.density * np.pi * ELASTICA.radius[0] ** 2)
+    return ELASTICA.solve((0, 0, -g))
+
+
+def assert_no_numbers(eq):
+    assert eq.result in ("unstable", "not_converged")
+    assert not eq.ok and eq.sensitivity is None
+    for numbers in (eq.wrench_base, eq.p_contact_base, eq.tip_tangent, eq.p_at(0.01), eq.R_at(0.01)):
+        assert np.isnan(numbers).all()
+    for arrays in (eq.s, eq.p_base, eq.R_base, eq.n_base, eq.m_base):
+        assert len(arrays) == 0
+
+
+@pytest.mark.parametrize("mode", ["fast", "reference"])
+@pytest.mark.parametrize("share", [0.5, 0.999])
+def test_below_eulers_load_a_straight_column_stands(share, mode):
+    eq = ELASTICA.solve(force=(0, 0, -share * EULER), mode=mode)
+    assert eq.result == "ok" and eq.stable
+    np.testing.assert_array_equal(eq.p_base[:, :2], 0.0)
+    np.testing.assert_allclose(eq.p_base[-1, 2], ELASTICA.length, rtol=1e-14)
+
+
+@pytest.mark.parametrize("mode", ["fast", "reference"])
+@pytest.mark.parametrize(
+    "share",
+    [1.001, 2.0, 8.9, 9.1, pytest.param(30.0, marks=pytest.mark.xfail(strict=True, reason=COARSE))],
+)
+def test_above_eulers_load_it_does_not(share, mode):
+    eq = ELASTICA.solve(force=(0, 0, -share * EULER), mode=mode)  # 9: the second critical load
+    assert eq.result == "unstable"
+    assert_no_numbers(eq)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.99])
+def test_below_greenhills_weight_a_column_stands(share):
+    assert standing(share * GREENHILL).result == "ok"
+
+
+@pytest.mark.parametrize(
+    "share",
+    [pytest.param(1.001, marks=pytest.mark.xfail(strict=True, reason=COARSE)), 1.02, 1.5, 6.0, 8.0],
+)
+def test_above_greenhills_weight_it_does_not(share):
+    assert standing(share * GREENHILL).result == "unstable"  # 7.1 times: the second critical weight
+
+
+def test_a_taper_lets_a_column_stand_taller():
+    """Less weight above, the same stiffness below."""
+    tallest = {}
+    for tip in (0.2, 1.0):
+        radius = 6e-3 * np.array([1.0, tip])
+        rods = [Rod(np.array([0.0, length]), radius, E, G, RHO) for length in np.linspace(0.1, 0.6, 51)]
+        tallest[tip] = max(rod.length for rod in rods if rod.solve((0, 0, -9.81)).ok)
+    assert tallest[0.2] > 1.1 * tallest[1.0]
+
+
+def test_hanging_is_always_stable():
+    for pull in (1e-3, 1.0, 30.0):
+        assert ELASTICA.solve((0, 0, 9.81), (0, 0, pull)).result == "ok"
+
+
+def test_a_push_a_little_off_the_axis_bends_round_on_the_stable_branch():
+    eq = ELASTICA.solve(force=(1e-3 * EULER, 0, -1.1 * EULER), mode="reference")
+    assert eq.result == "ok" and eq.stable
+    assert eq.p_base[-1, 0] > 0.1 * ELASTICA.length  # bent well over, the way it was pushed
+
+
+HOPELESS = {
+    "straight down": ((0, 0, 0), (0, 0, -1e3), None),
+    "sideways": ((0, 0, 0), (1e4, 0, 0), None),
+    "anyhow": ((300.0, -2e3, -5e3), (50.0, 20.0, -80.0), 0.05),
+    "gravity": ((0, 1e5, -1e6), (0, 0, 0), None),
+    "enormous": ((0, 0, 0), (1e200, 1e200, -1e200), 0.05),
+    "endless": ((1e308, 0, 0), (1e308, 0, 0), 0.05),
+}
+
+
+@pytest.mark.parametrize("mode", ["fast", "reference"])
+@pytest.mark.parametrize("rod", [CONE, CYLINDER, PROFILE], ids=["cone", "cylinder", "profile"])
+@pytest.mark.parametrize("case", HOPELESS)
+def test_a_hopeless_load_gives_a_code_soon(case, rod, mode):
+    gravity, force, s_c = HOPELESS[case]
+    start = time.monotonic()
+    eq = rod.solve(gravity, force, s_c, mode=mode, columns="all")
+    # No clock judges speed here: ten seconds stand for a hang.
+    assert time.monotonic() - start < 10.0
+    if eq.ok:  # a sideways load of any size has its stable equilibrium: bent round and pulled straight
+        assert np.isfinite(eq.wrench_base).all() and np.isfinite(eq.p_base).all()
+    else:
+        assert_no_numbers(eq)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("which", ["gravity", "force", "tip_moment"])
+def test_a_load_that_is_no_number_is_refused_in_a_line(which, bad):
+    with pytest.raises(InputError, match=which) as refused:
+        CONE.solve(**{which: (0.0, bad, 0.0)})
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("s_contact", [np.nan, -1e-3, 0.151, np.inf])
+def test_a_contact_off_the_rod_is_refused(s_contact):
+    with pytest.raises(InputError, match="s_contact"):
+        CONE.solve((9.81, 0, 0), (0.01, 0, 0), s_contact)
+
+
+@pytest.mark.parametrize("shape", [(2,), (4,), (3, 1), ()])
+def test_a_load_of_the_wrong_shape_is_refused(shape):
+    with pytest.raises(InputError, match="force"):
+        CONE.solve((9.81, 0, 0), np.zeros(shape), 0.1)
+
+
+@pytest.mark.parametrize("guess", [(0, 0, 0), (np.nan, 0, 1), (0, 1), (np.inf, 0, 0)])
+def test_a_guess_that_is_no_direction_is_refused(guess):
+    with pytest.raises(InputError, match="guess"):
+        CONE.solve((9.81, 0, 0), guess=guess)
+
+
+def test_a_bad_guess_costs_only_time():
+    wanted = CONE.solve((9.81, 0, 0), (0.01, 0.01, 0), 0.1)
+    for guess in ((0, 0, -1), (-1, 0, 0), (0, 5, 0.1)):
+        found = CONE.solve((9.81, 0, 0), (0.01, 0.01, 0), 0.1, guess=guess)
+        # Two fast answers, each within a micrometre.
+        np.testing.assert_allclose(found.p_base[-1], wanted.p_base[-1], atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"youngs_modulus": 0.0}, "youngs_modulus"),
+        ({"shear_modulus": np.nan}, "shear_modulus"),
+        ({"shear_coefficient": -1.0}, "shear_coefficient"),
+        ({"density": -1.0}, "density"),
+        ({"density": np.nan}, "density"),
+        ({"rigid_length": 0.15}, "rigid_length"),
+        ({"rigid_length": -1e-3}, "rigid_length"),
+        ({"s": np.array([0.0, 0.0])}, "increase"),
+        ({"s": np.array([0.1, 0.2])}, "increase"),
+        ({"s": np.array([0.0, np.inf])}, "increase"),
+        ({"s": np.array([0.0, np.nan])}, "increase"),
+        ({"s": np.array([0.0])}, "knots"),
+        ({"radius": np.array([1e-3, 0.0])}, "radius"),
+        ({"radius": np.array([1e-3, np.nan])}, "radius"),
+    ],
+)
+def test_a_rod_that_cannot_be_is_refused(change, told):
+    with pytest.raises(InputError, match=told):
+        replace(CONE, **change)
