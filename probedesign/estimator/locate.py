@@ -53,7 +53,7 @@ def refine(
     best: Equilibrium | None = None
     least = np.inf
     for _ in range(_MAX_ITERATIONS):
-        eq = rod.solve(gravity, force, s, guess=guess, columns="load")
+        eq = rod.solve(gravity, force, s, guess=guess, guess_only=True, columns="load")
         if not eq.ok or eq.sensitivity is None:
             return best
         misfit = eq.wrench_base[3:6] - moment

@@ -85,6 +85,8 @@ MAX_TURN = (
 )
 PATH_TOLERANCE = 1e-4  # of sweeps on the way to the whole load [rad]; only where they end is reported
 MIN_LOAD_STEP = 1e-4
+ACROSS = 0.5  # sine from which a force counts as across the free rod
+ALONG = 0.26  # sine of 15°: a contact pushing closer to the surface would need a friction coefficient of 3.7
 
 
 kernel = njit(cache=True, nogil=True, error_model="numpy")
@@ -561,6 +563,19 @@ def solve(t, start, scratch, body, load, tol, until, columns, nodes, y, contact)
     return NOT_CONVERGED, 0, False, residual
 
 
+@inner
+def _square(load):
+    """|F|² of a load."""
+    return load[0] * load[0] + load[1] * load[1] + load[2] * load[2]
+
+
+@inner
+def _crosses(load, t, sine):
+    """Whether the force makes at least that sine with the tangent t."""
+    along = load[0] * t[0] + load[1] * t[1] + load[2] * t[2]
+    return _square(load) - along * along > sine * sine * _square(load)
+
+
 @kernel
 def moments_along(stations, load, body, tol, scratch, moments, tips):
     """Base moment of one and the same force as it acts at each of `stations`, from the base outwards.
@@ -577,9 +592,11 @@ def moments_along(stations, load, body, tol, scratch, moments, tips):
         moments, tips: base moment [N·m] and tip tangent of each, (j, 3).
 
     Returns:
-        how many stations were reached; the rest has no equilibrium on this path.
+        how many stations were reached. The path ends where there is no equilibrium, or where the force has
+        bent the rod into its own direction: no contact short of the tip can push along the surface it touches.
     """
     t = scratch[220:223]
+    across = True
     for j in range(stations.shape[0]):
         load[9] = stations[j]
         status = NOT_CONVERGED
@@ -588,6 +605,10 @@ def moments_along(stations, load, body, tol, scratch, moments, tips):
         if status != OK:
             status, _bend = _trace(t, scratch, body, load, tol, 10.0 * tol, False)
         if status != OK:
+            return j
+        if j == 0:  # a force at the clamp bends nothing: this is the free rod
+            across = load[0] * load[0] + load[1] * load[1] > ACROSS**2 * _square(load) and _crosses(load, t, ACROSS)
+        elif across and not _crosses(load, scratch[180:183], ALONG):
             return j
         for q in range(3):
             moments[j, q] = scratch[147 + q]
