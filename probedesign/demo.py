@@ -86,11 +86,9 @@ def run_demo(out: Path | None = None, say: Callable[[str], None] = lambda _: Non
 
 
 def _predicted(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
-    try:
-        _, files = pipeline.predict(design, folder)
-    except MissingDependencyError as error:
-        skipped.append(str(error))
-        _, files = pipeline.predict(design, folder, plots=False)
+    _, files = pipeline.predict(design, folder)
+    if len(files) == 1:
+        skipped.append("pictures need matplotlib: pip install 'probedesign[plots]'")
     return {str(file): "what it will feel, how well it will locate" for file in files}
 
 

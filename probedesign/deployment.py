@@ -67,6 +67,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
             "moment_range_Nm": model.wrench_range[3:].tolist(),
             "noise_force_N": model.noise.force,
             "noise_moment_Nm": model.noise.moment,
+            "averaging_samples": model.averaging_samples,
         },
     }
     return {**data, "checksum": _checksum(data)}
@@ -163,6 +164,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
             [_numbers(sensor["force_range_N"], 3), _numbers(sensor["moment_range_Nm"], 3)]
         ),
         noise=Noise(sensor["noise_force_N"], sensor["noise_moment_Nm"]),
+        averaging_samples=int(sensor["averaging_samples"]),
         material=material,
         assumptions=tuple(data["assumptions"]),
     )

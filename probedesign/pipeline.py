@@ -9,6 +9,7 @@ frozen probe at the end is all that `estimate` and `live` ever read.
 
 import json
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -65,13 +66,15 @@ def export(
     return export_parts(load_design(design_path), out, progress)
 
 
-def predict(design_path: Path, out: Path | None = None, plots: bool = True) -> tuple[Prediction, list[Path]]:
+def predict(
+    design_path: Path, out: Path | None = None, plots: bool | None = None
+) -> tuple[Prediction, list[Path]]:
     """Design → rod → estimator → prediction → report.
 
     Args:
         design_path: the design file.
         out: folder for prediction.json and prediction.png; exports/NAME if None.
-        plots: draw them too (needs matplotlib).
+        plots: draw the picture; None draws it where matplotlib is installed.
 
     Returns:
         The prediction and the files written.
@@ -81,7 +84,7 @@ def predict(design_path: Path, out: Path | None = None, plots: bool = True) -> t
     folder = EXPORTS / probe.design.name if out is None else out
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
-    if plots:
+    if plots or (plots is None and find_spec("matplotlib") is not None):
         from probedesign.report import draw_prediction
 
         files.append(folder / "prediction.png")

@@ -88,6 +88,7 @@ class Probe:
             hanging=hanging_mass(self.geometry, adapter, d.density.value),
             wrench_range=np.array([*calibration.force_range, *calibration.moment_range]),
             noise=averaged_noise(calibration, d.sensor.averaging_samples),
+            averaging_samples=d.sensor.averaging_samples,
             material={
                 "youngs_modulus": d.youngs_modulus,
                 "shear_modulus": d.shear_modulus,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from probedesign.errors import InputError
+
 if TYPE_CHECKING:
     from collections.abc import Generator
 
@@ -53,6 +55,8 @@ def live(
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
 
+    if record is not None and source.partition("?")[0].removeprefix("replay:") == str(record):
+        raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds)
     estimator = load_estimator(bundle, manifest)

@@ -55,6 +55,9 @@ def run(arguments: list[str]) -> int:
         Exit status: 0 done; 2 a wrong file, option or argument; 130 interrupted; 141 the reader of our
         output went away; 1 anything else.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal that knows no "±" gets a "?"
+            stream.reconfigure(errors="replace")
     try:
         status = build_app()(arguments)
         sys.stdout.flush()

@@ -16,7 +16,7 @@ def predict(
     /,
     *,
     out: Path | None = None,
-    plots: Annotated[bool, Parameter(negative="--no-plots")] = True,
+    plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Predict sensitivity and contact error of a design; write prediction.json and prediction.png.
@@ -24,7 +24,7 @@ def predict(
     Args:
         design: the design file.
         out: folder for them; by default exports/NAME.
-        plots: draw prediction.png (needs matplotlib).
+        plots: draw prediction.png; by default where matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
@@ -36,6 +36,8 @@ def predict(
     else:
         _print(prediction)
         print("wrote", ", ".join(map(str, files)))
+        if plots is None and len(files) == 1:
+            print("no picture: matplotlib is not installed (pip install 'probedesign[plots]')")
 
 
 def _print(prediction: "Prediction") -> None:

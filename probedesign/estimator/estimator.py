@@ -18,6 +18,9 @@ from probedesign.sensor import Noise
 
 FALSE_ALARM = 1.4e-6
 """Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
+LEAST_FORCE = 5.0
+"""Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
+normal where F is known to less than a fifth (tests/estimator/test_statistics.py)."""
 INCONSISTENT = 1e-4
 """Chance that a true single contact is called inconsistent."""
 NUMERICAL = 1e-6
@@ -75,7 +78,7 @@ class Estimator:
             raise InputError(f"wrench_base has shape {wrench.shape}; it must be (6,): force and moment")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise InputError(f"gravity_base = {gravity} must be three finite numbers in m/s²")
-        if not self._readable(wrench, gravity):
+        if not self.model.reads(self.model.to_sensor(wrench, gravity)):
             return Estimate("out_of_range")
         free = self.free(gravity)
         if not free.ok:
@@ -101,11 +104,16 @@ class Estimator:
         free = self.free(gravity_base)
         return free.ok and self._exceeds(self._detection_chi2(wrench_base, free))
 
-    @property
-    def vague(self) -> float:
-        """Standard deviation of s_contact [m] with no reading at all: uniform over the probe. An estimate
-        that is no better tells nothing."""
-        return self.model.rod.length / float(np.sqrt(12.0))
+    def locates(self, std_s: float, force: Array) -> bool:
+        """Whether an estimate with that standard deviation [m] and force [N] (3,) says where.
+
+        It does not if s is known no better than with no reading at all (uniform over the probe, L/√12), or
+        if the force is so uncertain that a covariance of first order no longer holds.
+        """
+        return bool(
+            std_s < self.model.rod.length / np.sqrt(12.0)
+            and np.linalg.norm(force) > LEAST_FORCE * self.model.noise.force
+        )
 
     @staticmethod
     def _exceeds(chi2: float) -> bool:
@@ -129,12 +137,6 @@ class Estimator:
     @cached_property
     def _information(self) -> Array:
         return np.linalg.inv(self.cov_wrench).astype(float, copy=False)
-
-    def _readable(self, wrench: Array, gravity: Array) -> bool:
-        """Whether the sensor can have read this."""
-        if not np.isfinite(wrench).all():
-            return False
-        return bool((np.abs(self.model.to_sensor(wrench, gravity)) <= self.model.wrench_range).all())
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
         d = wrench - free.wrench_base
@@ -171,7 +173,7 @@ class Estimator:
         length = self.model.rod.length
         if best.chi2 > chdtri(2, INCONSISTENT):
             return "out_of_range" if best.s_contact in (0.0, length) else "inconsistent"
-        if not best.std_s < self.vague:
+        if not self.locates(best.std_s, eq.load[0:3]):
             return "unobservable" if _acts_along_axis(eq) else "too_light"
         rivals = [c for c in listed[1:] if c.chi2 < best.chi2 + AMBIGUOUS]
         if any(abs(c.s_contact - best.s_contact) > 3.0 * (c.std_s + best.std_s) for c in rivals):

@@ -25,7 +25,8 @@ class ProbeModel:
         hanging: mass properties of all that hangs on the sensor below s = 0 (flange, adapter, screws),
             in the sensor frame.
         wrench_range: largest reading of each channel [N, N·m], (6,).
-        noise: standard deviations of one reading.
+        noise: standard deviations of one reading, the mean of averaging_samples samples.
+        averaging_samples: how many the noise is counted for.
         material: E, G and density with where they come from.
         assumptions: what of the design is assumed, for every report.
     """
@@ -38,6 +39,7 @@ class ProbeModel:
     hanging: MassProperties
     wrench_range: Array
     noise: Noise
+    averaging_samples: int = 1
     material: dict[str, Quantity] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
 
@@ -60,6 +62,10 @@ class ProbeModel:
         """The wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
         own = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
         return own @ wrench_map(inverse(self.T_sensor_base)).T
+
+    def reads(self, wrench_sensor: Array) -> bool:
+        """Whether the sensor can have read this (6,): finite and within every channel's range."""
+        return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.wrench_range).all())
 
     def noise_base(self) -> Array:
         """Covariance of a reading told at the base origin, (6, 6)."""

@@ -12,7 +12,7 @@ from probedesign.live.recording import Recording, read_recording
 from probedesign.live.replay import readings_of
 from probedesign.live.row import COLUMNS, Row, csv_line, row
 from probedesign.live.run import count_results, describe_tare, locate
-from probedesign.live.tare import Tare, Window, split, take_tare, without_bias
+from probedesign.live.tare import Tare, Window, split, take_tare
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
 
@@ -101,7 +101,7 @@ def estimate_recording(
     if not readings:
         raise InputError(f"{path}: holds {len(recording.time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None
-    rows = [row(reading, locate(estimator, without_bias(reading, tare))) for reading in progress(readings)]
+    rows = [row(reading, locate(estimator, reading, tare)) for reading in progress(readings)]
     notes = recording.notes + _notes(len(recording.time), samples, tare)
     return Estimates(estimator, recording, path, samples, tare, rows, notes)
 

@@ -49,7 +49,6 @@ class Reading:
 
 def mean(readings: list[Reading]) -> Reading:
     """The mean of several readings, at their mean time; its truth is free if any of theirs is."""
-    start = readings[0].time  # a clock that counts from 1970 would round in the sum
     truths = [reading.truth for reading in readings if reading.truth is not None]
     truth = Truth(
         float(np.mean([t.s_contact for t in truths])),
@@ -57,7 +56,7 @@ def mean(readings: list[Reading]) -> Reading:
         np.mean([t.force_base for t in truths], axis=0),
     ) if truths else None  # fmt: skip
     return Reading(
-        start + float(np.mean([reading.time - start for reading in readings])),
+        float(np.mean([reading.time for reading in readings])),
         np.mean([reading.wrench_sensor for reading in readings], axis=0),
         np.mean([reading.gravity_base for reading in readings], axis=0),
         truth,
@@ -93,12 +92,12 @@ def paced(
 def thinned(readings: Iterable[Reading], rate: float) -> Iterator[Reading]:
     """At most `rate` readings a second of the source's clock [Hz]; the others are left out.
 
-    One may come a tenth of a period early, so that a source that keeps the very rate loses none to rounding.
+    One may come a hundredth of a period early, so that a source that keeps the very rate loses none to rounding.
     """
     period = 1.0 / rate
     due = -np.inf
     for reading in readings:
-        if reading.time >= due - 0.1 * period:
+        if reading.time >= due - 0.01 * period:
             due = due + period if due + period > reading.time else reading.time + period
             yield reading
 

@@ -75,11 +75,14 @@ def estimate_stream(
             tare = take_tare(inside, plan.window, estimator)
             say(describe_tare(tare))
         for reading in islice(thinned(readings, plan.rate), plan.count):
-            yield reading, locate(estimator, without_bias(reading, tare))
+            yield reading, locate(estimator, reading, tare)
 
 
-def locate(estimator: Estimator, reading: Reading) -> Estimate:
-    """The estimate of one reading that is free of bias."""
+def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:
+    """The estimate of one reading; a channel at its limit counts as read, before the bias is taken off."""
+    if not estimator.model.reads(read.wrench_sensor):
+        return Estimate("out_of_range")
+    reading = without_bias(read, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
     return estimator.estimate(wrench_base, reading.gravity_base)
 

@@ -26,7 +26,7 @@ PARAMETERS = {
 
 USUAL_FORCE = 20.0 * MILLINEWTON
 """Of the contact where none is said [N], if the probe bears it."""
-BENT = 0.8
+BENT = 0.85
 """F s² r(0)/(E I(0) r(s)) that a probe bears well: one radian or so of bending, under any lean of the force."""
 
 PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)

@@ -10,7 +10,6 @@ from probedesign.errors import InputError
 from probedesign.estimator.covariance import propagate
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.prediction.quantile import radius_95
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.units import MM
@@ -154,7 +153,7 @@ def predict_touch(estimator: Estimator, fraction: float, force_N: float, directi
         fraction,
         force_N,
         direction,
-        _result(estimator, eq.wrench_base, cov.std_s, float(use.max())),
+        _result(estimator, contact, cov.std_s, float(use.max())),
         predicted_error_mm=_finite(math.sqrt(np.trace(cov.cov_p)) / MM),
         predicted_error_95_mm=_finite(radius_95(cov.cov_p) / MM),
         std_s_mm=_finite(cov.std_s / MM),
@@ -182,13 +181,13 @@ def _touch(estimator: Estimator, fraction: float, force_N: float, direction: str
     )
 
 
-def _result(estimator: Estimator, wrench: Array, std_s: float, use: float) -> str:
+def _result(estimator: Estimator, contact: FrictionlessContact, std_s: float, use: float) -> str:
     """What the estimator would say of this reading free of noise."""
     if use > 1.0:
         return "out_of_range"
-    if not estimator.detects(wrench):
+    if not estimator.detects(contact.equilibrium.wrench_base):
         return "no_contact"
-    return "ok" if std_s < estimator.vague else "too_light"
+    return "ok" if estimator.locates(std_s, contact.force_base) else "too_light"
 
 
 def _detectable_mN(estimator: Estimator, fraction: float, direction: str) -> float | None:

@@ -607,7 +607,9 @@ def moments_along(stations, load, body, tol, scratch, moments, tips):
         if status != OK:
             return j
         if j == 0:  # a force at the clamp bends nothing: this is the free rod
-            across = load[0] * load[0] + load[1] * load[1] > ACROSS**2 * _square(load) and _crosses(load, t, ACROSS)
+            across = load[0] * load[0] + load[1] * load[1] > ACROSS**2 * _square(load) and _crosses(
+                load, t, ACROSS
+            )
         elif across and not _crosses(load, scratch[180:183], ALONG):
             return j
         for q in range(3):

@@ -79,9 +79,16 @@ def test_a_taper_lets_a_column_stand_taller():
     assert tallest[0.2] > 1.1 * tallest[1.0]
 
 
-def test_hanging_is_always_stable():
+def test_a_hanging_column_is_stable():
     for pull in (1e-3, 1.0, 30.0):
         assert ELASTICA.solve((0, 0, 9.81), (0, 0, pull)).result == "ok"
+
+
+@pytest.mark.parametrize(
+    "pull", [0.1, pytest.param(0.5, marks=pytest.mark.xfail(strict=True, reason=COARSE))]
+)
+def test_a_hanging_cone_is_stable(pull):
+    assert CONE.solve((0, 0, 9.81), (0, 0, pull)).result == "ok"  # tension only: nothing can buckle
 
 
 def test_a_push_a_little_off_the_axis_bends_round_on_the_stable_branch():

@@ -1,0 +1,62 @@
+"""A row tells the estimate in the units that its names say."""
+
+import json
+
+import numpy as np
+import pytest
+
+from probedesign.estimator.estimate import Estimate
+from probedesign.live.reading import FREE, Reading, Truth
+from probedesign.live.row import COLUMNS, csv_line, json_line, readable_line, row
+
+P, SURFACE, FORCE = (
+    np.array([0.001, 0.002, 0.003]),
+    np.array([0.004, 0.005, 0.006]),
+    np.array([0.3, 0.0, -0.4]),
+)
+COV = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]]) * 1e-6
+FOUND = Estimate("ok", 0.08, 0.0025, P, SURFACE, FORCE, COV, detection_chi2=123.0)
+TRUE = Reading(1700000000.000001, np.zeros(6), np.zeros(3), Truth(0.0801, 2.0 * P, FORCE))
+
+
+def test_every_number_in_its_unit():
+    """One multiplication and one division round: 1e-15."""
+    values = list(row(TRUE, FOUND).values())
+    assert values[:2] == [1700000000.000001, "ok"]
+    lengths = [80.0, 2.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    truth = [80.1, 2.0, 4.0, 6.0]
+    expected = [*lengths, 0.3, 0.0, -0.4, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 123.0, *truth]
+    assert values[2:] == pytest.approx(expected, rel=1e-15)
+
+
+def test_csv_holds_its_columns_and_the_time_to_the_last_bit():
+    fields = csv_line(row(TRUE, FOUND)).rstrip("\n").split(",")
+    assert len(fields) == len(COLUMNS)
+    assert float(fields[0]) == TRUE.time
+    assert fields[1:5] == ["ok", "80", "2.5", "1"]
+
+
+def test_what_is_not_told_is_empty_or_null():
+    reading = Reading(1.0, np.zeros(6), np.zeros(3), FREE)
+    answer = row(reading, Estimate("no_contact", detection_chi2=4.0))
+    assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4\n"
+    document = json.loads(json_line(answer))
+    assert [name for name, value in document.items() if value is not None] == [
+        "time_s",
+        "result",
+        "detection_chi2",
+    ]
+    assert readable_line(0.0, reading, Estimate("no_contact")).split() == [
+        "0.00",
+        "s",
+        "no_contact",
+        "true:",
+        "free",
+    ]
+
+
+def test_the_readable_line():
+    assert readable_line(12.34, TRUE, FOUND) == (
+        "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   1.0,    2.0,    3.0) mm  F   500.0 mN"
+        "  true s   80.1 mm"
+    )

@@ -1,0 +1,270 @@
+"""The frozen probe: it reads back to the last bit, and nothing altered is read at all."""
+
+import copy
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probedesign import deployment
+from probedesign.deployment import check_manifest, freeze, load_estimator, load_model, write_frozen
+from probedesign.design import load_design
+from probedesign.errors import InputError
+from probedesign.probe import build_probe
+
+DESIGNS = Path(__file__).parents[1] / "designs"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return build_probe(load_design(DESIGNS / "large.toml")).model
+
+
+@pytest.fixture(scope="module")
+def frozen(model):
+    return json.loads(json.dumps(freeze(model)))
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "large.probe.json"
+
+
+def leaves(data, at=()):
+    """Paths of every number, text and empty list in nested data."""
+    if isinstance(data, dict) and data:
+        return [leaf for key, value in data.items() for leaf in leaves(value, (*at, key))]
+    if isinstance(data, list) and data:
+        return [leaf for i, value in enumerate(data) for leaf in leaves(value, (*at, i))]
+    return [at]
+
+
+def with_changed(data, at, change):
+    """A copy with the value at a path changed."""
+    data = copy.deepcopy(data)
+    parent = data
+    for key in at[:-1]:
+        parent = parent[key]
+    change(parent, at[-1])
+    return data
+
+
+def alter(parent, key):
+    value = parent[key]
+    if isinstance(value, str):
+        parent[key] = value + "x"
+    elif isinstance(value, (int, float)):
+        parent[key] = np.nextafter(value, np.inf) if value else 1e-300  # the last bit
+    else:
+        parent[key] = ["x"]
+
+
+def remove(parent, key):
+    del parent[key]
+
+
+def refused(path, content, told=None):
+    """The one line that a file is refused with."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError, match=told) as error:
+        load_model(path)
+    message = str(error.value)
+    assert message.isprintable() and str(path) in message
+    return message
+
+
+# What is right
+
+
+@pytest.mark.parametrize("name", ["large", "medium", "small"])
+def test_a_probe_reads_back_to_the_last_bit(name, path):
+    model = build_probe(load_design(DESIGNS / f"{name}.toml")).model
+    write_frozen(model, path)
+    back = load_model(path)
+    for attribute in ("name", "fingerprint", "noise", "material", "assumptions", "mass"):
+        assert getattr(back, attribute) == getattr(model, attribute)
+    for attribute in ("gravity_base", "T_sensor_base", "wrench_range"):
+        np.testing.assert_array_equal(getattr(back, attribute), getattr(model, attribute))
+    for attribute in (
+        "s",
+        "radius",
+        "youngs_modulus",
+        "shear_modulus",
+        "density",
+        "shear_coefficient",
+        "rigid_length",
+    ):
+        np.testing.assert_array_equal(getattr(back.rod, attribute), getattr(model.rod, attribute))
+    assert (back.hanging.volume, back.hanging.mass) == (model.hanging.volume, model.hanging.mass)
+    np.testing.assert_array_equal(back.hanging.p_com, model.hanging.p_com)
+    np.testing.assert_array_equal(back.hanging.inertia, model.hanging.inertia)
+
+
+def test_the_same_probe_gives_the_same_bytes(model, tmp_path):
+    for name in ("a", "b"):
+        write_frozen(build_probe(load_design(DESIGNS / "large.toml")).model, tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    write_frozen(load_model(tmp_path / "a"), tmp_path / "b")
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_person_can_read_it(model, frozen, path):
+    write_frozen(model, path)
+    assert path.read_text().count("\n") > 50 and path.read_text().endswith("}\n")
+    assert frozen["flexible_mass_kg"] == pytest.approx(model.mass, rel=1e-15)
+    assert {m["provenance"] for m in frozen["material"].values()} <= {"assumed", "datasheet", "identified"}
+    r = np.interp(frozen["sections"]["s_m"], model.rod.s, model.rod.radius)
+    np.testing.assert_allclose(
+        frozen["sections"]["EI_Nm2"], model.rod.youngs_modulus * np.pi / 4.0 * r**4, rtol=1e-14
+    )
+
+
+def test_what_stands_there_is_replaced_whole(model, path):
+    path.write_text("something else")
+    write_frozen(model, path)
+    assert load_estimator(path).model.name == "large"
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+# What is wrong
+
+
+def test_every_changed_value_is_refused(frozen, path):
+    changed = leaves(frozen)
+    assert len(changed) > 150
+    for at in changed:
+        refused(path, json.dumps(with_changed(frozen, at, alter)))
+
+
+def test_every_removed_key_is_refused(frozen, path):
+    for at in {leaf[:depth] for leaf in leaves(frozen) for depth in range(1, len(leaf) + 1)}:
+        refused(path, json.dumps(with_changed(frozen, at, remove)))
+
+
+def test_what_contradicts_itself_is_refused_under_a_checksum_of_its_own(frozen, path):
+    contradictions = [
+        (("rod", "radius_m", 0), alter_by_tenth, "sections"),
+        (("sections", "EI_Nm2", 3), alter_by_tenth, "sections.EI_Nm2"),
+        (("material", "youngs_modulus_Pa", "value"), alter_by_tenth, "sections"),
+        (("T_sensor_base", 0, 0), alter_by_tenth, "T_sensor_base"),
+        (("sensor", "noise_force_N"), negative, "noise"),
+        (("sensor", "force_range_N", 0), negative, "ranges"),
+        (("rod", "s_m", 1), negative, "increase"),
+        (("gravity_base_m_s2",), remove, "gravity_base_m_s2"),
+        (("hanging", "p_com_m"), shorten, "shape"),
+    ]
+    for at, change, told in contradictions:
+        data = with_changed(frozen, at, change)
+        del data["checksum"]
+        refused(path, json.dumps({**data, "checksum": deployment._checksum(data)}), told)
+
+
+def alter_by_tenth(parent, key):
+    parent[key] *= 1.1
+
+
+def negative(parent, key):
+    parent[key] = -abs(parent[key])
+
+
+def shorten(parent, key):
+    parent[key] = parent[key][:-1]
+
+
+@pytest.mark.parametrize("schema", [0, 2, "1", None, 1e9])
+def test_another_schema_is_refused_by_name(schema, frozen, path):
+    refused(path, json.dumps({**frozen, "schema": schema}), "schema")
+
+
+def test_a_cut_file_is_refused_wherever_it_was_cut(model, path):
+    write_frozen(model, path)
+    whole = path.read_bytes()
+    for share in (0.0, 0.001, 0.3, 0.5, 0.9, 0.999):
+        refused(path, whole[: int(share * len(whole))])
+    path.write_bytes(whole[:-1])  # only the last line end: nothing is lost
+    assert load_model(path).name == "large"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"null", b"[]", b"3", b'"probe"', b"{}", bytes(range(256)), b"\xff\xfe{\x00}\x00", b"solid probe\n",
+     b"[" * 100_000, b'{"kind": "probedesign frozen probe", "schema": 1}'],
+    ids=["empty", "null", "list", "number", "text", "object", "binary", "utf-16", "stl", "deep", "bare"],
+)  # fmt: skip
+def test_what_is_no_frozen_probe_is_refused(content, path):
+    refused(path, content)
+
+
+def huge(path):
+    with path.open("wb") as file:
+        file.truncate(11_000_000)
+    return path
+
+
+def test_a_huge_file_is_refused(path):
+    with pytest.raises(InputError):
+        load_model(huge(path))
+
+
+@pytest.mark.xfail(strict=True, reason="an InputError is a ValueError: told as 'not valid JSON'")
+def test_a_huge_file_is_told_to_be_huge(path):
+    with pytest.raises(InputError, match="too large"):
+        load_model(huge(path))
+
+
+def test_no_file_and_a_folder_are_refused(tmp_path):
+    with pytest.raises(InputError, match="no such"):
+        load_model(tmp_path / "none.json")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_model(tmp_path)
+
+
+# Against the printed parts
+
+
+def test_a_manifest_of_other_parts_is_refused(model, path):
+    write_frozen(model, path)
+    manifest = path.parent / "manifest.json"
+    manifest.write_text(json.dumps({"fingerprint": model.fingerprint}))
+    assert load_model(path).fingerprint == model.fingerprint
+    manifest.write_text(json.dumps({"fingerprint": "another"}))
+    with pytest.raises(InputError, match="another"):
+        load_model(path)
+
+
+def test_a_named_manifest_goes_before_the_one_beside(model, path, tmp_path):
+    write_frozen(model, path)
+    (path.parent / "manifest.json").write_text(json.dumps({"fingerprint": "another"}))
+    good = tmp_path / "good.json"
+    good.write_text(json.dumps({"fingerprint": model.fingerprint}))
+    assert load_estimator(path, manifest=good).model.fingerprint == model.fingerprint
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[]", '{"fingerprint": 3}', '{"fingerprint": null}'])
+def test_a_manifest_that_says_nothing_is_refused(content, model, tmp_path):
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(content)
+    with pytest.raises(InputError):
+        check_manifest(model.fingerprint, manifest)
+
+
+def test_geometries_have_fingerprints_of_their_own():
+    models = [build_probe(load_design(DESIGNS / f"{n}.toml")).model for n in ("large", "medium", "small")]
+    assert len({m.fingerprint for m in models}) == 3
+
+
+# The wall towards the design side
+
+
+@pytest.mark.parametrize("module", ["probedesign.deployment", "probedesign.live.recording"])
+def test_running_needs_nothing_of_the_design_side(module):
+    code = f"import sys, {module}; print(*{{name.split('.')[0] for name in sys.modules}})"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert "probedesign" in loaded
+    assert not loaded & {"pydantic", "cadquery", "OCP", "matplotlib", "tomlkit", "trimesh"}
