@@ -212,15 +212,16 @@ def _check_sections(data: dict[str, Any], rod: Rod) -> None:
 
 def _read_json(path: Path, what: str) -> dict[str, Any]:
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path}: is far too large for a {what}")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        whole = path.stat().st_size <= _MAX_BYTES
+        data = json.loads(path.read_text(encoding="utf-8")) if whole else None
     except FileNotFoundError:
         raise InputError(f"{path}: no such {what}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not a {what}: not valid JSON") from None
+    if not whole:
+        raise InputError(f"{path}: is far too large for a {what}")
     if not isinstance(data, dict):
         raise InputError(f"{path}: is not a {what}")
     return data

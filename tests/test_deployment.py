@@ -209,7 +209,6 @@ def test_a_huge_file_is_refused(path):
         load_model(huge(path))
 
 
-@pytest.mark.xfail(strict=True, reason="an InputError is a ValueError: told as 'not valid JSON'")
 def test_a_huge_file_is_told_to_be_huge(path):
     with pytest.raises(InputError, match="too large"):
         load_model(huge(path))

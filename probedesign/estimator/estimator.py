@@ -78,7 +78,7 @@ class Estimator:
             raise InputError(f"wrench_base has shape {wrench.shape}; it must be (6,): force and moment")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise InputError(f"gravity_base = {gravity} must be three finite numbers in m/s²")
-        if not self.model.reads(self.model.to_sensor(wrench, gravity)):
+        if not np.isfinite(wrench).all() or not self.model.reads(self.model.to_sensor(wrench, gravity)):
             return Estimate("out_of_range")
         free = self.free(gravity)
         if not free.ok:

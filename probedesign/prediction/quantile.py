@@ -36,7 +36,8 @@ def radius_95(cov: Array, share: float = 0.95) -> float:
     across = eigenvalues[0] * np.cos(_PHI) ** 2 + eigenvalues[1] * np.sin(_PHI) ** 2
     spread = (_C[:, None] ** 2 * largest + (1.0 - _C[:, None] ** 2) * across) / largest
     half = 0.5 / np.maximum(spread, 1e-300)
-    low, high = 0.0, 2.0 * float(-ndtri((1.0 - share) / 2.0))
+    # At most the corner of the box that holds each of the three with a third of the rest.
+    low, high = 0.0, float(np.sqrt(3.0) * -ndtri((1.0 - share) / 6.0))
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2.0
         inside = gammainc(1.5, middle**2 * half).mean(axis=1) @ _WEIGHT

@@ -118,12 +118,12 @@ class Equilibrium:
         return self.n_at(self.s)
 
     def n_at(self, s: ArrayLike) -> Array:
-        """Internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g."""
+        """Internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g; NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         weight = self.body.material[3] * _volume_beyond(self.body, s)
-        n: Array = (
-            np.where(s[:, None] <= self.load[9], self.load[0:3], 0.0) + weight[:, None] * self.load[3:6]
-        )
+        n: Array = weight[:, None] * self.load[3:6]
+        n[s <= self.load[9]] += self.load[0:3]
+        n[~(self.ok & (s >= 0.0) & (s <= self.body.knots[-1]))] = np.nan
         return n
 
     def p_at(self, s: ArrayLike) -> Array:

@@ -71,8 +71,9 @@ _B = np.array([3 / 40, 0.0, 875 / 2244, 23 / 72, 264 / 1955, 0.0, 125 / 11592, 4
 _B_LOW = np.array([13 / 160, 0.0, 2375 / 5984, 5 / 16, 12 / 85, 3 / 44, 0.0, 0.0])
 _E = _B - _B_LOW
 
+ROUNDING = 4e-15  # of a step's change, below which an error estimate says nothing
 CAREFUL_TOLERANCE = 1e-9  # of a second try along the path
-MAX_STEPS = 300  # of one sweep at an error of 1e-7 a step; more where it is less: a hang is not an answer
+MAX_STEPS = 1000  # of one sweep at an error of 1e-7 a step; more where it is less: a hang is not an answer
 COLD, WARM, WARM_ONLY = (
     0,
     1,
@@ -221,24 +222,41 @@ def _step(s, h, i, y, out, k, n, nb, blocks, body, load, on, rigid):
 
 
 @inner
-def _error(h, k, n, nb, bend, length, size):
-    """Largest error estimate of a step: tangents [rad], moments by the bend they cause, p by L.
+def _estimate(h, k, n, q):
+    """Error estimate of one component of a step, less what is only rounding of the stages' sum."""
+    e = 0.0
+    for j in range(8):
+        e += _E[j] * k[j * n + q]
+    e = abs(h * e)
+    rounding = ROUNDING * abs(h) * (abs(k[q]) + abs(k[7 * n + q]))
+    return e if not e <= rounding else 0.0  # NaN stays NaN
 
-    Tangents and moments are held relative to how far the rod turns at all (`size`), so that a bend of a
-    micrometre keeps its digits; p and d hold the body's own size.
+
+@inner
+def _error(h, y, k, n, nb, bend, length, size, tol):
+    """Largest error estimate of a step over what is allowed: at most 1 for a good step.
+
+    Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all
+    (`size`), so that a bend of a micrometre keeps its digits; p and d hold the body's own size. The Jacobi
+    fields are held too, a thousand times more loosely: on a straight rod nothing else sees the steps, and
+    long ones would pass over conjugate points.
     """
     worst = 0.0
     for q in range(nb):
-        e = 0.0
-        for j in range(8):
-            e += _E[j] * k[j * n + q]
         if q < 6:
-            scale = bend if q >= 3 else 1.0
+            scale = (bend if q >= 3 else 1.0) / size
         else:
-            scale = size / length if q < 9 else size
-        e = abs(h * e) * scale
-        if not e <= worst:  # also true for NaN
+            scale = 1.0 / length if q < 9 else 1.0
+        e = _estimate(h, k, n, q) * scale / tol
+        if not e <= worst:
             worst = e
+    loose = min(1000.0 * tol, 1e-2)
+    for o in range(nb, 3 * nb, nb):
+        grown = max(1.0, abs(y[o]) + abs(y[o + 1]) + abs(y[o + 2])) * loose
+        for q in range(o, o + 6):
+            e = _estimate(h, k, n, q) * (bend if q >= o + 3 else 1.0) / grown
+            if not e <= worst:
+                worst = e
     return worst
 
 
@@ -253,7 +271,7 @@ def _advance(s, stop, h, i, y, out, k, n, nb, blocks, body, load, tol, size, on,
         hs = stop - s if last else h
         _step(s, hs, i, y, out, k, n, nb, blocks, body, load, on, rigid)
         c = 4.0 / (body.material[0] * math.pi * max(_radius(s, i, body), 1e-300) ** 4)
-        error = _error(hs, k, n, nb, c * length, length, size) / (tol * size)
+        error = _error(hs, y, k, n, nb, c * length, length, size, tol)
         if error <= 1.0:
             factor = min(5.0, 0.9 * max(error, 1e-6) ** (-1.0 / 6.0))
             # A step cut short by a break says little of the step to take after it.

@@ -89,7 +89,6 @@ def test_off_the_rod_there_is_nothing():
     assert np.isnan(eq.p_at(off)).all() and np.isnan(eq.R_at(off)).all()
 
 
-@pytest.mark.xfail(strict=True, reason="n_at extrapolates off the rod and answers without an equilibrium")
 @pytest.mark.parametrize("gravity", [9.81, -500.0], ids=["off the rod", "unstable"])
 def test_no_force_where_there_is_no_rod(gravity):
     eq = PROFILE.solve((0, 0, gravity))

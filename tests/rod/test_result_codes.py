@@ -18,8 +18,6 @@ GREENHILL = 7.8373474 * EI / ELASTICA.length**3
 """Critical weight per length of a clamped-free column [N/m], 7.8373 = 9/4 · (first zero of J_-1/3)²:
 A. G. Greenhill, Proc. Cambridge Phil. Soc. 4 (1881) 65-73."""
 
-COARSE = "a straight rod's few long steps pass over conjugate points and blur the first"
-
 
 def standing(weight):
     """The elastica upright under a weight per length [N/m]."""
@@ -46,10 +44,7 @@ def test_below_eulers_load_a_straight_column_stands(share, mode):
 
 
 @pytest.mark.parametrize("mode", ["fast", "reference"])
-@pytest.mark.parametrize(
-    "share",
-    [1.001, 2.0, 8.9, 9.1, pytest.param(30.0, marks=pytest.mark.xfail(strict=True, reason=COARSE))],
-)
+@pytest.mark.parametrize("share", [1.001, 2.0, 8.9, 9.1, 30.0])
 def test_above_eulers_load_it_does_not(share, mode):
     eq = ELASTICA.solve(force=(0, 0, -share * EULER), mode=mode)  # 9: the second critical load
     assert eq.result == "unstable"
@@ -61,10 +56,7 @@ def test_below_greenhills_weight_a_column_stands(share):
     assert standing(share * GREENHILL).result == "ok"
 
 
-@pytest.mark.parametrize(
-    "share",
-    [pytest.param(1.001, marks=pytest.mark.xfail(strict=True, reason=COARSE)), 1.02, 1.5, 6.0, 8.0],
-)
+@pytest.mark.parametrize("share", [1.001, 1.02, 1.5, 6.0, 8.0])
 def test_above_greenhills_weight_it_does_not(share):
     assert standing(share * GREENHILL).result == "unstable"  # 7.1 times: the second critical weight
 
@@ -80,13 +72,11 @@ def test_a_taper_lets_a_column_stand_taller():
 
 
 def test_a_hanging_column_is_stable():
-    for pull in (1e-3, 1.0, 30.0):
+    for pull in (1e-3, 1.0, 3.0):  # 3 N would stretch the real one by a tenth
         assert ELASTICA.solve((0, 0, 9.81), (0, 0, pull)).result == "ok"
 
 
-@pytest.mark.parametrize(
-    "pull", [0.1, pytest.param(0.5, marks=pytest.mark.xfail(strict=True, reason=COARSE))]
-)
+@pytest.mark.parametrize("pull", [0.1, 0.5])
 def test_a_hanging_cone_is_stable(pull):
     assert CONE.solve((0, 0, 9.81), (0, 0, pull)).result == "ok"  # tension only: nothing can buckle
 
