@@ -1,5 +1,6 @@
 """A straight round elastic rod, clamped at s = 0: arrays in, equilibria out."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -147,10 +148,15 @@ class Rod:
         """[force, gravity, tip moment, s_c] for the kernels, checked."""
         load = np.empty(10)
         for start, name, value in ((0, "force", force), (3, "gravity", gravity), (6, "tip_moment", moment)):
-            vector = np.asarray(value, dtype=float)
-            if vector.shape != (3,) or not np.isfinite(vector).all():
+            if np.shape(value) != (3,):
                 raise InputError(f"{name} = {value!r} must be three finite numbers")
-            load[start : start + 3] = vector
+            load[start : start + 3] = value
+            if not (
+                math.isfinite(load[start])
+                and math.isfinite(load[start + 1])
+                and math.isfinite(load[start + 2])
+            ):
+                raise InputError(f"{name} = {value!r} must be three finite numbers")
         s = self.length if s_contact is None else float(s_contact)
         if not 0.0 <= s <= self.length * (1 + 1e-12):  # a fraction of the length may round up
             raise InputError(f"s_contact = {s_contact} must lie in 0 ... {self.length:g} m")
