@@ -1,0 +1,167 @@
+"""The tables of a design file, each checked by itself: what may stand in `[probe]`, `[material]` and so on."""
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from probedesign.design_problems import Inconsistent
+from probedesign.materials import Provenance
+
+Shape = Literal["cone", "cylinder", "profile"]
+MAX_GRAVITY = 30.0
+"""More than this in m/s² [m/s²] is a slip of units: nothing but a centrifuge pulls harder."""
+MAX_PROFILE_POINTS = 64
+
+MIN_DIAMETER_MM, MAX_DIAMETER_MM = 0.3, 60.0
+
+Length = Annotated[float, Field(ge=5.0, le=400.0)]
+Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
+
+
+class Table(BaseModel):
+    """What every table of a design file has in common: no unknown keys, no guessed types, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class ProbeTable(Table):
+    """`[probe]`: the flexible part. All lengths in millimetres."""
+
+    shape: Shape = "cone"
+    length_mm: Length
+    base_d_mm: Diameter
+    tip_d_mm: Diameter | None = None
+    profile_mm: tuple[tuple[float, float], ...] | None = None
+    assumed: tuple[str, ...] = ()
+
+    @field_validator("profile_mm", "assumed", mode="before")
+    @classmethod
+    def _tuples(cls, value: Any) -> Any:
+        return _as_tuple(value)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name in self.assumed:
+            if name not in ("length_mm", "base_d_mm", "tip_d_mm", "profile_mm"):
+                raise Inconsistent("assumed", f"'{name}' is not a dimension of [probe]")
+        match self.shape:
+            case "cone":
+                self._check_cone()
+            case "cylinder":
+                self._check_cylinder()
+            case "profile":
+                self._check_profile()
+        return self
+
+    def _check_cone(self) -> None:
+        if self.profile_mm is not None:
+            raise Inconsistent("profile_mm", 'is only for shape = "profile"; remove it or change the shape')
+        if self.tip_d_mm is None:
+            raise Inconsistent("tip_d_mm", "is missing; a cone needs its tip diameter")
+        if self.tip_d_mm > self.base_d_mm:
+            raise Inconsistent(
+                "tip_d_mm",
+                f"= {self.tip_d_mm!r} is wider than base_d_mm = {self.base_d_mm!r}; a cone tapers to its tip",
+            )
+
+    def _check_cylinder(self) -> None:
+        if self.profile_mm is not None:
+            raise Inconsistent("profile_mm", 'is only for shape = "profile"; remove it or change the shape')
+        if self.tip_d_mm is not None and self.tip_d_mm != self.base_d_mm:
+            raise Inconsistent(
+                "tip_d_mm",
+                f"= {self.tip_d_mm!r} differs from base_d_mm = {self.base_d_mm!r}; "
+                "a cylinder has one diameter: leave it out",
+            )
+
+    def _check_profile(self) -> None:
+        points = self.profile_mm
+        if points is None or not 2 <= len(points) <= MAX_PROFILE_POINTS:
+            raise Inconsistent("profile_mm", f"needs 2 to {MAX_PROFILE_POINTS} pairs [s, diameter]")
+        for i, (s, d) in enumerate(points):
+            if not MIN_DIAMETER_MM <= d <= MAX_DIAMETER_MM:
+                allowed = f"{MIN_DIAMETER_MM:g} ... {MAX_DIAMETER_MM:g} mm"
+                raise Inconsistent("profile_mm", f"pair {i + 1}: diameter {d!r} is outside {allowed}")
+            if i and s <= points[i - 1][0]:
+                raise Inconsistent(
+                    "profile_mm", f"pair {i + 1}: s = {s!r} does not increase after {points[i - 1][0]!r}"
+                )
+        first, last = points[0], points[-1]
+        self._check_equal("s of the first pair", first[0], "0", 0.0)
+        self._check_equal("s of the last pair", last[0], "length_mm", self.length_mm)
+        self._check_equal("the first diameter", first[1], "base_d_mm", self.base_d_mm)
+        if self.tip_d_mm is not None:
+            self._check_equal("the last diameter", last[1], "tip_d_mm", self.tip_d_mm)
+
+    def _check_equal(self, what: str, value: float, name: str, wanted: float) -> None:
+        if value != wanted:
+            raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {name} = {wanted!r}")
+
+    @property
+    def knots_mm(self) -> tuple[tuple[float, float], ...]:
+        """(s, diameter) where the taper may change [mm]."""
+        if self.profile_mm is not None:
+            return self.profile_mm
+        tip = self.base_d_mm if self.tip_d_mm is None else self.tip_d_mm
+        return ((0.0, self.base_d_mm), (self.length_mm, tip))
+
+
+class ProvenanceTable(Table):
+    """`[material.provenance]`: where each number of `[material]` comes from."""
+
+    youngs_modulus_mpa: Provenance = "assumed"
+    shear_modulus_mpa: Provenance = "assumed"
+    density_kg_m3: Provenance = "assumed"
+
+
+class MaterialTable(Table):
+    """`[material]`: a resin by name; numbers given here go before the resin's."""
+
+    resin: str = "elastic-50a"
+    youngs_modulus_mpa: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
+    shear_modulus_mpa: Annotated[float, Field(ge=0.003, le=1e5)] | None = None
+    density_kg_m3: Annotated[float, Field(ge=100.0, le=20000.0)] | None = None
+    shear_coefficient: Annotated[float, Field(ge=0.1, le=1.2)] = 1.0
+    provenance: ProvenanceTable = ProvenanceTable()
+
+
+class SensorTable(Table):
+    """`[sensor]`: which sensor, which calibration, how many samples make one reading."""
+
+    model: str = "nano17"
+    calibration: str = "si-12-0.12"
+    averaging_samples: Annotated[int, Field(ge=1, le=70000)] = 36
+
+
+class MountTable(Table):
+    """`[mount]`: how the probe hangs on the robot."""
+
+    robot_flange: str = "iso-9409-1-50-4-m6"
+    gravity_base_m_s2: tuple[float, float, float] = (9.81, 0.0, 0.0)
+    root_rigid_radii: Annotated[float, Field(ge=0.0, le=2.0)] = 0.12
+
+    @field_validator("gravity_base_m_s2", mode="before")
+    @classmethod
+    def _triple(cls, value: Any) -> Any:
+        return _as_tuple(value)
+
+    @model_validator(mode="after")
+    def _plausible(self) -> Self:
+        if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
+            given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
+            raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
+        return self
+
+
+class PrintTable(Table):
+    """`[print]`: on what the parts are printed."""
+
+    printer: str = "form-3"
+
+
+def _as_tuple(value: Any) -> Any:
+    """A TOML array, and the arrays in it, as tuples; anything else unchanged, for pydantic to refuse."""
+    if not isinstance(value, list):
+        return value
+    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
