@@ -15,7 +15,10 @@ from probedesign.rod.rod import Rod
 STATIONS = 33
 """Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimator)."""
 SCAN_TOLERANCE = 1e-5
-"""Error a step [rad] while scanning: a thousandth of what moves a minimum by a station."""
+"""Error a step [rad] while scanning."""
+REACH = 4
+"""Stations that a minimum may lie away from where the scan saw it: a probe bent by less than a thousandth of a
+radian feels the scan's own errors."""
 _MAX_ITERATIONS = 30
 _CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
 
@@ -76,13 +79,17 @@ def refine(
 def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Equilibrium]:
     """Equilibria at the local minima of the misfit along the probe, best first."""
     stations, misfit, tips = scan(rod, gravity, force, moment)
-    found = []
+    found: list[Equilibrium] = []
     for i in range(len(stations)):
         before = misfit[i - 1] if i else np.inf
         after = misfit[i + 1] if i + 1 < len(stations) else np.inf
         if misfit[i] <= before and misfit[i] <= after:
-            low, high = stations[max(i - 1, 0)], stations[min(i + 1, len(stations) - 1)]
+            low, high = stations[max(i - REACH, 0)], stations[min(i + REACH, len(stations) - 1)]
             eq = refine(rod, gravity, force, moment, stations[i], low, high, tips[i])
-            if eq is not None:
+            if eq is not None and not any(_same_place(eq, other) for other in found):
                 found.append(eq)
     return sorted(found, key=lambda eq: float(((eq.wrench_base[3:6] - moment) ** 2).sum()))
+
+
+def _same_place(a: Equilibrium, b: Equilibrium) -> bool:
+    return bool(abs(a.load[9] - b.load[9]) < 1e-6 * a.body.knots[-1])

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from probedesign.deployment import load_estimator, write_frozen
+from probedesign.design import check_design
+from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
 
 FRACTIONS = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
@@ -46,6 +48,36 @@ def test_without_noise_every_touch_is_found(name, probes, gravity):
         found += 1
     # Soft towards the tip, a probe cannot hold a hard push there; half of the grid and more it can.
     assert found >= 0.5 * len(FRACTIONS) * len(FORCES) * len(ANGLES)
+
+
+SHAPES = {
+    "cylinder": {"shape": "cylinder", "length_mm": 100.0, "base_d_mm": 6.0},
+    "profile that swells": {
+        "shape": "profile",
+        "length_mm": 120.0,
+        "base_d_mm": 10.0,
+        "profile_mm": [[0.0, 10.0], [40.0, 5.0], [80.0, 6.0], [120.0, 2.0]],
+    },
+}
+
+
+@pytest.mark.parametrize("pull", [(9.81, 0, 0), (0, 0, 9.81), (0, 0, -9.81), (5.0, -5.0, -6.0)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_shape_is_located_however_gravity_pulls(shape, pull):
+    """From a bend of a thousandth of a radian, where the scan's own errors show, to a radian and more."""
+    probe = build_probe(check_design({"schema": 1, "name": "shape", "probe": SHAPES[shape]}))
+    estimator = probe.estimator().with_noise(**NEXT_TO_NONE)
+    for fraction in (0.02, 0.3, 0.7, 1.0):
+        s = fraction * probe.length
+        EI = probe.rod.youngs_modulus * math.pi / 4.0 * float(probe.geometry.radius_at(s)) ** 4
+        for bend in (0.05, 1.0):
+            touch = solve_frictionless(probe.rod, pull, s, 0.7, min(bend * EI / s**2, 1.0), "reference")
+            c = estimator.estimate(touch.equilibrium.wrench_base, gravity_base=pull)
+            assert (touch.result, c.result) == ("ok", "ok"), (fraction, bend)
+            assert np.linalg.norm(c.p_contact_base - touch.equilibrium.p_contact_base) <= ASKED, (
+                fraction,
+                bend,
+            )
 
 
 def test_the_example_of_the_contract(large, gravity):
