@@ -10,7 +10,7 @@ import numpy as np
 from probedesign import pipeline
 from probedesign.deployment import load_estimator
 from probedesign.design_file import draft_design, render_design, write_design
-from probedesign.errors import MissingDependencyError
+from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimator.estimator import Estimator
 from probedesign.files import write_atomically
 from probedesign.live.offline import estimate_recording
@@ -50,12 +50,18 @@ class Demo:
         return dict(vars(self))
 
 
-def run_demo(out: Path | None = None, say: Callable[[str], None] = lambda _: None) -> Demo:
+def run_demo(
+    out: Path | None = None, say: Callable[[str], None] = lambda _: None, force: bool = False
+) -> Demo:
     """Design, predict, export (with CadQuery), deploy, simulate a recording, estimate; all into one folder.
 
     Args:
-        out: the folder; exports/demo if None. The demo's own files there are replaced.
+        out: the folder; exports/demo if None.
         say: told each step in a few words.
+        force: replace what stands there, even if it is not what a demo left.
+
+    Raises:
+        InputError: the folder holds an edited design or somebody else's files.
     """
     folder = FOLDER if out is None else out
     made: dict[str, str] = {}
@@ -63,7 +69,10 @@ def run_demo(out: Path | None = None, say: Callable[[str], None] = lambda _: Non
     say("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
     drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
-    write_design(render_design(drafted, notes), design, force=True)
+    text = render_design(drafted, notes)
+    if not force:
+        _check_own(folder, design, text)
+    write_design(text, design, force=True)
     made[str(design)] = "the design: edit it and run the chain again"
     say("predicting what it will feel (the first run compiles the rod, about 20 s)")
     made |= _predicted(design, folder, skipped)
@@ -83,6 +92,18 @@ def run_demo(out: Path | None = None, say: Callable[[str], None] = lambda _: Non
     said = float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2)))
     rms = float(np.sqrt(np.mean(error[ok] ** 2)))
     return Demo(made, tuple(skipped), int(ok.sum()), int(np.isfinite(sweep.true_s_mm).sum()), rms, said)
+
+
+def _check_own(folder: Path, design: Path, text: str) -> None:
+    """A folder is the demo's own if it is new, empty, or holds the demo's design as the demo writes it."""
+    if (
+        folder.is_dir()
+        and any(folder.iterdir())
+        and not (design.is_file() and design.read_text("utf-8") == text)
+    ):
+        raise InputError(
+            f"{folder}: holds files that the demo did not leave like that; --force replaces them, --out goes elsewhere"
+        )
 
 
 def _predicted(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:

@@ -14,6 +14,7 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.files import write_atomically
 from probedesign.frames import Array, is_pose
+from probedesign.geometry import Flange, ProbeGeometry
 from probedesign.mass import MassProperties
 from probedesign.materials import Quantity
 from probedesign.rod.rod import Rod
@@ -47,6 +48,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
             "rigid_length_m": rod.rigid_length,
             "shear_coefficient": rod.shear_coefficient,
         },
+        "flange": {"diameter_m": model.flange.diameter, "thickness_m": model.flange.thickness},
         "material": {
             f"{name}_{_UNITS[name]}": {"value": q.value, "provenance": q.provenance, "source": q.source}
             for name, q in model.material.items()
@@ -125,6 +127,16 @@ def check_manifest(fingerprint: str, manifest: Path) -> None:
         )
 
 
+def check_replaceable(path: Path) -> None:
+    """Refuse to write a frozen probe over a file that is none.
+
+    Raises:
+        InputError: something else stands there.
+    """
+    if path.exists() and (path.is_dir() or _read_json(path, "frozen probe").get("kind") != KIND):
+        raise InputError(f"{path}: is not a frozen probe, so it is not replaced; name another file")
+
+
 def _check_identity(data: dict[str, Any], path: Path) -> None:
     if data.get("kind") != KIND:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
@@ -143,6 +155,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
     model = ProbeModel(
         name=str(data["name"]),
         fingerprint=str(data["fingerprint"]),
+        flange=Flange(*map(float, (data["flange"]["diameter_m"], data["flange"]["thickness_m"]))),
         rod=Rod(
             s=_numbers(rod["s_m"]),
             radius=_numbers(rod["radius_m"]),
@@ -168,6 +181,13 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         material=material,
         assumptions=tuple(data["assumptions"]),
     )
+    geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange)
+    if geometry.fingerprint != model.fingerprint:
+        raise InputError(
+            f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})"
+        )
+    if not (0.0 <= float(model.hanging.mass) < 10.0 and model.averaging_samples >= 1):
+        raise InputError("hanging.mass_kg or sensor.averaging_samples makes no sense")
     if not is_pose(model.T_sensor_base):
         raise InputError("T_sensor_base is not a rigid pose")
     if not (

@@ -42,6 +42,18 @@ class Design(Table):
         return value
 
     @model_validator(mode="after")
+    def _root_fits(self) -> Self:
+        """The rigid root must end on the probe."""
+        rigid = self.mount.root_rigid_radii * self.probe.base_d_mm / 2.0
+        if rigid >= self.probe.length_mm:
+            most = 2.0 * self.probe.length_mm / self.probe.base_d_mm
+            raise Inconsistent(
+                "mount.root_rigid_radii",
+                f"= {self.mount.root_rigid_radii:g} makes {rigid:g} mm rigid, the whole probe; stay below {most:g}",
+            )
+        return self
+
+    @model_validator(mode="after")
     def _known(self) -> Self:
         try:
             _ = self.resin, self.calibration, self.robot_flange, self.printer

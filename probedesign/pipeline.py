@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from probedesign.deployment import check_manifest, write_frozen
+from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
 from probedesign.estimator.estimator import Estimator
 from probedesign.files import write_atomically
@@ -100,6 +100,7 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
     """
     probe = probe_of(design_path)
     path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
+    check_replaceable(path)
     manifest = path.parent / "manifest.json"
     if manifest.exists():
         check_manifest(probe.geometry.fingerprint, manifest)

@@ -82,6 +82,7 @@ class Probe:
         return ProbeModel(
             name=d.name,
             fingerprint=self.geometry.fingerprint,
+            flange=self.geometry.flange,
             rod=self.rod,
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,

@@ -127,7 +127,7 @@ def _draw_error(ax: "Axes", prediction: Prediction) -> None:
     ax.set(yscale="log", xlabel="contact, fraction of the length", ylabel="predicted contact error, RMS [mm]",
            title="Where is the touch? Error of one reading (ends: probe gives way)", xlim=(0, 1.02))  # fmt: skip
     _plain_numbers(ax)
-    ax.legend(title="force", fontsize=8, ncols=2)
+    _legend(ax, title="force", ncols=2)
 
 
 def _draw_detection(ax: "Axes", prediction: Prediction) -> None:
@@ -141,7 +141,7 @@ def _draw_detection(ax: "Axes", prediction: Prediction) -> None:
     ax.set(yscale="log", xlabel="contact, fraction of the length", ylabel="smallest detectable force [mN]",
            title="What is felt at all? One false alarm an hour", xlim=(0, 1.02))  # fmt: skip
     _plain_numbers(ax)
-    ax.legend(fontsize=8)
+    _legend(ax)
 
 
 def _draw_sensitivity(ax: "Axes", prediction: Prediction) -> None:
@@ -170,7 +170,7 @@ def _draw_sensitivity(ax: "Axes", prediction: Prediction) -> None:
     ax.set(yscale="log", xlabel="contact, fraction of the length", ylabel="per millimetre of press",
            title=f"How hard does a millimetre press? (along {direction})", xlim=(0, 1.02))  # fmt: skip
     _plain_numbers(ax)
-    ax.legend(fontsize=8)
+    _legend(ax)
 
 
 def _draw_shapes(ax: "Axes", estimator: Estimator) -> None:
@@ -199,7 +199,13 @@ def _draw_shapes(ax: "Axes", estimator: Estimator) -> None:
     ax.set_aspect("equal", adjustable="datalim")
     ax.invert_yaxis()  # gravity of the horizontal mount points along +x: down
     ax.grid(True, alpha=0.25)
-    ax.legend(fontsize=8)
+    _legend(ax)
+
+
+def _legend(ax: "Axes", **how: Any) -> None:
+    """A legend, if there is anything to name: a probe that cannot stand leaves panels empty."""
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize=8, **how)
 
 
 def _plain_numbers(ax: "Axes") -> None:

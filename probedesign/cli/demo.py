@@ -15,17 +15,19 @@ if TYPE_CHECKING:
 def demo(
     *,
     out: Path | None = None,
+    force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Run the whole chain on a built-in example: design, predict, export, deploy, touch, locate.
 
     Args:
         out: folder for what it makes; by default exports/demo.
+        force: replace what stands there, even if it is not what a demo left.
         as_json: print one JSON document.
     """
     from probedesign.demo import run_demo
 
-    made = run_demo(out, _say)
+    made = run_demo(out, _say, force)
     if as_json:
         print_json(made.as_dict())
     else:
@@ -33,7 +35,8 @@ def demo(
 
 
 def _say(step: str) -> None:
-    print(f"{step} ...", file=sys.stderr, flush=True)
+    if sys.stderr.isatty():
+        print(f"{step} ...", file=sys.stderr, flush=True)
 
 
 def _print(made: "Demo") -> None:

@@ -23,6 +23,7 @@ def estimate(
     force: bool = False,
     tare_s: str | None = None,
     average: int = 1,
+    mend: bool = False,
     manifest: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -38,6 +39,7 @@ def estimate(
         force: replace the file that --out names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the means of so many readings.
+        mend: go on with a recording that has gaps or half a line at its end.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
         as_json: print one JSON document: the rows and all that is to know of them.
     """
@@ -52,7 +54,7 @@ def estimate(
     estimator = load_estimator(bundle, manifest)
     with working("loading the rod kernels"):
         warm_up(estimator, _say)
-    estimates = estimate_recording(estimator, recording, window, average, _progress)
+    estimates = estimate_recording(estimator, recording, window, average, _progress, mend)
     for note in estimates.notes:
         _say(note)
     if out is not None:

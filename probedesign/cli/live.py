@@ -55,11 +55,14 @@ def live(
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
 
-    if record is not None and source.partition("?")[0].removeprefix("replay:") == str(record):
+    replayed = Path(source.partition("?")[0].removeprefix("replay:"))
+    if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
         raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds)
     estimator = load_estimator(bundle, manifest)
+    if record is not None and record.exists() and not force:
+        raise InputError(f"{record}: exists already; --force replaces it, or name another file")
     opened = open_source(source, estimator.model)
     warm_up(estimator, _say)
     _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")

@@ -52,8 +52,8 @@ def run(arguments: list[str]) -> int:
         arguments: without the program's name.
 
     Returns:
-        Exit status: 0 done; 2 a wrong file, option or argument; 130 interrupted; 141 the reader of our
-        output went away; 1 anything else.
+        Exit status: 0 done; 2 a wrong file, option or argument; 1 anything else, such as an interruption or a
+        reader of our output that went away.
     """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal that knows no "±" gets a "?"
@@ -65,10 +65,10 @@ def run(arguments: list[str]) -> int:
     except (CycloptsError, InputError, MissingDependencyError) as error:
         return _fail(str(error), 2)
     except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+        return _fail("interrupted", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains at exit
-        return 141
+        return 1
     except Exception as error:
         return _fail(f"{error} ({type(error).__name__}; {DEBUG}=1 shows where)", 1)
 

@@ -90,7 +90,9 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
     expected = "none" if error is None else f"{error:.2g} mm"
     rows = {
         "mass": f"{document['mass_g']:.3g} g",
-        "sag": f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
+        "sag": "none: it cannot stand as mounted"
+        if document["sag_mm"] is None
+        else f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
         "print": f"{fits} upright in a {document['printer']}",
         "expected error": f"{expected}, {document['expected_error_condition']}",
         "assumed": ", ".join(document["assumptions"]) or "nothing",

@@ -41,12 +41,16 @@ def predict(
 
 
 def _print(prediction: "Prediction") -> None:
-    sag = "the probe cannot stand" if prediction.tip_sag_mm is None else f"{prediction.tip_sag_mm:.3g} mm"
+    sag = (
+        "none: the probe cannot stand as mounted, so nothing below holds"
+        if prediction.tip_sag_mm is None
+        else f"{prediction.tip_sag_mm:.3g} mm at the tip, under gravity as mounted"
+    )
     print(f"{prediction.name}  geometry {prediction.fingerprint}")
     print_table(
         {
             "mass": f"{prediction.mass_g:.3g} g, flexible part",
-            "sag": f"{sag} at the tip, under gravity as mounted",
+            "sag": sag,
             "noise": f"{prediction.noise_force_mN:.3g} mN and {prediction.noise_moment_Nmm:.3g} N·mm "
             "a reading and channel",
             "assumed": ", ".join(prediction.assumptions) or "nothing",

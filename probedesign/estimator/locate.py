@@ -19,7 +19,7 @@ SCAN_TOLERANCE = 1e-5
 REACH = 4
 """Stations that a minimum may lie away from where the scan saw it: a probe bent by less than a thousandth of a
 radian feels the scan's own errors."""
-_MAX_ITERATIONS = 30
+_MAX_ITERATIONS = 60
 _CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
 
 
@@ -50,30 +50,31 @@ def refine(
 ) -> Equilibrium | None:
     """The equilibrium at the nearest least misfit in [low, high], by Gauss-Newton with exact sensitivities.
 
+    A step that overshoots, or that leads where there is no equilibrium (the probe gives way there), is halved.
+
     Returns:
-        The equilibrium with its load columns, or None if none was found.
+        The equilibrium with its load columns; None if none was found, or if the search ended at a bound short
+        of the probe's own ends or at the edge of the equilibria: that is no minimum.
     """
     best: Equilibrium | None = None
-    least = np.inf
+    least, at, step, blocked = np.inf, s, 0.0, False
     for _ in range(_MAX_ITERATIONS):
         eq = rod.solve(gravity, force, s, guess=guess, guess_only=True, columns="load")
-        if not eq.ok or eq.sensitivity is None:
-            return best
         misfit = eq.wrench_base[3:6] - moment
         square = float(misfit @ misfit)
-        if square < least:
-            best, least = eq, square
+        if eq.sensitivity is not None and square < least:
+            best, least, at, blocked, guess = eq, square, s, False, eq.tip_tangent
             a = eq.sensitivity.d_moment[:, 3]
             slope = float(a @ a)
             step = -float(a @ misfit) / slope if slope > 0.0 else 0.0
-            at = s
-        else:  # Gauss-Newton overshot: come half the way back
+        else:
+            blocked = blocked or not eq.ok
             step *= 0.5
-        new = min(max(at + step, low), high)
-        if abs(new - at) <= _CLOSE * rod.length:
-            return best
-        s, guess = new, best.tip_tangent if best is not None else guess
-    return best
+        s = min(max(at + step, low), high)
+        if best is None or abs(s - at) <= _CLOSE * rod.length:
+            break
+    inside = at not in (low, high) or at in (0.0, rod.length) or abs(step) <= _CLOSE * rod.length
+    return best if inside and not blocked else None
 
 
 def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Equilibrium]:
@@ -84,7 +85,8 @@ def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Eq
         before = misfit[i - 1] if i else np.inf
         after = misfit[i + 1] if i + 1 < len(stations) else np.inf
         if misfit[i] <= before and misfit[i] <= after:
-            low, high = stations[max(i - REACH, 0)], stations[min(i + REACH, len(stations) - 1)]
+            reach = REACH * rod.length / (STATIONS - 1)
+            low, high = max(stations[i] - reach, 0.0), min(stations[i] + reach, rod.length)
             eq = refine(rod, gravity, force, moment, stations[i], low, high, tips[i])
             if eq is not None and not any(_same_place(eq, other) for other in found):
                 found.append(eq)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.frames import Array, inverse, wrench_map
+from probedesign.geometry import Flange
 from probedesign.mass import MassProperties
 from probedesign.materials import Quantity
 from probedesign.rod.rod import Rod
@@ -19,6 +20,7 @@ class ProbeModel:
     Attributes:
         name: of the design.
         fingerprint: of the geometry that was printed.
+        flange: the disc below the base, which the fingerprint counts.
         rod: the flexible part from s = 0, clamped.
         gravity_base: gravity in base axes where none is said [m/s²], (3,).
         T_sensor_base: pose of the base in the sensor frame, (4, 4).
@@ -33,6 +35,7 @@ class ProbeModel:
 
     name: str
     fingerprint: str
+    flange: Flange
     rod: Rod
     gravity_base: Array
     T_sensor_base: Array

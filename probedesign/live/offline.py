@@ -81,6 +81,7 @@ def estimate_recording(
     window: Window | None = None,
     samples: int = 1,
     progress: Progress = iter,
+    mend: bool = False,
 ) -> Estimates:
     """Locate the contacts of a recording.
 
@@ -89,6 +90,7 @@ def estimate_recording(
         path: of the recording.
         window: when the probe is free, for the tare; None takes none.
         samples: how many readings are averaged to one.
+        mend: go on with a recording that has gaps or half a line at its end.
         progress: is handed the readings and hands them on one by one.
 
     Raises:
@@ -97,6 +99,8 @@ def estimate_recording(
     if samples < 1:
         raise InputError(f"--average {samples} must be positive")
     recording = read_recording(path)
+    if not mend and (recording.gaps or recording.dropped_lines):
+        raise InputError(f"{path}: {'; '.join(recording.notes)}; --mend goes on without what is missing")
     readings = list(averaged(readings_of(recording, estimator.model), samples))
     if not readings:
         raise InputError(f"{path}: holds {len(recording.time)} readings, fewer than --average {samples}")

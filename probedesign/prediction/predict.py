@@ -140,6 +140,8 @@ def predict(
 
 def predict_touch(estimator: Estimator, fraction: float, force_N: float, direction: str) -> Condition:
     """One condition; see `predict`."""
+    if not estimator.free().ok:  # it cannot even stand
+        return Condition(fraction, force_N, direction, "gives_way")
     contact = _touch(estimator, fraction, force_N, direction)
     if contact.result != "ok":
         return Condition(fraction, force_N, direction, _NO_TOUCH[contact.result])

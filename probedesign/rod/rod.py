@@ -157,7 +157,10 @@ class Rod:
                 and math.isfinite(load[start + 2])
             ):
                 raise InputError(f"{name} = {value!r} must be three finite numbers")
-        s = self.length if s_contact is None else float(s_contact)
+        try:
+            s = self.length if s_contact is None else float(s_contact)
+        except (TypeError, ValueError):
+            raise InputError(f"s_contact = {s_contact!r} must be a number in metres") from None
         if not 0.0 <= s <= self.length * (1 + 1e-12):  # a fraction of the length may round up
             raise InputError(f"s_contact = {s_contact} must lie in 0 ... {self.length:g} m")
         load[9] = min(s, self.length)

@@ -50,6 +50,26 @@ def test_without_noise_every_touch_is_found(name, probes, gravity):
     assert found >= 0.5 * len(FRACTIONS) * len(FORCES) * len(ANGLES)
 
 
+@pytest.mark.parametrize(
+    ("name", "force", "fraction", "angle"),
+    [
+        ("large", 0.1, 0.825, 1.57),
+        ("large", 0.05, 0.93125, 0.0),
+        ("large", 0.05, 0.921875, 3.14),
+        ("large", 0.03, 0.988, 0.0),
+        ("medium", 0.03, 0.95625, 0.0),
+        ("small", 0.05, 0.803125, 0.0),
+    ],
+)
+def test_just_before_the_probe_gives_way_it_is_still_located(name, force, fraction, angle, probes, gravity):
+    """Near the fold the equilibria end between two stations of the scan, and a step may lead off them."""
+    probe = probes[name]
+    touch = solve_frictionless(probe.rod, gravity, fraction * probe.length, angle, force, "reference")
+    c = probe.estimator().estimate(touch.equilibrium.wrench_base, gravity)
+    assert (touch.result, c.result) == ("ok", "ok")
+    assert np.linalg.norm(c.p_contact_base - touch.equilibrium.p_contact_base) <= ASKED
+
+
 SHAPES = {
     "cylinder": {"shape": "cylinder", "length_mm": 100.0, "base_d_mm": 6.0},
     "profile that swells": {
