@@ -27,14 +27,12 @@ class Resin:
         youngs_modulus: E at small strain [Pa].
         shear_modulus: G [Pa]; kept apart from E on purpose (see docs/decisions/0004).
         density: cured [kg/m³].
-        min_diameter: thinnest free-standing round feature worth printing [m].
     """
 
     name: str
     youngs_modulus: Quantity
     shear_modulus: Quantity
     density: Quantity
-    min_diameter: float
 
 
 _PAPER = "paper, section IV: identified on the paper's prints, not on yours"
@@ -44,7 +42,6 @@ ELASTIC_50A = Resin(
     youngs_modulus=Quantity(2.32 * MPA, "assumed", _PAPER),
     shear_modulus=Quantity(0.761 * MPA, "assumed", _PAPER),
     density=Quantity(1010.0, "datasheet", "Formlabs Elastic 50A V1, 1.00-1.02 g/ml"),
-    min_diameter=1.5e-3,
 )
 
 
@@ -55,7 +52,6 @@ def _incompressible(name: str, E_mpa: float, density: float, E_source: str, dens
         youngs_modulus=Quantity(E_mpa * MPA, "assumed", E_source),
         shear_modulus=Quantity(E_mpa * MPA / 3.0, "assumed", "E/3, the incompressible limit"),
         density=Quantity(density, "datasheet", density_source),
-        min_diameter=1.5e-3,
     )
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
-from probedesign.estimator.estimator import Estimator
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
 from probedesign.probe import Probe, build_probe
@@ -106,8 +105,3 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
         check_manifest(probe.geometry.fingerprint, manifest)
     write_frozen(probe.model, path)
     return path
-
-
-def estimator_of(design_path: Path) -> Estimator:
-    """Design → estimator, without the frozen file between."""
-    return probe_of(design_path).estimator()

@@ -1,6 +1,6 @@
 """The force/moment sensor as data: holes, frame, ranges, resolution.
 
-Source of all numbers unless said otherwise: ATI Nano17 drawing 9230-05-1311 and ATI's F/T product page;
+Source of all numbers unless said otherwise: ATI's published Nano17 drawing and specifications;
 a value of weaker standing is marked assumed where it stands.
 """
 

@@ -4,11 +4,7 @@ MM = 1e-3
 """One millimetre [m]."""
 MPA = 1e6
 """One megapascal [Pa]."""
-GRAM = 1e-3
-"""One gram [kg]."""
 MILLINEWTON = 1e-3
 """One millinewton [N]."""
 N_MM = 1e-3
 """One newton millimetre [N·m]."""
-G_STANDARD = 9.81
-"""Acceleration of gravity used by default [m/s²]. Source: the paper's horizontal mount, equation 1."""

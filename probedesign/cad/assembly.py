@@ -23,7 +23,7 @@ from probedesign.units import MM
 IN_SENSOR_FRAME = pose()
 SECTOR_REACH = 40.0 * MM
 """How far out the cable's sector is checked; beyond every part of ours."""
-# Room that the cable's exit takes: width, reach from the axis, height above the mounting face (9230-05-1311).
+# Room that the cable's exit takes: width, reach from the axis, height above the mounting face (ATI's Nano17 drawing).
 CABLE_BLOCK = (3.8 * MM, 11.7 * MM, (0.3 * MM, 4.1 * MM))
 
 

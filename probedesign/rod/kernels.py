@@ -14,7 +14,8 @@ The residual is the base's tangent, which the clamp holds at e_z. Columns of the
 ride along each step, so Jacobian and sensitivities are those of the very numbers computed.
 
 Steps: Verner's 6(5) pair, eight stages, step size by its error estimate. Source: J. H. Verner, SIAM
-J. Numer. Anal. 15 (1978) 772-790, table 5 ('DVERK').
+J. Numer. Anal. 15 (1978) 772-790; the pair known as DVERK.
+Its order conditions are checked in tests/rod/test_order.py.
 
 Everything here works on flat arrays, allocates nothing and calls only this file (numba's cache does not
 see a change in another file).

@@ -161,6 +161,7 @@ def _shoot(rod: Rod, load: PlainLoad, guess: Array, tol: float) -> Array:
     tip = np.array([rod.length])
 
     def misfit(m: Array) -> Array:
+        """What is left at the tip of the moment that should be there, as a share of the load's own."""
         return (integrate(rod, load, m * size, tol, tip)[0, 15:18] - load.tip_moment) / size
 
     found = root(misfit, guess / size, options={"xtol": tol, "eps": 1e-6})
