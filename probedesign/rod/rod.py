@@ -45,6 +45,8 @@ class Rod:
         shear_coefficient: k.
         rigid_length: from s = 0 the rod neither bends nor twists so far [m] (the bonded root).
         inextensible: neither stretches nor shears (Euler's elastica), for comparisons with tables.
+        factors: of A, I_xx, I_yy and J, over those of a full round section of that radius; x and y are the
+            section's axes, the radius is its half-width along x.
     """
 
     s: Array
@@ -55,6 +57,7 @@ class Rod:
     shear_coefficient: float = 1.0
     rigid_length: float = 0.0
     inextensible: bool = False
+    factors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         for name in ("youngs_modulus", "shear_modulus", "shear_coefficient"):
