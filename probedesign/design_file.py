@@ -21,6 +21,9 @@ COMMENTS = {
     "probe.shape": "cone | cylinder | profile",
     "probe.length_mm": "of the flexible part, base to tip",
     "probe.profile_mm": 's, diameter; only for shape = "profile"',
+    "probe.section": "round | hollow | elliptic",
+    "probe.bore_ratio": "inner over outer diameter, all along",
+    "probe.flatness": "diameter along y over that along x; the diameters here are along x",
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
@@ -44,10 +47,20 @@ def default_tip_d_mm(base_d_mm: float) -> float:
     return min(base_d_mm, round(max(base_d_mm / TIP_RATIO, MIN_TIP_D_MM), 1))
 
 
-def default_name(shape: str, length_mm: float, base_d_mm: float, tip_d_mm: float | None) -> str:
-    """A name that carries the parameters [mm], such as `cone-150x12x2` or `cylinder-80x6`."""
+def default_name(
+    shape: str,
+    length_mm: float,
+    base_d_mm: float,
+    tip_d_mm: float | None,
+    section: str = "round",
+    ratio: float | None = None,
+) -> str:
+    """A name that carries the parameters [mm], such as `cone-150x12x2` or `cylinder-80x6-hollow-0.5`."""
     sizes = (length_mm, base_d_mm) if tip_d_mm is None else (length_mm, base_d_mm, tip_d_mm)
-    return f"{shape}-{'x'.join(f'{size:g}' for size in sizes)}".replace("+", "")
+    name = f"{shape}-{'x'.join(f'{size:g}' for size in sizes)}"
+    if section != "round":
+        name += f"-{section}" + ("" if ratio is None else f"-{ratio:g}")
+    return name.replace("+", "")
 
 
 def sensor_keys(choice: str) -> dict[str, str]:
@@ -89,6 +102,9 @@ def draft_design(
     length_mm: float,
     base_d_mm: float,
     tip_d_mm: float | None = None,
+    section: str = "round",
+    bore_ratio: float | None = None,
+    flatness: float | None = None,
     resin: str = "elastic-50a",
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
@@ -101,6 +117,9 @@ def draft_design(
         length_mm: of the flexible part [mm].
         base_d_mm: diameter at the base [mm].
         tip_d_mm: diameter at the tip [mm]; None for the default.
+        section: round, hollow or elliptic.
+        bore_ratio: of a hollow section, inner over outer diameter.
+        flatness: of an elliptic section, its diameter along y over that along x.
         resin: a known resin.
         sensor: a known sensor or calibration.
         robot_flange: a known flange pattern.
@@ -118,10 +137,21 @@ def draft_design(
     if tip_d_mm is None and shape == "cone":
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
-    probe = {"shape": shape, "length_mm": length_mm, "base_d_mm": base_d_mm, "tip_d_mm": tip_d_mm}
+    probe = {
+        "shape": shape,
+        "length_mm": length_mm,
+        "base_d_mm": base_d_mm,
+        "tip_d_mm": tip_d_mm,
+        "section": section,
+        "bore_ratio": bore_ratio,
+        "flatness": flatness,
+    }
+    if name is None:
+        ratio = flatness if bore_ratio is None else bore_ratio
+        name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)
     data = {
         "schema": 1,
-        "name": default_name(shape, length_mm, base_d_mm, tip_d_mm) if name is None else name,
+        "name": name,
         "probe": probe,
         "material": material_keys(material),
         "sensor": sensor_keys(sensor),

@@ -5,10 +5,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from probedesign.cross_section import CrossSection
 from probedesign.design_problems import Inconsistent
 from probedesign.materials import Provenance
 
 Shape = Literal["cone", "cylinder", "profile"]
+Section = Literal["round", "hollow", "elliptic"]
 MAX_GRAVITY = 30.0
 """More than this in m/s² [m/s²] is a slip of units: nothing but a centrifuge pulls harder."""
 MAX_PROFILE_POINTS = 64
@@ -17,6 +19,14 @@ MIN_DIAMETER_MM, MAX_DIAMETER_MM = 0.3, 60.0
 
 Length = Annotated[float, Field(ge=5.0, le=400.0)]
 Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
+BoreRatio = Annotated[float, Field(ge=0.05, le=0.9)]
+Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
+
+SECTION_KEYS = {
+    "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
+    "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
+}
+"""Keys that belong to one section, with it and with what to say when they are missing."""
 
 
 class Table(BaseModel):
@@ -26,13 +36,16 @@ class Table(BaseModel):
 
 
 class ProbeTable(Table):
-    """`[probe]`: the flexible part. All lengths in millimetres."""
+    """`[probe]`: the flexible part. All lengths in millimetres; of an elliptic section, diameters along x."""
 
     shape: Shape = "cone"
     length_mm: Length
     base_d_mm: Diameter
     tip_d_mm: Diameter | None = None
     profile_mm: tuple[tuple[float, float], ...] | None = None
+    section: Section = "round"
+    bore_ratio: BoreRatio | None = None
+    flatness: Flatness | None = None
     assumed: tuple[str, ...] = ()
 
     @field_validator("profile_mm", "assumed", mode="before")
@@ -43,7 +56,7 @@ class ProbeTable(Table):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for name in self.assumed:
-            if name not in ("length_mm", "base_d_mm", "tip_d_mm", "profile_mm"):
+            if name not in ("length_mm", "base_d_mm", "tip_d_mm", "profile_mm", *SECTION_KEYS):
                 raise Inconsistent("assumed", f"'{name}' is not a dimension of [probe]")
         match self.shape:
             case "cone":
@@ -52,6 +65,7 @@ class ProbeTable(Table):
                 self._check_cylinder()
             case "profile":
                 self._check_profile()
+        self._check_section()
         return self
 
     def _check_cone(self) -> None:
@@ -94,6 +108,14 @@ class ProbeTable(Table):
         if self.tip_d_mm is not None:
             self._check_equal("the last diameter", last[1], "tip_d_mm", self.tip_d_mm)
 
+    def _check_section(self) -> None:
+        for key, (section, needed) in SECTION_KEYS.items():
+            given = getattr(self, key) is not None
+            if given and self.section != section:
+                raise Inconsistent(key, f'is only for section = "{section}"; remove it or change the section')
+            if not given and self.section == section:
+                raise Inconsistent(key, f"is missing; {needed}")
+
     def _check_equal(self, what: str, value: float, name: str, wanted: float) -> None:
         if value != wanted:
             raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {name} = {wanted!r}")
@@ -105,6 +127,11 @@ class ProbeTable(Table):
             return self.profile_mm
         tip = self.base_d_mm if self.tip_d_mm is None else self.tip_d_mm
         return ((0.0, self.base_d_mm), (self.length_mm, tip))
+
+    @property
+    def cross_section(self) -> CrossSection:
+        """Its proportions."""
+        return CrossSection(self.bore_ratio or 0.0, self.flatness or 1.0)
 
 
 class ProvenanceTable(Table):
@@ -139,7 +166,7 @@ class MountTable(Table):
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     gravity_base_m_s2: tuple[float, float, float] = (9.81, 0.0, 0.0)
-    root_rigid_radii: Annotated[float, Field(ge=0.0, le=2.0)] = 0.12
+    root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
 
     @field_validator("gravity_base_m_s2", mode="before")
     @classmethod

@@ -1,4 +1,4 @@
-"""The one geometry that CAD and mechanics both read: a straight round body, radius piecewise linear in s."""
+"""The one geometry that CAD and mechanics both read: a straight body, radius piecewise linear in s."""
 
 import hashlib
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.frames import Array
 from probedesign.units import MM
 
@@ -31,17 +32,20 @@ class Flange:
 class ProbeGeometry:
     """Shape of a probe in the base frame, undeformed.
 
-    The flexible part is a stack of cone frusta between the knots; the flange hangs below z = 0.
+    The flexible part is a stack of frusta between the knots; the flange hangs below z = 0. A bore runs
+    through both.
 
     Attributes:
         s: knots along the axis, 0 ... length [m], (K,), increasing.
-        radius: at the knots [m], (K,), positive.
+        radius: at the knots [m], (K,), positive; of a flattened probe along x.
         flange: the disc that the adapter holds.
+        cross_section: full and round, hollow or flattened.
     """
 
     s: Array
     radius: Array
     flange: Flange
+    cross_section: CrossSection = FULL_ROUND
 
     @property
     def length(self) -> float:
@@ -58,6 +62,17 @@ class ProbeGeometry:
         """At s = length [m]."""
         return float(self.radius[-1])
 
+    @property
+    def bore_radius(self) -> float:
+        """Of the hole through the flange, and of a hollow probe at s = 0 [m]; 0 without a bore."""
+        return self.cross_section.bore_ratio * self.base_radius
+
+    @property
+    def thinnest(self) -> float:
+        """The least thickness that must print: a wall of a hollow probe, else a diameter [m]."""
+        section, radius = self.cross_section, float(self.radius.min())
+        return (1.0 - section.bore_ratio) * radius if section.hollow else 2.0 * section.flatness * radius
+
     def radius_at(self, s: ArrayLike) -> Array:
         """Radius [m] at arclength s [m], any shape."""
         radius: Array = np.interp(np.asarray(s, dtype=float), self.s, self.radius)
@@ -65,8 +80,13 @@ class ProbeGeometry:
 
     @property
     def fingerprint(self) -> str:
-        """Twelve hex digits that stand for this geometry: SHA-256 of its dimensions rounded to a nanometre."""
+        """Twelve hex digits that stand for this geometry: SHA-256 of its dimensions rounded to a nanometre.
+
+        The proportions of the section count where it is not full and round, rounded to 1e-9.
+        """
         dimensions = [*self.s, *self.radius, self.flange.diameter, self.flange.thickness]
+        section = self.cross_section
+        dimensions += [] if section.full_round else [section.bore_ratio, section.flatness]
         text = " ".join(str(round(d * 1e9)) for d in dimensions)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
@@ -88,4 +108,6 @@ def build_geometry(design: "Design") -> ProbeGeometry:
     """The geometry that a design describes, in SI."""
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0
-    return ProbeGeometry(knots[:, 0], radius, flange_for(2.0 * float(radius[0])))
+    return ProbeGeometry(
+        knots[:, 0], radius, flange_for(2.0 * float(radius[0])), design.probe.cross_section
+    )  # fmt: skip

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.frames import Array, skew
 from probedesign.geometry import ProbeGeometry
 
@@ -55,34 +56,40 @@ def combined(bodies: Iterable[MassProperties]) -> MassProperties:
     return MassProperties(sum(b.volume for b in bodies), mass, p_com, inertia)
 
 
-def frustum(r1: float, r2: float, height: float, z: float, density: float) -> MassProperties:
-    """A solid cone frustum on the z axis, radius r1 at z and r2 at z + height [m], density [kg/m³].
+def frustum(
+    r1: float, r2: float, height: float, z: float, density: float, section: CrossSection = FULL_ROUND
+) -> MassProperties:
+    """A cone frustum on the z axis, radius r1 at z and r2 at z + height [m], density [kg/m³].
 
-    V = π h (r1² + r1 r2 + r2²)/3; z̄ = h (r1² + 2 r1 r2 + 3 r2²)/(4 (r1² + r1 r2 + r2²));
+    Full and round: V = π h (r1² + r1 r2 + r2²)/3; z̄ = h (r1² + 2 r1 r2 + 3 r2²)/(4 (r1² + r1 r2 + r2²));
     ∫r⁴ = h (r1⁴ + r1³r2 + r1²r2² + r1r2³ + r2⁴)/5; ∫z² dV = π h³ (r1² + 3 r1 r2 + 6 r2²)/30.
+
+    Of another section, which is everywhere similar to itself, each integral over a slice is its factor of that.
 
     Source: integration of a linear radius; agrees with any table of solids for r1 = r2 and r2 = 0.
     """
+    of = section.factors
     q = r1 * r1 + r1 * r2 + r2 * r2
-    volume = np.pi * height * q / 3.0
+    volume = of.area * np.pi * height * q / 3.0
     z_com = height * (r1 * r1 + 2 * r1 * r2 + 3 * r2 * r2) / (4.0 * q)
     r4 = height * (r1**4 + r1**3 * r2 + r1**2 * r2**2 + r1 * r2**3 + r2**4) / 5.0
-    axial = density * np.pi / 2.0 * r4
-    z2 = density * np.pi * height**3 * (r1 * r1 + 3 * r1 * r2 + 6 * r2 * r2) / 30.0
+    y2, x2 = (factor * density * np.pi / 4.0 * r4 for factor in (of.xx, of.yy))
+    z2 = of.area * density * np.pi * height**3 * (r1 * r1 + 3 * r1 * r2 + 6 * r2 * r2) / 30.0
     mass = density * volume
-    lateral = axial / 2.0 + z2 - mass * z_com**2
-    return MassProperties(
-        volume, mass, np.array([0.0, 0.0, z + z_com]), np.diag([lateral, lateral, axial])
-    )  # fmt: skip
+    z2_com = z2 - mass * z_com**2
+    inertia = np.diag([y2 + z2_com, x2 + z2_com, x2 + y2])
+    return MassProperties(volume, mass, np.array([0.0, 0.0, z + z_com]), inertia)
 
 
 def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
     """The body from s = 0 to the tip, undeformed, in the base frame; density [kg/m³]."""
-    s, r = geometry.s, geometry.radius
-    return combined(frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density) for i in range(len(s) - 1))
+    s, r, section = geometry.s, geometry.radius, geometry.cross_section
+    return combined(
+        frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density, section) for i in range(len(s) - 1)
+    )  # fmt: skip
 
 
 def flange_part(geometry: ProbeGeometry, density: float) -> MassProperties:
-    """The flange disc below the base, in the base frame; density [kg/m³]."""
+    """The flange disc below the base with the bore of a hollow probe, in the base frame; density [kg/m³]."""
     r, t = geometry.flange.diameter / 2.0, geometry.flange.thickness
-    return frustum(r, r, t, -t, density)
+    return frustum(r, r, t, -t, density, CrossSection(bore_ratio=geometry.bore_radius / r))

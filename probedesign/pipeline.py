@@ -18,6 +18,7 @@ from probedesign.design import Design, load_design
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
 from probedesign.probe import Probe, build_probe
+from probedesign.units import MM
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -37,7 +38,7 @@ def summary(design: Design) -> dict[str, Any]:
     """What to expect of a design, in a few numbers.
 
     Returns:
-        mass_g, sag_mm, fits_upright, printer, expected_error_mm, expected_error_condition, assumptions.
+        mass_g, sag_mm, thinnest_mm, fits_upright, printer, expected_error_mm, expected_error_condition, assumptions.
     """
     probe = build_probe(design)
     estimator = probe.estimator()
@@ -47,6 +48,7 @@ def summary(design: Design) -> dict[str, Any]:
     return {
         "mass_g": 1e3 * probe.mass,
         "sag_mm": tip_sag_mm(estimator),
+        "thinnest_mm": probe.geometry.thinnest / MM,
         "fits_upright": design.printer.fits_upright(flange.diameter, probe.length + flange.thickness),
         "printer": design.print_.printer,
         "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,

@@ -141,6 +141,7 @@ def workplace(tmp_path, monkeypatch):
         return {
             "mass_g": 6.822,
             "sag_mm": 12.3,
+            "thinnest_mm": 2.0,
             "fits_upright": design.probe.length_mm < 185,
             "printer": design.print_.printer,
             "expected_error_mm": float("inf"),
@@ -164,7 +165,7 @@ def test_new_writes_the_file_and_says_what_to_expect(workplace, capsys):
         "designs/cone-150x12x2.5.toml",
         "6.82 g",
         "12.3 mm",
-        "fits upright in a form-3",
+        "fits upright in a form-3; 2 mm at its thinnest",
         "0.8 of the length",
     ):
         assert piece in out
@@ -197,6 +198,15 @@ def test_new_takes_every_option(workplace):
 
 
 @pytest.mark.parametrize(
+    ("section", "key", "ratio"), [("hollow", "bore_ratio", 0.4), ("elliptic", "flatness", 0.6)]
+)
+def test_new_takes_every_section(workplace, section, key, ratio):
+    assert run([*NEW, "--section", section, f"--{key.replace('_', '-')}", str(ratio)]) == 0
+    design = load_design(f"designs/cone-150x12x2-{section}-{ratio}.toml")
+    assert (design.probe.section, getattr(design.probe, key)) == (section, ratio)
+
+
+@pytest.mark.parametrize(
     ("options", "told"),
     [
         (["--length", "-5"], "--length = -5.0 is out of range; allowed is 5 ... 400"),
@@ -210,6 +220,11 @@ def test_new_takes_every_option(workplace):
         (["--tip-d", "14"], "--tip-d = 14.0 is wider than --base-d = 12.0"),
         (["--tip-d", "3", "--shape", "cylinder"], "--tip-d = 3.0 differs from --base-d = 12.0"),
         (["--shape", "ball"], "--shape"),
+        (["--section", "square"], "--section"),
+        (["--section", "hollow"], "--bore-ratio is missing; a hollow section needs"),
+        (["--section", "hollow", "--bore-ratio", "1"], "--bore-ratio = 1.0 is out of range; allowed is 0.05"),
+        (["--flatness", "0.5"], '--flatness is only for --section = "elliptic"'),
+        (["--section", "elliptic", "--flatness", "nan"], "--flatness = nan is not a finite number"),
         (["--resin", "jelly"], "--resin: unknown 'jelly'; known: elastic-50a"),
         (["--sensor", "mini40"], "--sensor: unknown 'mini40'; known: nano17, si-12-0.12"),
         (["--robot-flange", "x"], "--robot-flange: unknown 'x'"),

@@ -133,6 +133,15 @@ def test_an_endless_integer(digits):
         ('shape = "cone"', 'shape = "ball"', "'cone', 'cylinder' or 'profile'"),
         ("tip_d_mm = 2.0", "tip_d_mm = 2.0\nprofile_mm = [[0, 12], [150, 2]]", "is only for shape"),
         ('["tip_d_mm"]', '["tip"]', "'tip' is not a dimension"),
+        ("assumed", 'section = "square"\nassumed', "'round', 'hollow' or 'elliptic'"),
+        ("assumed", 'section = "hollow"\nassumed', "probe.bore_ratio is missing; a hollow section needs"),
+        ("assumed", 'section = "elliptic"\nassumed', "probe.flatness is missing; an elliptic section needs"),
+        ("assumed", "bore_ratio = 0.5\nassumed", 'bore_ratio is only for section = "hollow"'),
+        ("assumed", 'section = "hollow"\nbore_ratio = 0.5\nflatness = 0.5\nassumed', "flatness is only for"),
+        ("assumed", 'section = "hollow"\nbore_ratio = 0.95\nassumed', "allowed is 0.05 ... 0.9"),
+        ("assumed", 'section = "hollow"\nbore_ratio = nan\nassumed', "bore_ratio = nan is not a finite"),
+        ("assumed", 'section = "elliptic"\nflatness = 1.5\nassumed', "allowed is 0.2 ... 1"),
+        ("assumed", 'section = "elliptic"\nflatnes = 0.5\nassumed', "did you mean 'probe.flatness'"),
         ('"elastic-50a"', '"elastic-50b"', "known: elastic-50a"),
         ('"identified"', '"guessed"', "'assumed', 'datasheet' or 'identified'"),
         ('"nano17"', '"nano43"', "known: nano17"),
@@ -280,6 +289,26 @@ def test_any_valid_parameters_read_back(shape, length, base, taper, resin, senso
     assert tip is None or design.probe.tip_d_mm == tip
 
 
+@given(
+    section=st.sampled_from([("hollow", "bore_ratio", 0.05, 0.9), ("elliptic", "flatness", 0.2, 1.0)]),
+    share=st.floats(0.0, 1.0),
+)
+def test_any_section_reads_back(section, share):
+    kind, key, low, high = section
+    ratio = min(high, low + share * (high - low))
+    design, notes = draft_design(
+        None, shape="cone", length_mm=150.0, base_d_mm=12.0, section=kind, **{key: ratio}
+    )
+    assert parse_design(render_design(design, notes)) == design
+    assert getattr(design.probe.cross_section, key) == ratio
+    assert kind in design.name  # so that it does not take the round probe's name
+
+
+def test_a_file_without_a_section_is_round():
+    assert parse_design(PLAIN).probe.cross_section.full_round
+    assert "section" not in PLAIN
+
+
 @given(st.lists(st.tuples(st.floats(0.01, 0.99), st.floats(0.3, 60.0)), max_size=6, unique_by=lambda p: p[0]))
 def test_any_profile_reads_back(inner):
     profile = [[0.0, 12.0], *([150.0 * f, d] for f, d in sorted(inner)), [150.0, 2.0]]
@@ -364,6 +393,7 @@ def test_a_default_tip_is_always_allowed(base):
 def test_default_names_carry_the_parameters():
     assert default_name("cone", 150.0, 12.0, 2.0) == "cone-150x12x2"
     assert default_name("cylinder", 80.5, 6.0, None) == "cylinder-80.5x6"
+    assert default_name("cone", 150.0, 12.0, 2.0, "hollow", 0.5) == "cone-150x12x2-hollow-0.5"
 
 
 def test_a_sensor_by_model_or_calibration():

@@ -7,15 +7,19 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.geometry import FLANGE_MIN_D, ProbeGeometry, build_geometry, flange_for
-from probedesign.section import area, polar_moment, second_moment
+from probedesign.section import area, second_moment_xx, second_moment_yy, torsion_constant
 
 EXACT = 1e-12
 """Relative: a handful of roundings of double precision."""
 
 
-def geometry_of(shape="cone", length=150.0, base=12.0, tip=2.0, profile=None) -> ProbeGeometry:
+def geometry_of(
+    shape="cone", length=150.0, base=12.0, tip=2.0, profile=None, bore_ratio=None, flatness=None
+) -> ProbeGeometry:
     """Geometry of a probe by its dimensions [mm]."""
     probe = {"shape": shape, "length_mm": length, "base_d_mm": base, "tip_d_mm": tip, "profile_mm": profile}
+    probe["section"] = "hollow" if bore_ratio else "elliptic" if flatness else "round"
+    probe |= {"bore_ratio": bore_ratio, "flatness": flatness}
     return build_geometry(check_design({"schema": 1, "name": "g", "probe": probe}))
 
 
@@ -42,9 +46,45 @@ def test_section_properties_of_a_round_section():
     """A = π d²/4, I = π d⁴/64, J = π d⁴/32: any table of sections."""
     cone, s = geometry_of(), np.linspace(0.0, 0.15, 5)
     d = 2.0 * cone.radius_at(s)
-    assert area(cone, s) == pytest.approx(math.pi * d**2 / 4, rel=EXACT)
-    assert second_moment(cone, s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT)
-    assert polar_moment(cone, s) == pytest.approx(math.pi * d**4 / 32, rel=EXACT)
+    assert area(cone, s) == pytest.approx(math.pi * d**2 / 4, rel=EXACT, abs=0)
+    assert second_moment_xx(cone, s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
+    assert second_moment_yy(cone, s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
+    assert torsion_constant(cone, s) == pytest.approx(math.pi * d**4 / 32, rel=EXACT, abs=0)
+
+
+def test_section_properties_of_a_hollow_section():
+    """A = π (D² - d²)/4, I = π (D⁴ - d⁴)/64, J = 2 I: any table of sections."""
+    tube, s = geometry_of(bore_ratio=0.6), np.linspace(0.0, 0.15, 5)
+    D = 2.0 * tube.radius_at(s)
+    d = 0.6 * D
+    assert area(tube, s) == pytest.approx(math.pi * (D**2 - d**2) / 4, rel=EXACT, abs=0)
+    for moment in (second_moment_xx, second_moment_yy):
+        assert moment(tube, s) == pytest.approx(math.pi * (D**4 - d**4) / 64, rel=EXACT, abs=0)
+    assert torsion_constant(tube, s) == pytest.approx(math.pi * (D**4 - d**4) / 32, rel=EXACT, abs=0)
+
+
+def test_section_properties_of_an_ellipse():
+    """A = π a b, I_xx = π a b³/4, I_yy = π a³ b/4, J = π a³ b³/(a² + b²): any table of sections."""
+    blade, s = geometry_of(flatness=0.5), np.linspace(0.0, 0.15, 5)
+    a = blade.radius_at(s)
+    b = 0.5 * a
+    assert area(blade, s) == pytest.approx(math.pi * a * b, rel=EXACT, abs=0)
+    assert second_moment_xx(blade, s) == pytest.approx(math.pi * a * b**3 / 4, rel=EXACT, abs=0)
+    assert second_moment_yy(blade, s) == pytest.approx(math.pi * a**3 * b / 4, rel=EXACT, abs=0)
+    assert torsion_constant(blade, s) == pytest.approx(
+        math.pi * a**3 * b**3 / (a**2 + b**2), rel=EXACT, abs=0
+    )
+
+
+def test_what_is_thinnest_is_a_wall_or_a_diameter():
+    assert geometry_of().thinnest == pytest.approx(2e-3, rel=EXACT)
+    assert geometry_of(bore_ratio=0.6).thinnest == pytest.approx(0.4e-3, rel=EXACT)
+    assert geometry_of(flatness=0.5).thinnest == pytest.approx(1e-3, rel=EXACT)
+
+
+def test_the_bore_leaves_through_the_flange():
+    assert geometry_of().bore_radius == 0.0
+    assert geometry_of(bore_ratio=0.6).bore_radius == pytest.approx(3.6e-3, rel=EXACT)
 
 
 def test_fingerprint_stands_for_the_dimensions_alone():
@@ -59,6 +99,17 @@ def test_fingerprint_stands_for_the_dimensions_alone():
 )
 def test_fingerprint_sees_a_hundredth_of_a_millimetre(change):
     assert geometry_of(**change).fingerprint != geometry_of().fingerprint
+
+
+def test_fingerprint_of_a_round_probe_never_changes():
+    """Printed and frozen probes carry it: that of the large probe, as written before there were other sections."""
+    assert geometry_of().fingerprint == "dbfe02e41516"
+    assert geometry_of(flatness=1.0).fingerprint == "dbfe02e41516"  # it is the same body
+
+
+def test_fingerprint_sees_the_section():
+    sections = [{}, *({key: value} for key in ("bore_ratio", "flatness") for value in (0.5, 0.501))]
+    assert len({geometry_of(**section).fingerprint for section in sections}) == len(sections)
 
 
 def test_flange_carries_the_probe_and_covers_the_sensor():

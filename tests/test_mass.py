@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
+from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.frames import pose, wrench_map
 from probedesign.geometry import Flange, ProbeGeometry
 from probedesign.mass import NOTHING, MassProperties, combined, flange_part, flexible_part, frustum
@@ -23,10 +24,10 @@ radii = st.floats(1e-4, 0.03)
 heights = st.floats(1e-3, 0.4)
 
 
-def body(*knots_mm: tuple[float, float]) -> ProbeGeometry:
+def body(*knots_mm: tuple[float, float], section: CrossSection = FULL_ROUND) -> ProbeGeometry:
     """A geometry by its (s, radius) [mm]."""
     s, r = np.array(knots_mm).T * 1e-3
-    return ProbeGeometry(s, r, Flange(0.02, 0.003))
+    return ProbeGeometry(s, r, Flange(0.02, 0.003), section)
 
 
 def by_quadrature(geometry: ProbeGeometry) -> MassProperties:
@@ -97,6 +98,47 @@ def test_the_large_probe_weighs_what_its_volume_says():
 )
 def test_any_profile_against_quadrature(geometry):
     assert_same(flexible_part(geometry, DENSITY), by_quadrature(geometry), 10 * QUADRATURE)
+
+
+@pytest.mark.parametrize("flatness", [0.2, 0.6, 0.999])
+def test_a_flattened_profile_against_quadrature(flatness):
+    """A stack of ellipses of semi-axes a and b: A = π a b, ∫y² = π a b³/4, ∫x² = π a³ b/4."""
+    section = CrossSection(flatness=flatness)
+    geometry = body((0.0, 6.0), (20.0, 2.0), (60.0, 2.0), (90.0, 3.5), (150.0, 1.0), section=section)
+
+    def along(f) -> float:
+        pieces = zip(geometry.s[:-1], geometry.s[1:], strict=True)
+        return sum(quad(f, z0, z1, epsrel=QUADRATURE, epsabs=0)[0] for z0, z1 in pieces)
+
+    def ab(z: float) -> tuple[float, float]:
+        a = float(geometry.radius_at(z))
+        return a, flatness * a
+
+    volume = along(lambda z: math.pi * math.prod(ab(z)))
+    z_com = along(lambda z: math.pi * math.prod(ab(z)) * z) / volume
+    y2 = along(lambda z: math.pi / 4 * ab(z)[0] * ab(z)[1] ** 3)
+    x2 = along(lambda z: math.pi / 4 * ab(z)[0] ** 3 * ab(z)[1])
+    z2 = along(lambda z: math.pi * math.prod(ab(z)) * (z - z_com) ** 2)
+    inertia = DENSITY * np.diag([y2 + z2, x2 + z2, x2 + y2])
+    wanted = MassProperties(volume, DENSITY * volume, np.array([0.0, 0.0, z_com]), inertia)
+    assert_same(flexible_part(geometry, DENSITY), wanted, 10 * QUADRATURE)
+
+
+@given(radii, radii, heights, st.floats(0.05, 0.9))
+def test_a_hollow_frustum_and_its_core_are_the_full_one(r1, r2, height, bore_ratio):
+    tube = frustum(r1, r2, height, 0.0, DENSITY, CrossSection(bore_ratio=bore_ratio))
+    core = frustum(bore_ratio * r1, bore_ratio * r2, height, 0.0, DENSITY)
+    assert_same(combined([tube, core]), frustum(r1, r2, height, 0.0, DENSITY), EXACT)
+
+
+def test_an_elliptic_cylinder_as_in_the_textbook():
+    """m = ρ π a b h; I_x = m (3 b² + h²)/12, I_y = m (3 a² + h²)/12, I_z = m (a² + b²)/4."""
+    a, b, h = 0.006, 0.0024, 0.1
+    m = DENSITY * math.pi * a * b * h
+    lateral_x, lateral_y = m * (3 * b**2 + h**2) / 12, m * (3 * a**2 + h**2) / 12
+    inertia = np.diag([lateral_x, lateral_y, m * (a**2 + b**2) / 4])
+    wanted = MassProperties(m / DENSITY, m, np.array([0, 0, h / 2]), inertia)
+    assert_same(frustum(a, a, h, 0.0, DENSITY, CrossSection(flatness=b / a)), wanted, EXACT)
 
 
 @given(radii, radii, heights, st.floats(0.05, 0.95))
@@ -185,3 +227,12 @@ def test_the_flange_hangs_below_the_base():
     assert flange.p_com[2] == pytest.approx(-geometry.flange.thickness / 2, rel=EXACT)
     volume = math.pi / 4 * geometry.flange.diameter**2 * geometry.flange.thickness
     assert flange.volume == pytest.approx(volume, rel=EXACT)
+
+
+def test_the_flange_has_the_bore_of_a_hollow_probe():
+    """As wide as at s = 0 down to the underside; a flattened probe stands on a whole round flange."""
+    knots = ((0.0, 6.0), (150.0, 1.0))
+    whole = flange_part(body(*knots), DENSITY)
+    holed = flange_part(body(*knots, section=CrossSection(bore_ratio=0.5)), DENSITY)
+    assert_same(combined([holed, frustum(0.003, 0.003, 0.003, -0.003, DENSITY)]), whole, EXACT)
+    assert_same(flange_part(body(*knots, section=CrossSection(flatness=0.5)), DENSITY), whole, EXACT)

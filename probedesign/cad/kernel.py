@@ -8,7 +8,11 @@ from OCP.BRep import BRep_Tool
 from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
 from OCP.BRepGProp import BRepGProp
 from OCP.BRepTools import BRepTools
+from OCP.Geom import Geom_BezierCurve
+from OCP.gp import gp_Pnt
 from OCP.GProp import GProp_GProps
+from OCP.TColgp import TColgp_Array1OfPnt
+from OCP.TColStd import TColStd_Array1OfReal
 
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
@@ -16,11 +20,40 @@ from probedesign.mass import MassProperties
 from probedesign.mounting.prism import Point
 from probedesign.units import MM
 
+ARCS = 8
+"""Pieces of an ellipse. The kernel's quadrature of an eighth is good to 1e-14, of a quarter to 1e-8 only."""
+
 
 def revolved(outline: Sequence[Point]) -> cq.Solid:
     """A closed polygon of (radius, z) [m], two of its corners on the axis, turned about z."""
     corners = [(r / MM, z / MM) for r, z in outline]
     return single(cq.Workplane("XZ").polyline(corners).close().revolve(360, (0, 0), (0, 1)).val())
+
+
+def frusta(taper: Sequence[Point], flatness: float = 1.0) -> cq.Solid:
+    """Ruled between ellipses of half-width r along x and `flatness` r along y, at the (r, z) of a taper [m]."""
+    rings = [_ellipse(r / MM, flatness * r / MM, z / MM) for r, z in taper]
+    return single(cq.Solid.makeLoft(rings, ruled=True))
+
+
+def _ellipse(a: float, b: float, z: float) -> cq.Wire:
+    """About the z axis, semi-axes a and b, all in [mm].
+
+    Of rational arcs, which are ellipses exactly: the kernel's own ellipses become polynomials, 1e-9 off,
+    when it spans a face between two.
+    """
+    ends = np.linspace(0.0, 2.0 * np.pi, ARCS + 1)
+    return cq.Wire.assembleEdges([_arc(a, b, z, *ends[i : i + 2]) for i in range(ARCS)])
+
+
+def _arc(a: float, b: float, z: float, start: float, end: float) -> cq.Edge:
+    """From angle `start` to `end` [rad] of the circle that was squeezed to the ellipse."""
+    middle, weight = (start + end) / 2.0, np.cos((end - start) / 2.0)
+    points, weights = TColgp_Array1OfPnt(1, 3), TColStd_Array1OfReal(1, 3)
+    for i, (angle, w) in enumerate([(start, 1.0), (middle, weight), (end, 1.0)], 1):
+        points.SetValue(i, gp_Pnt(a * np.cos(angle) / w, b * np.sin(angle) / w, z))
+        weights.SetValue(i, w)
+    return cq.Edge(BRepBuilderAPI_MakeEdge(Geom_BezierCurve(points, weights)).Edge())
 
 
 def cylinder(d: float, z0: float, z1: float, p: Point = (0.0, 0.0)) -> cq.Solid:
@@ -77,7 +110,7 @@ def mass_of(shape: cq.Shape, density: float) -> MassProperties:
     return MassProperties(volume, density * volume, p_com, density * inertia * MM**5)
 
 
-def section_of(solid: cq.Solid, z: float) -> tuple[float, Array]:
+def section_of(solid: cq.Solid, z: float) -> tuple[float, float, float]:
     """Area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m]."""
     box = solid.BoundingBox()
     width = 4.0 * max(box.xmax - box.xmin, box.ymax - box.ymin)
@@ -87,17 +120,23 @@ def section_of(solid: cq.Solid, z: float) -> tuple[float, Array]:
     gprops = GProp_GProps()
     BRepGProp.SurfaceProperties_s(cut.wrapped, gprops)
     matrix = gprops.MatrixOfInertia()
-    return gprops.Mass() * MM**2, np.array([matrix.Value(1, 1), matrix.Value(2, 2)]) * MM**4
+    return gprops.Mass() * MM**2, matrix.Value(1, 1) * MM**4, matrix.Value(2, 2) * MM**4
 
 
 def _iso_cut(solid: cq.Solid, z: float) -> cq.Face:
-    """The cut at height z [mm] through a single ruled face, along the face's own coordinate line.
+    """The cut at height z [mm] through ruled faces, along the faces' own coordinate lines.
 
     A plane's cut through a cone of less than about 0.02° is not a circle to the kernel but a curve fitted
-    to 1e-5; the coordinate line is exact.
+    to 1e-5, and through an elliptic face it is always fitted; the coordinate lines are exact.
     """
     boxes = ((face, face.BoundingBox()) for face in solid.Faces())
-    (face,) = (face for face, box in boxes if box.zmin < z < box.zmax)
+    lines = [_iso_line(face, z) for face, box in boxes if box.zmin < z < box.zmax]
+    inside_out = sorted(cq.Wire.combine(lines), key=lambda wire: wire.BoundingBox().DiagonalLength)
+    return cq.Face.makeFromWires(inside_out[-1], inside_out[:-1])
+
+
+def _iso_line(face: cq.Face, z: float) -> cq.Edge:
+    """The coordinate line at height z [mm] of a face that is ruled about the axis."""
     surface = BRep_Tool.Surface_s(face.wrapped)
     u, _, v0, v1 = BRepTools.UVBounds_s(face.wrapped)
     z0, z1 = (surface.Value(u, v).Z() for v in (v0, v1))
@@ -105,7 +144,7 @@ def _iso_cut(solid: cq.Solid, z: float) -> cq.Face:
     edge = cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge())
     if max(abs(edge.positionAt(t).z - z) for t in (0.0, 0.25, 0.5, 0.75)) > 1e-9:
         raise CheckFailedError(f"the face at z = {z:g} mm is not ruled about the axis")
-    return cq.Face.makeFromWires(cq.Wire.assembleEdges([edge]))
+    return edge
 
 
 def _vector(p: Point, z: float) -> cq.Vector:

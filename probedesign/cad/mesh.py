@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from OCP.BRepMesh import BRepMesh_IncrementalMesh
+from OCP.IMeshTools import IMeshTools_Parameters
 
 from probedesign.units import MM
 
@@ -46,7 +47,11 @@ class Mesh:
 def mesh_of(shape: cq.Shape) -> Mesh:
     """Triangles of a solid, the same ones on every run."""
     fresh = shape.copy()  # a copy carries no coarser mesh from earlier use
-    BRepMesh_IncrementalMesh(fresh.wrapped, LINEAR_TOLERANCE_MM, False, ANGULAR_TOLERANCE_RAD, False)
+    wanted = IMeshTools_Parameters()
+    wanted.Deflection, wanted.Angle = LINEAR_TOLERANCE_MM, ANGULAR_TOLERANCE_RAD
+    # Between rulings a facet is as good as its edge; looking inside takes a minute on a flattened probe.
+    wanted.ControlSurfaceDeflection = False
+    BRepMesh_IncrementalMesh(fresh.wrapped, wanted)
     points, corners = fresh.tessellate(LINEAR_TOLERANCE_MM, ANGULAR_TOLERANCE_RAD)
     return _welded(np.array([p.toTuple() for p in points], dtype=np.float32), np.array(corners))
 

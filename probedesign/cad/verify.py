@@ -87,16 +87,17 @@ def _same_body(name: str, drawn: MassProperties, formula: MassProperties) -> Fin
 
 def _sections(drawing: Drawing) -> Findings:
     geometry, solid = drawing.geometry, drawing.parts["probe"].shape
-    area_error, moment_error = 0.0, 0.0
-    for s in _stations(geometry):
-        area, moments = section_of(solid, s)
-        area_error = max(area_error, abs(area / float(section.area(geometry, s)) - 1.0))
-        moment_error = max(moment_error, _largest(moments / float(section.second_moment(geometry, s)) - 1.0))
-    what = f"relative, worst of {STATIONS} slices of the solid"
-    return {
-        "section_area": _finding(area_error, SECTION_LIMIT, what),
-        "section_second_moment": _finding(moment_error, SECTION_LIMIT, what),
+    formulae = {
+        "section_area": section.area,
+        "section_second_moment_xx": section.second_moment_xx,
+        "section_second_moment_yy": section.second_moment_yy,
     }
+    stations = _stations(geometry)
+    drawn = np.array([section_of(solid, s) for s in stations])
+    wanted = np.column_stack([formula(geometry, stations) for formula in formulae.values()])
+    worst = np.abs(drawn / wanted - 1.0).max(axis=0)
+    what = f"relative, worst of {STATIONS} slices of the solid"
+    return {name: _finding(w, SECTION_LIMIT, what) for name, w in zip(formulae, worst, strict=True)}
 
 
 def _stations(geometry: ProbeGeometry) -> list[float]:

@@ -13,6 +13,9 @@ OPTIONS = {
     "probe.length_mm": "--length",
     "probe.base_d_mm": "--base-d",
     "probe.tip_d_mm": "--tip-d",
+    "probe.section": "--section",
+    "probe.bore_ratio": "--bore-ratio",
+    "probe.flatness": "--flatness",
     "material.resin": "--resin",
     "sensor.calibration": "--sensor",
     "mount.robot_flange": "--robot-flange",
@@ -28,6 +31,9 @@ def new(
     base_d: float,
     tip_d: float | None = None,
     shape: Literal["cone", "cylinder"] = "cone",
+    section: Literal["round", "hollow", "elliptic"] = "round",
+    bore_ratio: float | None = None,
+    flatness: float | None = None,
     resin: str = "elastic-50a",
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
@@ -42,6 +48,9 @@ def new(
         base_d: diameter at the base [mm].
         tip_d: diameter at the tip [mm]; by default a sixth of the base, at least 2 mm.
         shape: a cylinder has one diameter.
+        section: round is full; hollow needs --bore-ratio, elliptic needs --flatness.
+        bore_ratio: of a hollow section, inner over outer diameter, 0.05 ... 0.9.
+        flatness: of an elliptic section, diameter along y over that along x, 0.2 ... 1; the others are along x.
         resin: elastic-50a, flexible-80a or silicone-40a.
         sensor: nano17, or a calibration of it such as si-12-0.12.
         robot_flange: bolt pattern of the robot.
@@ -57,6 +66,9 @@ def new(
             length_mm=length,
             base_d_mm=base_d,
             tip_d_mm=tip_d,
+            section=section,
+            bore_ratio=bore_ratio,
+            flatness=flatness,
             resin=resin,
             sensor=sensor,
             robot_flange=robot_flange,
@@ -93,7 +105,7 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
         "sag": "none: it cannot stand as mounted"
         if document["sag_mm"] is None
         else f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
-        "print": f"{fits} upright in a {document['printer']}",
+        "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm at its thinnest",
         "expected error": f"{expected}, {document['expected_error_condition']}",
         "assumed": ", ".join(document["assumptions"]) or "nothing",
     }

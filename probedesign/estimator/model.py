@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.frames import Array, inverse, wrench_map
 from probedesign.geometry import Flange
 from probedesign.mass import MassProperties
@@ -31,6 +32,7 @@ class ProbeModel:
         averaging_samples: how many the noise is counted for.
         material: E, G and density with where they come from.
         assumptions: what of the design is assumed, for every report.
+        cross_section: which the fingerprint counts; the rod has its factors.
     """
 
     name: str
@@ -45,6 +47,7 @@ class ProbeModel:
     averaging_samples: int = 1
     material: dict[str, Quantity] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
+    cross_section: CrossSection = FULL_ROUND
 
     @property
     def mass(self) -> float:

@@ -114,5 +114,6 @@ def _bearable(rod: Rod) -> float:
     """The usual force [N], or a smaller one on a probe that it would bend too far."""
     s = max(WHERE) * rod.length
     radius, base = float(np.interp(s, rod.s, rod.radius)), float(rod.radius[0])
-    stiffness = rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
+    softer_way = min(rod.factors[1:3])
+    stiffness = softer_way * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
     return min(USUAL_FORCE, BENT * stiffness / s**2)

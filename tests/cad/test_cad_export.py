@@ -104,6 +104,31 @@ def test_step_holds_named_parts_with_the_drawn_volume(exported: Exported) -> Non
         assert min(abs(v / (part["volume_m3"] * 1e9) - 1.0) for v in volumes) < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("section", "thickness"),
+    [('section = "hollow"\nbore_ratio = 0.5', 6.0), ('section = "elliptic"\nflatness = 0.6', 3.6)],
+    ids=["hollow", "elliptic"],
+)
+def test_files_of_other_sections(
+    make_design: Callable[..., Design], tmp_path: Path, section: str, thickness: float
+) -> None:
+    cone = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n"
+    manifest = export_parts(make_design(cone + section), tmp_path / "other")
+    assert all(finding["ok"] for finding in manifest["verification"].values())
+    mesh = trimesh.load(tmp_path / "other" / "probe.stl")
+    assert mesh.is_watertight and mesh.is_winding_consistent
+    above = mesh.vertices[mesh.vertices[:, 2] > -1e-3]
+    near = above[np.hypot(above[:, 0], above[:, 1]) < 6.1]  # without the flange's rim
+    # Facets have their corners on the body, and one at each end of both axes; single precision.
+    assert abs(near[:, :2]).max(axis=0) == pytest.approx([6.0, thickness], abs=1e-5)
+    # A hollow body has a handle: its surface is that of a torus. The clocking mark is another one.
+    assert mesh.euler_number == (2 - 2 * 2 if "hollow" in section else 2 - 2 * 1)
+    solids = cq.importers.importStep(str(tmp_path / "other" / "assembly.step")).solids().vals()
+    wanted = manifest["parts"]["probe"]["volume_m3"] * 1e9
+    # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
+    assert min(abs(solid.Volume() / wanted - 1.0) for solid in solids) < 1e-9
+
+
 def test_export_says_nothing_on_stdout(
     make_design: Callable[..., Design], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -26,6 +26,10 @@ PROFILE = (
     "profile_mm = [[0, 12], [40, 13], [60, 7], [80, 7], [120, 2]]"
 )
 
+HOLLOW = 'section = "hollow"\nbore_ratio = 0.5\n'
+ELLIPTIC = 'section = "elliptic"\nflatness = 0.6\n'
+NEARLY_A_CYLINDER = "length_mm = 400.0\nbase_d_mm = 12.0\ntip_d_mm = 11.98"
+
 
 def at(azimuth_deg: float, r: float, z: float) -> Array:
     """A point in millimetres by azimuth, radius and height."""
@@ -173,10 +177,21 @@ def test_a_longer_screw_is_refused(large: Drawing) -> None:
     [
         "length_mm = 60.0\nbase_d_mm = 3.0\ntip_d_mm = 1.0",
         "length_mm = 150.0\nbase_d_mm = 25.0\ntip_d_mm = 2.0",
-        "length_mm = 400.0\nbase_d_mm = 12.0\ntip_d_mm = 11.98",  # to the kernel neither cone nor cylinder
+        NEARLY_A_CYLINDER,  # to the kernel neither cone nor cylinder
         PROFILE,
+        HOLLOW + PROFILE,
+        HOLLOW + NEARLY_A_CYLINDER,
+        ELLIPTIC + PROFILE,
     ],
-    ids=["base 3", "base 25", "nearly a cylinder", "profile"],
+    ids=[
+        "base 3",
+        "base 25",
+        "nearly a cylinder",
+        "profile",
+        "hollow profile",
+        "hollow, nearly a cylinder",
+        "elliptic profile",
+    ],
 )
 def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], probe: str) -> None:
     drawing = draw(make_design(probe))
@@ -195,6 +210,53 @@ def test_wider_grid(make_design: Callable[..., Design], base_d: float, length: f
     probe = f"length_mm = {length}\nbase_d_mm = {float(base_d)}\ntip_d_mm = 0.3"
     drawing = draw(make_design(probe, flange))
     assert all(f["ok"] for f in verify(drawing, *meshed(drawing)).values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "section",
+    [*(f'section = "hollow"\nbore_ratio = {b}' for b in (0.05, 0.3, 0.7, 0.9)),
+     *(f'section = "elliptic"\nflatness = {f}' for f in (0.2, 0.4, 0.8, 0.999, 1.0))],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    "sizes", [(150.0, 12.0, 2.0), (50.0, 3.0, 1.0), (400.0, 60.0, 2.0), (5.0, 60.0, 5.0), (80.0, 6.0, 6.0)]
+)
+def test_grid_of_sections(
+    make_design: Callable[..., Design], section: str, sizes: tuple[float, float, float]
+) -> None:
+    drawing = draw(make_design("length_mm = {}\nbase_d_mm = {}\ntip_d_mm = {}\n".format(*sizes) + section))
+    assert all(f["ok"] for f in verify(drawing, *meshed(drawing)).values())
+
+
+def test_a_bore_is_open_from_tip_to_underside(make_design: Callable[..., Design]) -> None:
+    probe = draw(make_design(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts["probe"]
+    for z in (-2.99, -0.1, 0.1, 75.0, 149.99):
+        outer = 6.0 if z < 0.0 else 6.0 - z / 30.0  # below s = 0 the bore keeps its width
+        for azimuth in (20.0, 110.0, 200.0, 290.0):
+            assert not filled(probe.shape, at(azimuth, 0.49 * outer, z))
+            assert filled(probe.shape, at(azimuth, 0.51 * outer, z))
+
+
+def test_a_flattened_probe_is_wide_along_the_clocking_mark(make_design: Callable[..., Design]) -> None:
+    probe = draw(make_design(ELLIPTIC + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts["probe"]
+    for z in (0.1, 75.0, 149.9):
+        a = 6.0 - z / 30.0
+        for azimuth, half in ((0.0, a), (90.0, 0.6 * a), (180.0, a), (270.0, 0.6 * a)):
+            assert filled(probe.shape, at(azimuth, 0.99 * half, z))
+            assert not filled(probe.shape, at(azimuth, 1.01 * half, z))
+    assert all(filled(probe.shape, at(azimuth, 9.4, -1.5)) for azimuth in (0.0, 45.0, 90.0))  # a round flange
+
+
+def test_verify_sees_a_flattened_probe_that_is_turned(make_design: Callable[..., Design]) -> None:
+    drawing = draw(make_design(ELLIPTIC + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"))
+    probe = drawing.parts["probe"]
+    turned = replace(probe, shape=probe.shape.rotate((0, 0, 0), (0, 0, 1), 90.0))
+    drawing = replace(drawing, parts={**drawing.parts, "probe": turned})
+    with pytest.raises(
+        CheckFailedError, match=r"section_second_moment_xx.*section_second_moment_yy"
+    ) as error:
+        verify(drawing, *meshed(drawing))
+    assert "section_area" not in str(error.value) and "flexible_volume" not in str(error.value)
 
 
 def test_verify_sees_a_probe_that_is_a_micrometre_off(large: Drawing, large_meshes: Meshes) -> None:
