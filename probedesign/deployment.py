@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
@@ -21,7 +22,9 @@ from probedesign.rod.rod import Rod
 from probedesign.sensor import Noise
 
 KIND = "probedesign frozen probe"
-SCHEMA = 1
+SCHEMA = 2
+ROUND_SCHEMA = 1
+"""Still read: it knew full round sections only, and one second moment for all directions."""
 SECTION_STATIONS = 17
 """How many stations the section table shows between the knots' own; for people and for the check on load."""
 _UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
@@ -45,7 +48,12 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "rod": {
             "s_m": rod.s.tolist(),
             "radius_m": rod.radius.tolist(),
+            "section": {
+                "bore_ratio": model.cross_section.bore_ratio,
+                "flatness": model.cross_section.flatness,
+            },
             "rigid_length_m": rod.rigid_length,
+            "finite_strain": rod.finite_strain,
             "shear_coefficient": rod.shear_coefficient,
         },
         "flange": {"diameter_m": model.flange.diameter, "thickness_m": model.flange.thickness},
@@ -140,10 +148,9 @@ def check_replaceable(path: Path) -> None:
 def _check_identity(data: dict[str, Any], path: Path) -> None:
     if data.get("kind") != KIND:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
-    if data.get("schema") != SCHEMA:
-        raise InputError(
-            f"{path}: schema {data.get('schema')} is not known here (this version reads {SCHEMA})"
-        )
+    if data.get("schema") not in (SCHEMA, ROUND_SCHEMA):
+        known = f"this version reads {ROUND_SCHEMA} and {SCHEMA}"
+        raise InputError(f"{path}: schema {data.get('schema')} is not known here ({known})")
     body = {key: value for key, value in data.items() if key != "checksum"}
     if data.get("checksum") != _checksum(body):
         raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
@@ -152,6 +159,7 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
 def _thaw(data: dict[str, Any]) -> ProbeModel:
     material = {name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()}
     rod, hanging, sensor = data["rod"], data["hanging"], data["sensor"]
+    section = FULL_ROUND if data["schema"] == ROUND_SCHEMA else _section(rod["section"])
     model = ProbeModel(
         name=str(data["name"]),
         fingerprint=str(data["fingerprint"]),
@@ -164,6 +172,8 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
             density=material["density"].value,
             shear_coefficient=rod["shear_coefficient"],
             rigid_length=rod["rigid_length_m"],
+            factors=section.factors,
+            finite_strain=data["schema"] != ROUND_SCHEMA and rod["finite_strain"] is True,
         ),
         gravity_base=_numbers(data["gravity_base_m_s2"], 3),
         T_sensor_base=_numbers(data["T_sensor_base"], 4, 4),
@@ -180,8 +190,9 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         averaging_samples=int(sensor["averaging_samples"]),
         material=material,
         assumptions=tuple(data["assumptions"]),
+        cross_section=section,
     )
-    geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange)
+    geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
     if geometry.fingerprint != model.fingerprint:
         raise InputError(
             f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})"
@@ -199,6 +210,10 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
     return model
 
 
+def _section(data: dict[str, Any]) -> CrossSection:
+    return CrossSection(float(data["bore_ratio"]), float(data["flatness"]))
+
+
 def _numbers(values: Any, *shape: int) -> Array:
     array = np.array(values, dtype=float)
     if not np.isfinite(array).all() or (shape and array.shape != shape):
@@ -207,24 +222,40 @@ def _numbers(values: Any, *shape: int) -> Array:
 
 
 def _sections(rod: Rod) -> dict[str, list[float]]:
-    """Section properties along s, as a person would check them by hand."""
+    """Section properties along s, as a person would check them by hand; xx bends about x, yy about y."""
     s = np.unique(np.concatenate([rod.s, np.linspace(0.0, rod.length, SECTION_STATIONS)]))
     r = np.interp(s, rod.s, rod.radius)
-    area, inertia = np.pi * r**2, np.pi / 4.0 * r**4
+    of_area, of_xx, of_yy, of_torsion = rod.factors
+    area, xx, yy = of_area * np.pi * r**2, of_xx * np.pi / 4.0 * r**4, of_yy * np.pi / 4.0 * r**4
+    torsion = of_torsion * np.pi / 2.0 * r**4
     return {
         "s_m": s.tolist(),
         "area_m2": area.tolist(),
-        "second_moment_m4": inertia.tolist(),
-        "polar_moment_m4": (2.0 * inertia).tolist(),
+        "second_moment_xx_m4": xx.tolist(),
+        "second_moment_yy_m4": yy.tolist(),
+        "torsion_constant_m4": torsion.tolist(),
         "EA_N": (rod.youngs_modulus * area).tolist(),
         "GA_N": (rod.shear_coefficient * rod.shear_modulus * area).tolist(),
-        "EI_Nm2": (rod.youngs_modulus * inertia).tolist(),
-        "GJ_Nm2": (2.0 * rod.shear_modulus * inertia).tolist(),
+        "EI_xx_Nm2": (rod.youngs_modulus * xx).tolist(),
+        "EI_yy_Nm2": (rod.youngs_modulus * yy).tolist(),
+        "GJ_Nm2": (rod.shear_modulus * torsion).tolist(),
     }
 
 
+_ROUND_NAMES = {
+    "second_moment_xx_m4": "second_moment_m4",
+    "second_moment_yy_m4": "second_moment_m4",
+    "torsion_constant_m4": "polar_moment_m4",
+    "EI_xx_Nm2": "EI_Nm2",
+    "EI_yy_Nm2": "EI_Nm2",
+}
+"""What a file of the round schema calls them."""
+
+
 def _check_sections(data: dict[str, Any], rod: Rod) -> None:
-    for key, values in _sections(rod).items():
+    names = _ROUND_NAMES if data["schema"] == ROUND_SCHEMA else {}
+    for name, values in _sections(rod).items():
+        key = names.get(name, name)
         # JSON keeps doubles to the last digit; 1e-12 allows for another libm.
         if not np.allclose(_numbers(data["sections"][key]), values, rtol=1e-12, atol=0.0):
             raise InputError(f"sections.{key} does not follow from the rod")

@@ -62,6 +62,7 @@ class Probe:
         return self._rod(self.design.mount.root_rigid_radii)
 
     def _rod(self, root_rigid_radii: float) -> Rod:
+        """The part in its mount, with what is known beyond the paper's rod; 0 is the paper's (decision 0006)."""
         d = self.design
         return Rod(
             s=self.geometry.s,
@@ -71,6 +72,8 @@ class Probe:
             density=d.density.value,
             shear_coefficient=d.material.shear_coefficient,
             rigid_length=root_rigid_radii * self.geometry.base_radius,
+            factors=self.geometry.cross_section.factors,
+            finite_strain=root_rigid_radii != 0.0 and self.geometry.cross_section.full_round,
         )
 
     @cached_property
@@ -83,6 +86,7 @@ class Probe:
             name=d.name,
             fingerprint=self.geometry.fingerprint,
             flange=self.geometry.flange,
+            cross_section=self.geometry.cross_section,
             rod=self.rod,
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,
@@ -115,7 +119,8 @@ class Probe:
             gravity_base: in base axes [m/s²], (3,); the design's mount if None.
             s_contact: where the force acts [m]; the tip if None.
             force_base: in base axes [N], (3,).
-            root_rigid_radii: how far the bonded root is rigid, in base radii; the design's if None.
+            root_rigid_radii: bending compliance that the bonded root lacks, in base radii; the design's if
+                None. 0 is the bare rod of the paper and of tables: clamped at s = 0, linear in its strains.
             tip_moment_base: a dead moment at the tip [N·m], (3,).
             mode: "fast" or "reference" (rod/rod.py).
             columns: which sensitivities to carry along.
@@ -127,8 +132,8 @@ class Probe:
             InputError: an argument is not finite or s_contact lies off the probe.
         """
         gravity = self.design.mount.gravity_base_m_s2 if gravity_base is None else gravity_base
-        if root_rigid_radii is not None and not 0.0 <= root_rigid_radii <= 2.0:
-            raise InputError(f"root_rigid_radii = {root_rigid_radii} must lie in 0 ... 2")
+        if root_rigid_radii is not None and not -1.0 <= root_rigid_radii <= 2.0:
+            raise InputError(f"root_rigid_radii = {root_rigid_radii} must lie in -1 ... 2")
         rod = self.rod if root_rigid_radii is None else self._rod(root_rigid_radii)
         return rod.solve(
             gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns

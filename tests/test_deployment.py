@@ -11,7 +11,7 @@ import pytest
 
 from probedesign import deployment
 from probedesign.deployment import check_manifest, freeze, load_estimator, load_model, write_frozen
-from probedesign.design import load_design
+from probedesign.design import load_design, parse_design
 from probedesign.errors import InputError
 from probedesign.probe import build_probe
 
@@ -117,9 +117,10 @@ def test_a_person_can_read_it(model, frozen, path):
     assert frozen["flexible_mass_kg"] == pytest.approx(model.mass, rel=1e-15)
     assert {m["provenance"] for m in frozen["material"].values()} <= {"assumed", "datasheet", "identified"}
     r = np.interp(frozen["sections"]["s_m"], model.rod.s, model.rod.radius)
-    np.testing.assert_allclose(
-        frozen["sections"]["EI_Nm2"], model.rod.youngs_modulus * np.pi / 4.0 * r**4, rtol=1e-14
-    )
+    for key in ("EI_xx_Nm2", "EI_yy_Nm2"):
+        np.testing.assert_allclose(
+            frozen["sections"][key], model.rod.youngs_modulus * np.pi / 4.0 * r**4, rtol=1e-14
+        )
 
 
 def test_what_stands_there_is_replaced_whole(model, path):
@@ -127,6 +128,88 @@ def test_what_stands_there_is_replaced_whole(model, path):
     write_frozen(model, path)
     assert load_estimator(path).model.name == "large"
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+# Other sections
+
+
+SECTIONS = {
+    "hollow": 'section = "hollow"\nbore_ratio = 0.5\n',
+    "elliptic": 'section = "elliptic"\nflatness = 0.6\n',
+}
+
+
+def probe_with(section):
+    """The large probe with another section."""
+    text = (DESIGNS / "large.toml").read_text(encoding="utf-8")
+    return build_probe(parse_design(text.replace("[material]", f"{SECTIONS[section]}\n[material]", 1)))
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_a_section_reads_back(section, path, model):
+    wanted = probe_with(section).model
+    assert wanted.fingerprint != model.fingerprint
+    write_frozen(wanted, path)
+    back = load_model(path)
+    assert back.cross_section == wanted.cross_section
+    assert back.rod.factors == wanted.rod.factors == wanted.cross_section.factors != (1.0,) * 4
+    assert back.fingerprint == wanted.fingerprint
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_the_table_shows_each_section_as_in_the_books(section):
+    """At the base, 12 mm: the tube of d = 6 mm, the ellipse of b = 3.6 mm."""
+    table = freeze(probe_with(section).model)["sections"]
+    a, b, d = 6e-3, 3.6e-3, 6e-3
+    books = {
+        "hollow": {
+            "area_m2": np.pi / 4 * (12e-3**2 - d**2),
+            "second_moment_xx_m4": np.pi / 64 * (12e-3**4 - d**4),
+            "second_moment_yy_m4": np.pi / 64 * (12e-3**4 - d**4),
+            "torsion_constant_m4": np.pi / 32 * (12e-3**4 - d**4),
+        },
+        "elliptic": {
+            "area_m2": np.pi * a * b,
+            "second_moment_xx_m4": np.pi / 4 * a * b**3,
+            "second_moment_yy_m4": np.pi / 4 * a**3 * b,
+            "torsion_constant_m4": np.pi * a**3 * b**3 / (a**2 + b**2),
+        },
+    }
+    at_base = {key: table[key][0] for key in books[section]}
+    assert at_base == pytest.approx(books[section], rel=1e-12, abs=0)  # closed forms, a few roundings
+    assert table["EI_xx_Nm2"][0] == pytest.approx(2.32e6 * at_base["second_moment_xx_m4"], rel=1e-12, abs=0)
+    assert table["GJ_Nm2"][0] == pytest.approx(0.761e6 * at_base["torsion_constant_m4"], rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_the_rod_weighs_what_the_body_weighs(section):
+    probe = probe_with(section)
+    assert probe.model.mass == pytest.approx(probe.mass, rel=1e-12, abs=0)  # two closed forms
+
+
+def as_once_written(frozen):
+    """The same probe in schema 1, which knew full round sections only."""
+    data = copy.deepcopy(frozen)
+    del data["rod"]["section"], data["checksum"]
+    table = data["sections"]
+    for new, old in (("second_moment_xx_m4", "second_moment_m4"), ("EI_xx_Nm2", "EI_Nm2"),
+                     ("torsion_constant_m4", "polar_moment_m4")):  # fmt: skip
+        table[old] = table.pop(new)
+    del table["second_moment_yy_m4"], table["EI_yy_Nm2"]
+    data["schema"] = 1
+    return {**data, "checksum": deployment._checksum(data)}
+
+
+def test_a_probe_frozen_before_there_were_other_sections_still_loads(frozen, model, path):
+    path.write_text(json.dumps(as_once_written(frozen)))
+    back = load_model(path)
+    assert (back.fingerprint, back.cross_section) == (model.fingerprint, model.cross_section)
+    assert back.rod.factors == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_another_section_cannot_pass_for_a_round_one(path):
+    hollow = json.loads(json.dumps(freeze(probe_with("hollow").model)))
+    refused(path, json.dumps(as_once_written(hollow)), "fingerprint")
 
 
 # What is wrong
@@ -148,7 +231,9 @@ def test_what_contradicts_itself_is_refused_under_a_checksum_of_its_own(frozen, 
     contradictions = [
         (("rod", "radius_m", 0), alter_by_tenth, "fingerprint"),
         (("flange", "diameter_m"), alter_by_tenth, "fingerprint"),
-        (("sections", "EI_Nm2", 3), alter_by_tenth, "sections.EI_Nm2"),
+        (("sections", "EI_yy_Nm2", 3), alter_by_tenth, "sections.EI_yy_Nm2"),
+        (("rod", "section", "bore_ratio"), half, "full round"),
+        (("rod", "section", "flatness"), negative, "section"),
         (("material", "youngs_modulus_Pa", "value"), alter_by_tenth, "sections"),
         (("T_sensor_base", 0, 0), alter_by_tenth, "T_sensor_base"),
         (("sensor", "noise_force_N"), negative, "noise"),
@@ -171,11 +256,15 @@ def negative(parent, key):
     parent[key] = -abs(parent[key])
 
 
+def half(parent, key):
+    parent[key] = 0.5
+
+
 def shorten(parent, key):
     parent[key] = parent[key][:-1]
 
 
-@pytest.mark.parametrize("schema", [0, 2, "1", None, 1e9])
+@pytest.mark.parametrize("schema", [0, 3, "1", None, 1e9])
 def test_another_schema_is_refused_by_name(schema, frozen, path):
     refused(path, json.dumps({**frozen, "schema": schema}), "schema")
 

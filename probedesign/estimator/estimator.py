@@ -165,7 +165,7 @@ class Estimator:
         misfit = eq.wrench_base[3:6] - wrench[3:6]
         rounding = (NUMERICAL * float(np.linalg.norm(wrench[3:6]))) ** 2 * np.eye(3)
         chi2 = float(misfit @ np.linalg.solve(cov.moment_misfit + rounding, misfit))
-        return Candidate(float(eq.load[9]), cov.std_s, eq.p_contact_base, chi2)
+        return Candidate(eq.s_contact, cov.std_s, eq.p_contact_base, chi2)
 
     def _result(self, listed: tuple[Candidate, ...], eq: Equilibrium, wrench: Array) -> Result:
         """The code of the best candidate beside its rivals."""
@@ -186,7 +186,7 @@ class Estimator:
         The outward normal at the touched section leans towards the tip by α, so with r the radius at
         s_contact the touched section lies r cos α sin α further out and has radius r cos² α.
         """
-        rod, s = self.model.rod, float(eq.load[9])
+        rod, s = self.model.rod, eq.s_contact
         tan = rod.taper_at(s)
         cos2 = 1.0 / (1.0 + tan * tan)
         radius = float(np.interp(s, rod.s, rod.radius)) * cos2

@@ -11,11 +11,16 @@ from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
+from probedesign.rod.workspace import workspace
 
 STATIONS = 33
 """Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimator)."""
 SCAN_TOLERANCE = 1e-5
 """Error a step [rad] while scanning."""
+ACROSS = 0.5
+"""Sine from which a force counts as across the free rod."""
+ALONG = 0.26
+"""Sine of 15°: a contact pushing closer to the surface would need a friction coefficient of 3.7."""
 REACH = 4
 """Stations that a minimum may lie away from where the scan saw it: a probe bent by less than a thousandth of a
 radian feels the scan's own errors."""
@@ -33,16 +38,40 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
         moment: measured, about the base [N·m], (3,).
 
     Returns:
-        Arclengths [m] (j,), squared misfit [N²·m²] (j,) and tip tangents (j, 3), as far as equilibria exist.
+        Arclengths [m] (j,), squared misfit [N²·m²] (j,) and the tips' sections (j, 6), as far as equilibria exist.
     """
     stations = np.linspace(0.0, rod.length, STATIONS)
-    load = np.concatenate([force, gravity, np.zeros(4)])
-    moments, tips = np.empty((STATIONS, 3)), np.empty((STATIONS, 3))
-    reached = kernels.moments_along(
-        stations, load, rod.body, SCAN_TOLERANCE, np.empty(kernels.SCRATCH), moments, tips
-    )
-    misfit = ((moments[:reached] - moment) ** 2).sum(axis=1)
+    loads = np.tile(rod.load(gravity, force, 0.0), (STATIONS, 1))
+    loads[:, -1] = stations
+    found = np.empty((STATIONS, kernels.FOUND))
+    reached = kernels.solve_cases(
+        0, STATIONS, rod.stacked, np.zeros(STATIONS, dtype=np.int64), loads, kernels.COLD, True, SCAN_TOLERANCE,
+        10.0 * SCAN_TOLERANCE, *workspace(0, 0), found, np.empty((STATIONS, 15, 1)),
+    )  # fmt: skip
+    if found[reached - 1, kernels.STATUS] != kernels.OK:
+        reached -= 1
+    tips = found[:reached, kernels.TIP : kernels.TIP + 6]
+    there = found[:reached, kernels.CONTACT : kernels.CONTACT + 3]
+    reached = _pushed(force, tips[:1, :3], there)
+    moments = found[:reached, kernels.MOMENT : kernels.MOMENT + 3]
+    misfit = ((moments - moment) ** 2).sum(axis=1)
     return stations[:reached], misfit, tips[:reached]
+
+
+def _pushed(force: Array, free: Array, tangents: Array) -> int:
+    """How many stations from the base on can be pushed so: where the force has bent the rod into its own
+    direction, no contact short of the tip can push along the surface it touches."""
+    across = (_sines(force, free) > ACROSS).all() and _sines(force, np.array([[0.0, 0.0, 1.0]]))[0] > ACROSS
+    along = _sines(force, tangents) <= ALONG
+    along[:1] = False
+    return int(np.argmax(along)) if across and along.any() else len(tangents)
+
+
+def _sines(force: Array, tangents: Array) -> Array:
+    """Sine of the angle between a force and each tangent (j, 3); 0 without a force."""
+    size = float(np.linalg.norm(force))
+    sines: Array = np.linalg.norm(np.cross(force, tangents), axis=1) / (size or 1.0)
+    return sines
 
 
 def refine(
@@ -63,7 +92,7 @@ def refine(
         misfit = eq.wrench_base[3:6] - moment
         square = float(misfit @ misfit)
         if eq.sensitivity is not None and square < least:
-            best, least, at, blocked, guess = eq, square, s, False, eq.tip_tangent
+            best, least, at, blocked, guess = eq, square, s, False, eq.tip
             a = eq.sensitivity.d_moment[:, 3]
             slope = float(a @ a)
             step = -float(a @ misfit) / slope if slope > 0.0 else 0.0
@@ -94,4 +123,4 @@ def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Eq
 
 
 def _same_place(a: Equilibrium, b: Equilibrium) -> bool:
-    return bool(abs(a.load[9] - b.load[9]) < 1e-6 * a.body.knots[-1])
+    return bool(abs(a.s_contact - b.s_contact) < 1e-6 * a.body.knots[-1])

@@ -159,9 +159,7 @@ def predict_touch(estimator: Estimator, fraction: float, force_N: float, directi
         predicted_error_mm=_finite(math.sqrt(np.trace(cov.cov_p)) / MM),
         predicted_error_95_mm=_finite(radius_95(cov.cov_p) / MM),
         std_s_mm=_finite(cov.std_s / MM),
-        deflection_mm=float(
-            np.linalg.norm(eq.p_contact_base - estimator.free().p_at(float(eq.load[9]))) / MM
-        ),
+        deflection_mm=float(np.linalg.norm(eq.p_contact_base - estimator.free().p_at(eq.s_contact)) / MM),
         moment_per_N_Nmm=1e3 * moment,
         force_per_N_N=force,
         moment_per_mm_Nmm=_finite(1e3 * moment / press * MM) if press > 0 else None,

@@ -109,7 +109,7 @@ class _Push:
             force, guess = magnitude * self._normal(np.eye(3)), None
         else:
             ahead = magnitude - float(np.linalg.norm(last.force_base))
-            force, guess = last.force_base + ahead * last.d_force[:, 2], last.equilibrium.tip_tangent
+            force, guess = last.force_base + ahead * last.d_force[:, 2], last.equilibrium.tip
         for _ in range(_MAX_ITERATIONS):
             eq = self.rod.solve(
                 self.gravity, force, self.s, mode=self.mode, guess=guess, guess_only=True, columns="load"
@@ -128,7 +128,7 @@ class _Push:
             force = force - np.linalg.solve(jacobian, misfit)
             if np.linalg.norm(force) > 3.0 * magnitude:  # Newton left the sphere on which F must lie
                 break
-            guess = eq.tip_tangent
+            guess = eq.tip
         return FrictionlessContact("not_converged", eq, np.full(3, np.nan), np.full((3, 3), np.nan))
 
     @cached_property

@@ -6,18 +6,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.frames import Array
+from probedesign.errors import InputError
+from probedesign.frames import Array, skew
 from probedesign.rod import kernels
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Exact first derivatives by `kernels.PARAMETERS` (the first columns of them), all in base axes.
+    """Exact first derivatives by `kernels.PARAMETERS` and each knot's log diameter, in base axes.
+
+    Only the first columns of them where only those were asked for.
 
     Attributes:
         d_moment: of the base moment, (3, k).
         d_contact: of the contact's [tangent, section x axis, position, section y axis], (12, k).
         frame: those four themselves, (12,).
+        turns: of the tip's section about its own axes x, y and tangent, (3, k).
         load: the load they were taken at.
         body: the rod they were taken for.
     """
@@ -25,26 +29,55 @@ class Sensitivity:
     d_moment: Array
     d_contact: Array
     frame: Array
+    turns: Array
     load: Array
     body: kernels.Body
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns are by."""
+        knots = tuple(f"log_diameter_{i}" for i in range(len(self.body.knots)))
+        return (*kernels.PARAMETERS, *knots)[: self.d_moment.shape[1]]
 
     @cached_property
     def d_wrench(self) -> Array:
         """Of the base wrench [force; moment], (6, k); force = F + ρ V g in closed form."""
         k = self.d_moment.shape[1]
-        mass = self.body.material[3] * self.body.volume_beyond[0]
-        weight = mass * self.load[3:6]
-        d_force = np.zeros((3, kernels.ALL_COLUMNS))
+        mass = float(self.body.constants[kernels.DENSITY] * self.body.volume_beyond[0])
+        gravity = self.load[3:6]
+        d_force = np.zeros((3, kernels.ALL_COLUMNS + len(self.body.knots)))
         d_force[:, 0:3] = np.eye(3)
-        d_force[:, 4:7] = mass * np.eye(3)
-        d_force[:, kernels.PARAMETERS.index("log_density")] = weight
-        d_force[:, kernels.PARAMETERS.index("log_diameter")] = 2.0 * weight
+        d_force[:, 7:10] = mass * np.eye(3)
+        d_force[:, kernels.PARAMETERS.index("log_density")] = mass * gravity
+        d_force[:, kernels.PARAMETERS.index("log_diameter")] = 2.0 * mass * gravity
+        by_knot = self.body.constants[kernels.DENSITY] * self.body.volume_by_knot[0]
+        d_force[:, kernels.ALL_COLUMNS :] = np.outer(gravity, by_knot)
         return np.vstack([d_force[:, :k], self.d_moment])
 
     @property
     def d_position(self) -> Array:
         """Of the contact point on the centreline [m per unit], (3, k)."""
         return self.d_contact[6:9]
+
+    @cached_property
+    def d_wrench_by_base_pose(self) -> Array:
+        """Of the base wrench, in base axes, by a small motion [δx; δθ] of the base under world-fixed loads, (6, 6).
+
+        Seen from the base, force, couple and gravity turn the other way, δF = -δθ × F; needs all columns.
+        """
+        return np.hstack([np.zeros((6, 3)), self._by_turn(self.d_wrench)])
+
+    @cached_property
+    def d_position_by_base_pose(self) -> Array:
+        """Of the contact point, in axes at rest that agree with the base's, by [δx; δθ] of the base, (3, 6)."""
+        return np.hstack([np.eye(3), self._by_turn(self.d_position) - skew(self.frame[6:9])])
+
+    def _by_turn(self, columns: Array) -> Array:
+        """Columns by the load's vectors into columns by a turn of the base."""
+        if columns.shape[1] < kernels.ALL_COLUMNS:
+            raise InputError('derivatives by the base pose need columns = "all"')
+        F, g, C = self.load[0:3], self.load[3:6], self.load[9:12]
+        return columns[:, 0:3] @ skew(F) + columns[:, 7:10] @ skew(g) + columns[:, 4:7] @ skew(C)
 
 
 @dataclass(frozen=True)
@@ -53,17 +86,21 @@ class Equilibrium:
 
     Attributes:
         result: "ok", "not_converged" or "unstable".
-        stable: whether the second variation of the energy is positive.
+        margin: of stability: least determinant of the free tip's Jacobi fields along the rod, 1 unloaded, 0 where
+            the second variation of the energy ceases to be positive (docs/decisions/0001).
         residual: misfit of the base's tangent [rad].
-        load: [force, gravity, tip moment, s_c] it was solved for, (10,).
+        load: [force, gravity, tip moment, couple, s_c] it was solved for, (13,).
+        nodes: rows [s, t, m, p from the tip, d, columns], tip to base.
+        tip: the tip's section [tangent, x axis], (6,): the guess for a neighbouring load.
         sensitivity: first derivatives, where they were asked for.
     """
 
     result: str
-    stable: bool
+    margin: float
     residual: float
     load: Array
     nodes: Array
+    tip: Array
     y: Array
     contact: Array
     body: kernels.Body
@@ -74,12 +111,22 @@ class Equilibrium:
         """Whether there is an answer."""
         return self.result == "ok"
 
+    @property
+    def stable(self) -> bool:
+        """Whether the second variation of the energy is positive."""
+        return self.margin > 0.0
+
+    @property
+    def s_contact(self) -> float:
+        """Where the force acts [m]."""
+        return float(self.load[12])
+
     @cached_property
     def wrench_base(self) -> Array:
         """What the rod does to its mount about the base origin: [N, N, N, N·m, N·m, N·m], (6,)."""
         if not self.ok:
             return np.full(6, np.nan)
-        mass = self.body.material[3] * self.body.volume_beyond[0]
+        mass = self.body.constants[kernels.DENSITY] * self.body.volume_beyond[0]
         return np.concatenate([self.load[0:3] + mass * self.load[3:6], self.y[3:6]])
 
     @cached_property
@@ -89,7 +136,7 @@ class Equilibrium:
 
     @cached_property
     def tip_tangent(self) -> Array:
-        """Tangent at the tip, (3,): the guess for a neighbouring load."""
+        """Tangent at the tip, (3,)."""
         return self.nodes[0, 1:4].copy() if self.ok else np.full(3, np.nan)
 
     @cached_property
@@ -105,7 +152,7 @@ class Equilibrium:
     @cached_property
     def R_base(self) -> Array:
         """Orientation of the sections at the nodes, (k, 3, 3); columns are their x, y and tangent."""
-        return self._frames(self.nodes[::-1, 1:]) if self.ok else np.empty((0, 3, 3))
+        return self._frames(self.nodes[::-1, 1:13]) if self.ok else np.empty((0, 3, 3))
 
     @cached_property
     def m_base(self) -> Array:
@@ -120,9 +167,9 @@ class Equilibrium:
     def n_at(self, s: ArrayLike) -> Array:
         """Internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g; NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
-        weight = self.body.material[3] * _volume_beyond(self.body, s)
+        weight = self.body.constants[kernels.DENSITY] * _volume_beyond(self.body, s)
         n: Array = weight[:, None] * self.load[3:6]
-        n[s <= self.load[9]] += self.load[0:3]
+        n[s <= self.s_contact] += self.load[0:3]
         n[~(self.ok & (s >= 0.0) & (s <= self.body.knots[-1]))] = np.nan
         return n
 
@@ -136,17 +183,40 @@ class Equilibrium:
         frames = self._frames(self.states_at(s))
         return frames[0] if np.ndim(s) == 0 else frames
 
+    def d_p_at(self, s: ArrayLike) -> Array:
+        """Derivatives of the centreline at fixed arclengths s [m], (j, 3, k), by what `sensitivity` is by."""
+        if self.sensitivity is None:
+            raise InputError('derivatives of the centreline need columns = "load", "contact" or "all"')
+        return self._by_parameters(self._at(s))
+
     def states_at(self, s: ArrayLike) -> Array:
         """Kernel states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod."""
+        return self._at(s)[:, : kernels.STATE]
+
+    def _at(self, s: ArrayLike) -> Array:
+        """States and columns at arclengths s [m], as in the nodes; NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
-        states = np.full((len(s), 12), np.nan)
+        width = self.nodes.shape[1]
+        rows = np.full((len(s), width - 1), np.nan)
         if self.ok:
             inside = (s >= 0.0) & (s <= self.body.knots[-1])
-            found = np.empty((int(inside.sum()), 12))
-            scratch = np.empty(120)
-            kernels.states_at(s[inside], self.nodes, len(self.nodes), self.body, self.load, scratch, found)
-            states[inside] = found
-        return states
+            found = np.empty((int(inside.sum()), width - 1))
+            chunks = (width - 1 - kernels.STATE) // (kernels.WIDE * kernels.COLUMN)
+            work, blocks = np.empty(kernels.WORK), np.empty(chunks * kernels.BLOCK)
+            kernels.states_at(
+                s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, found
+            )
+            rows[inside] = found
+        return rows
+
+    def _by_parameters(self, rows: Array) -> Array:
+        """The points' columns of such rows with the base held: (j, 3, k)."""
+        assert self.sensitivity is not None
+        turns, k = self.sensitivity.turns, self.sensitivity.turns.shape[1]
+        lanes = [kernels.lane_of.py_func(j) for j in range(k)]
+        columns = _lanes(rows[:, kernels.STATE :]) - _lanes(self.nodes[-1:, 1 + kernels.STATE :])
+        moved: Array = columns[:, 6:9, lanes] + columns[:, 6:9, 0:3] @ turns
+        return moved
 
     def _frames(self, states: Array) -> Array:
         """Sections' frames, turned about the tangent so that the base's is the identity."""
@@ -157,9 +227,17 @@ class Equilibrium:
         return np.stack([x, np.cross(t, x), t], axis=-1)
 
 
+def _lanes(columns: Array) -> Array:
+    """Columns as the kernels lay them, WIDE together, as (j, 9, lanes)."""
+    blocks = columns.reshape(len(columns), -1, kernels.COLUMN, kernels.WIDE)
+    lanes: Array = np.moveaxis(blocks, 1, 2).reshape(len(columns), kernels.COLUMN, -1)
+    return lanes
+
+
 def _volume_beyond(body: kernels.Body, s: Array) -> Array:
     """Volume from s to the tip [m³]."""
     i = np.clip(np.searchsorted(body.knots, s, side="right") - 1, 0, len(body.knots) - 2)
     h = body.knots[i + 1] - s
     r, r1 = np.interp(s, body.knots, body.radii), body.radii[i + 1]
-    return body.volume_beyond[i + 1] + np.pi / 3.0 * h * (r * r + r * r1 + r1 * r1)
+    cones: Array = body.constants[kernels.CONE] * h * (r * r + r * r1 + r1 * r1)
+    return cones + body.volume_beyond[i + 1]

@@ -15,7 +15,7 @@ from scipy.optimize import root
 
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
-from probedesign.rod.rod import Rod
+from probedesign.rod.rod import FINITE_BEND, FINITE_STRETCH, Rod
 
 LOOSE, TIGHT = 1e-7, 3e-13
 """Tolerances of the integration, relative: while the load grows, and of the answer."""
@@ -26,16 +26,23 @@ LEAST_STEP = 1e-3
 
 @dataclass(frozen=True)
 class PlainLoad:
-    """Gravity [m/s²], a dead force [N] at s_contact [m] and a dead moment at the tip [N·m], in base axes."""
+    """Gravity [m/s²], a dead force [N] and couple [N·m] at s_contact [m], a dead moment at the tip [N·m]; base axes."""
 
     gravity: Array
     force: Array
     tip_moment: Array
+    couple: Array
     s_contact: float
+
+    def at_tip(self, length: float) -> Array:
+        """Moment that the tip itself bears [N·m], (3,)."""
+        return self.tip_moment + self.couple if self.s_contact == length else self.tip_moment
 
     def scaled(self, share: float) -> "PlainLoad":
         """A share of it."""
-        return PlainLoad(share * self.gravity, share * self.force, share * self.tip_moment, self.s_contact)
+        vectors = (self.gravity, self.force, self.tip_moment, self.couple)
+        gravity, force, tip_moment, couple = (share * v for v in vectors)
+        return PlainLoad(gravity, force, tip_moment, couple, self.s_contact)
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,7 @@ def solve_plain(
     s_contact: float,
     tip_moment: ArrayLike = (0.0, 0.0, 0.0),
     s: ArrayLike | None = None,
+    couple: ArrayLike = (0.0, 0.0, 0.0),
 ) -> PlainEquilibrium:
     """Static equilibrium on the branch that grows out of the unloaded rod.
 
@@ -78,6 +86,7 @@ def solve_plain(
         s_contact: where it acts [m].
         tip_moment: dead, in base axes [N·m], (3,).
         s: arclengths where the answer is wanted [m], (k,); 17 even ones if None.
+        couple: dead, where the force acts [N·m], (3,).
 
     Returns:
         The equilibrium.
@@ -85,8 +94,8 @@ def solve_plain(
     Raises:
         CheckFailedError: the load could not be reached.
     """
-    vectors = np.array([gravity, force, tip_moment], dtype=float)
-    load = PlainLoad(vectors[0], vectors[1], vectors[2], float(s_contact))
+    vectors = np.array([gravity, force, tip_moment, couple], dtype=float)
+    load = PlainLoad(vectors[0], vectors[1], vectors[2], vectors[3], float(s_contact))
     stations = np.linspace(0.0, rod.length, 17) if s is None else np.asarray(s, dtype=float)
     m_base = _shoot(rod, load, _grow(rod, load), TIGHT)
     y = integrate(rod, load, m_base, TIGHT, stations)
@@ -98,11 +107,11 @@ def solve_plain(
         n=y[:, 12:15],
         m=y[:, 15:18],
         wrench_base=np.concatenate([n_base(rod, load), m_base]),
-        misfit=float(np.linalg.norm(end[15:18] - load.tip_moment)),
+        misfit=float(np.linalg.norm(end[15:18] - load.at_tip(rod.length))),
     )
 
 
-def rates(s: float, y: Array, rod: Rod, gravity: Array, rigid: bool) -> Array:
+def rates(s: float, y: Array, rod: Rod, gravity: Array) -> Array:
     """Right-hand side of equation 1 with the stiffness of equation 2; y = [p, R row by row, n, m], (18,).
 
     Args:
@@ -110,16 +119,23 @@ def rates(s: float, y: Array, rod: Rod, gravity: Array, rigid: bool) -> Array:
         y: the state.
         rod: the rod.
         gravity: in base axes [m/s²], (3,).
-        rigid: whether the rod neither bends nor twists here.
     """
     R, n, m = y[3:12].reshape(3, 3), y[12:15], y[15:18]
     r = np.interp(s, rod.s, rod.radius)
-    area, inertia = np.pi * r**2, np.pi / 4.0 * r**4
+    f_area, f_xx, f_yy, f_torsion = rod.factors
+    area, inertia = f_area * np.pi * r**2, np.pi / 4.0 * r**4
     E, G, k = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient
     K_se = np.diag([k * G * area, k * G * area, E * area])
-    K_bt = np.diag([E * inertia, E * inertia, G * 2.0 * inertia])
+    K_bt = np.diag([E * inertia * f_xx, E * inertia * f_yy, G * 2.0 * inertia * f_torsion])
     v = np.array([0.0, 0.0, 1.0]) + (0.0 if rod.inextensible else np.linalg.inv(K_se) @ R.T @ n)
-    u = np.zeros(3) if rigid else np.linalg.inv(K_bt) @ R.T @ m
+    u = np.linalg.inv(K_bt) @ R.T @ m
+    f = _root(rod, s)
+    if rod.finite_strain:
+        e, large = v[2] - 1.0, (u[0] ** 2 + u[1] ** 2) * r**2
+        v[2] += e**2 + FINITE_STRETCH * f * large
+        u[:2] *= 1.0 + 3.0 * e + FINITE_BEND * large
+    u[:2] *= f
+    u += _rest(rod, s)
     u_hat = np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
     p_s = R @ v
     R_s = R @ u_hat
@@ -128,10 +144,23 @@ def rates(s: float, y: Array, rod: Rod, gravity: Array, rigid: bool) -> Array:
     return np.concatenate([p_s, R_s.ravel(), n_s, m_s])
 
 
+def _root(rod: Rod, s: float) -> float:
+    """f(s), the share of its bending compliance that the bonded root keeps."""
+    depth, reach = rod.root
+    return 1.0 - depth * (1.0 - s / reach) ** 3 if s < reach else 1.0
+
+
+def _rest(rod: Rod, s: float) -> Array:
+    """Curvature and twist of the unloaded rod [1/m], (3,)."""
+    if rod.rest_curvature is None:
+        return np.zeros(3)
+    return np.array([np.interp(s, rod.s, column) for column in np.transpose(rod.rest_curvature)])
+
+
 def n_base(rod: Rod, load: PlainLoad) -> Array:
     """n(0) = F + m g, equation 3 [N], (3,)."""
     r0, r1 = rod.radius[:-1], rod.radius[1:]
-    volume = float(np.sum(np.pi / 3.0 * np.diff(rod.s) * (r0 * r0 + r0 * r1 + r1 * r1)))
+    volume = rod.factors[0] * float(np.sum(np.pi / 3.0 * np.diff(rod.s) * (r0 * r0 + r0 * r1 + r1 * r1)))
     return load.force + rod.density * volume * load.gravity
 
 
@@ -140,12 +169,14 @@ def integrate(rod: Rod, load: PlainLoad, m_base: Array, tol: float, stations: Ar
     y = np.concatenate([np.zeros(3), np.eye(3).ravel(), n_base(rod, load), m_base])
     size = np.concatenate([np.full(3, rod.length), np.ones(9), np.full(3, 1.0), np.full(3, rod.length)])
     size[12:18] *= max(float(np.linalg.norm(y[12:15])), float(np.linalg.norm(m_base)) / rod.length, 1e-12)
-    points = np.unique(np.concatenate([rod.s, [load.s_contact, rod.rigid_length], stations]))
+    points = np.unique(
+        np.concatenate([rod.s, [load.s_contact, np.clip(rod.root[1], 0.0, rod.length)], stations])
+    )
     states = {0.0: y}
     for low, high in pairwise(points.tolist()):
         if low == load.s_contact:
-            y = y - np.concatenate([np.zeros(12), load.force, np.zeros(3)])
-        arguments = (rod, load.gravity, high <= rod.rigid_length)
+            y = y - np.concatenate([np.zeros(12), load.force, load.couple])
+        arguments = (rod, load.gravity)
         with np.errstate(all="ignore"):  # a trial far off may overflow; its steps then fail
             piece = solve_ivp(rates, (low, high), y, "DOP853", args=arguments, rtol=tol, atol=tol * size)
         if not piece.success:
@@ -156,13 +187,15 @@ def integrate(rod: Rod, load: PlainLoad, m_base: Array, tol: float, stations: Ar
 
 def _shoot(rod: Rod, load: PlainLoad, guess: Array, tol: float) -> Array:
     """The moment at the base that leaves the tip with the moment put on it, from a guess [N·m], (3,)."""
-    force, moment = np.linalg.norm(n_base(rod, load)), np.linalg.norm(load.tip_moment)
+    force = np.linalg.norm(n_base(rod, load))
+    moment = np.linalg.norm(load.tip_moment) + np.linalg.norm(load.couple)
     size = float(rod.length * force + moment) or 1.0
     tip = np.array([rod.length])
 
     def misfit(m: Array) -> Array:
         """What is left at the tip of the moment that should be there, as a share of the load's own."""
-        return (integrate(rod, load, m * size, tol, tip)[0, 15:18] - load.tip_moment) / size
+        end = integrate(rod, load, m * size, tol, tip)[0, 15:18]
+        return np.asarray((end - load.at_tip(rod.length)) / size, dtype=float)
 
     found = root(misfit, guess / size, options={"xtol": tol, "eps": 1e-6})
     # The residual ends at the integration's own error, a few times its tolerance a step.

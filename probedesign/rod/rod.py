@@ -1,4 +1,4 @@
-"""A straight round elastic rod, clamped at s = 0: arrays in, equilibria out."""
+"""An elastic rod, clamped at s = 0: arrays in, equilibria out."""
 
 import math
 from dataclasses import dataclass
@@ -12,41 +12,51 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
+from probedesign.rod.workspace import FIRST, workspace
 
 Mode = Literal["fast", "reference"]
-Columns = Literal["none", "load", "all"]
+Columns = Literal["none", "load", "contact", "all"]
 
-TOLERANCES: dict[str, tuple[float, float]] = {"fast": (1e-7, 1e-8), "reference": (1e-13, 1e-12)}
+TOLERANCES: dict[str, tuple[float, float]] = {"fast": (1e-6, 1e-7), "reference": (1e-13, 1e-12)}
 """Error allowed a step [rad], residual allowed at the base [rad]. Fast keeps the centreline within 1 µm and
 the base moment within 1e-6 of the reference (tests/rod/test_accuracy.py)."""
-_COLUMNS = {"none": 0, "load": kernels.LOAD_COLUMNS, "all": kernels.ALL_COLUMNS}
-_RESULTS = {
+RESULTS = {
     kernels.OK: "ok",
     kernels.NOT_CONVERGED: "not_converged",
     kernels.UNSTABLE: "unstable",
     kernels.STEP_LIMIT: "not_converged",
 }
-_MAX_NODES = 4096
+_NODES = {"fast": 64, "reference": 512}
+"""Room for the shape at first; more where a rod needs more steps."""
+
+ROOT_CENTRE = 0.375
+"""Where the compliance that a bonded root lacks is centred, in base radii (docs/decisions/0006)."""
+FINITE_BEND, FINITE_STRETCH = 0.369, 0.374
+"""c₄ and c₅ of a full round neo-Hookean section with ν = 0.49 in finite bending (docs/decisions/0006)."""
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A Cosserat rod of solid round section, straight and untwisted at rest, z along its axis.
+    """A Cosserat rod, z along its axis at rest.
 
-    K_se = diag(k G A, k G A, E A), K_bt = diag(E I, E I, G J): the paper's equation 2 with a shear
+    K_se = diag(k G A, k G A, E A), K_bt = diag(E I_xx, E I_yy, G J): the paper's equation 2 with a shear
     coefficient k, 1 in the paper.
 
     Attributes:
         s: knots, 0 ... length [m], (K,).
-        radius: at the knots, linear between them [m], (K,).
+        radius: at the knots, linear between them [m], (K,); half the width along the section's x axis.
         youngs_modulus: E [Pa].
         shear_modulus: G [Pa].
         density: [kg/m³].
         shear_coefficient: k.
-        rigid_length: from s = 0 the rod neither bends nor twists so far [m] (the bonded root).
+        rigid_length: bending compliance that a bonded root lacks, as a length of rigid rod [m]; negative where
+            the root yields. Spread smoothly over the first two base radii.
         inextensible: neither stretches nor shears (Euler's elastica), for comparisons with tables.
-        factors: of A, I_xx, I_yy and J, over those of a full round section of that radius; x and y are the
-            section's axes, the radius is its half-width along x.
+        factors: of A, I_xx, I_yy and J, over those of a full round section of that radius.
+        rest_curvature: of the unloaded rod at the knots, in section axes, the last one its twist [1/m], (K, 3);
+            linear between; none if None.
+        finite_strain: whether sections stiffen and stretch as neo-Hookean ones do in large bending; only of a
+            full round rod.
     """
 
     s: Array
@@ -58,6 +68,8 @@ class Rod:
     rigid_length: float = 0.0
     inextensible: bool = False
     factors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    rest_curvature: Array | None = None
+    finite_strain: bool = False
 
     def __post_init__(self) -> None:
         for name in ("youngs_modulus", "shear_modulus", "shear_coefficient"):
@@ -74,8 +86,27 @@ class Rod:
         )
         _require(bool((r > 0).all() and np.isfinite(r).all()), "radius must be positive at every knot")
         _require(
-            bool(0.0 <= self.rigid_length < s[-1]), f"rigid_length = {self.rigid_length} must lie on the rod"
+            bool(-r[0] <= self.rigid_length < s[-1]),
+            f"rigid_length = {self.rigid_length} must lie between minus the base radius and the rod's length",
         )
+        self._check_section(s)
+
+    def _check_section(self, s: Array) -> None:
+        _require(
+            len(self.factors) == 4 and all(0.0 < f < np.inf for f in self.factors),
+            f"factors = {self.factors} must be four positive numbers",
+        )
+        _require(
+            not self.finite_strain or tuple(self.factors) == (1.0, 1.0, 1.0, 1.0),
+            "finite_strain is known of full round sections only",
+        )
+        _require(not (self.finite_strain and self.inextensible), "finite_strain needs a rod that stretches")
+        if self.rest_curvature is not None:
+            rest = np.asarray(self.rest_curvature, dtype=float)
+            _require(
+                rest.shape == (len(s), 3) and bool(np.isfinite(rest).all()),
+                "rest_curvature must be three finite numbers at every knot",
+            )
 
     @property
     def length(self) -> float:
@@ -87,15 +118,50 @@ class Rod:
         i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, len(self.s) - 2))
         return float((self.radius[i] - self.radius[i + 1]) / (self.s[i + 1] - self.s[i]))
 
+    @property
+    def root(self) -> tuple[float, float]:
+        """Depth and reach [m] of the bonded root, f(s) = 1 - depth (1 - s/reach)³; reach -1 where there is none.
+
+        ∫(1 - f) ds = rigid_length, centred at ROOT_CENTRE base radii unless so much is missing that f would
+        fall below a tenth.
+        """
+        if self.rigid_length == 0.0:
+            return 0.0, -1.0
+        reach = max(5.0 * ROOT_CENTRE * float(self.radius[0]), 4.0 * self.rigid_length / 0.9)
+        return 4.0 * self.rigid_length / reach, reach
+
     @cached_property
     def body(self) -> kernels.Body:
         """The same as arrays for the kernels."""
         s, r = np.ascontiguousarray(self.s, dtype=float), np.ascontiguousarray(self.radius, dtype=float)
-        frusta = np.pi / 3.0 * np.diff(s) * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)
-        beyond = np.append(np.cumsum(frusta[::-1])[::-1], 0.0)
-        material = np.array([self.youngs_modulus, self.shear_modulus, self.shear_coefficient, self.density,
-                             self.rigid_length, 0.0 if self.inextensible else 1.0])  # fmt: skip
-        return kernels.Body(s, r, beyond, material)
+        area, xx, yy, torsion = self.factors
+        cones = area * np.pi / 3.0 * np.diff(s)
+        frusta = cones * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)
+        by_knot = np.zeros((len(s) - 1, len(s)))
+        i = np.arange(len(s) - 1)
+        by_knot[i, i] = cones * (2.0 * r[:-1] + r[1:]) * r[:-1]
+        by_knot[i, i + 1] = cones * (2.0 * r[1:] + r[:-1]) * r[1:]
+        stretches = 0.0 if self.inextensible else 1.0 / (np.pi * area)
+        rest = np.zeros((len(s), 3)) if self.rest_curvature is None else np.asarray(self.rest_curvature)
+        general = xx != yy or bool(rest.any())
+        constants = np.array([
+            4.0 / (np.pi * self.youngs_modulus * xx), 4.0 / (np.pi * self.youngs_modulus * yy),
+            2.0 / (np.pi * self.shear_modulus * torsion),
+            stretches / (self.shear_coefficient * self.shear_modulus), stretches / self.youngs_modulus,
+            self.density, np.pi / 3.0 * area, float(general), *self.root,
+            *((FINITE_BEND, FINITE_STRETCH) if self.finite_strain else (0.0, 0.0)),
+        ])  # fmt: skip
+        return kernels.Body(s, r, _beyond(frusta), _beyond(by_knot), rest.astype(float).ravel(), constants)
+
+    @cached_property
+    def stacked(self) -> kernels.Body:
+        """The same as one row of many."""
+        return kernels.Body(*(array[None] for array in self.body))
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return float(self.density * self.body.volume_beyond[0])
 
     def solve(
         self,
@@ -103,13 +169,14 @@ class Rod:
         force: ArrayLike = (0.0, 0.0, 0.0),
         s_contact: float | None = None,
         *,
+        couple: ArrayLike = (0.0, 0.0, 0.0),
         tip_moment: ArrayLike = (0.0, 0.0, 0.0),
         mode: Mode = "fast",
         guess: ArrayLike | None = None,
         guess_only: bool = False,
         columns: Columns = "none",
     ) -> Equilibrium:
-        """Static equilibrium under gravity, a dead point force and a dead moment at the tip.
+        """Static equilibrium under gravity, a dead point force and dead moments at the contact and at the tip.
 
         Cold, the load grows from nothing and the equilibrium is followed, so the answer is the branch
         connected to the unloaded rod; with a guess, Newton starts there first.
@@ -117,12 +184,14 @@ class Rod:
         Args:
             gravity: in base axes [m/s²], (3,).
             force: in base axes, on the centreline [N], (3,).
-            s_contact: where the force acts [m]; the tip if None.
-            tip_moment: in base axes [N·m], (3,).
+            s_contact: where force and couple act [m]; the tip if None.
+            couple: in base axes [N·m], (3,): that of a force beside the centreline.
+            tip_moment: in base axes [N·m], (3,); no equilibrium under one is judged for stability.
             mode: "fast" or "reference".
-            guess: tangent at the tip to start from, (3,).
+            guess: `tip` of a neighbouring equilibrium, (6,), or its tangent alone, (3,).
             guess_only: give up where the guess does not lead to an answer, instead of starting cold.
-            columns: which exact sensitivities to carry along: "none", "load" (force and s_contact) or "all".
+            columns: which exact sensitivities to carry along: "none", "load" (force and s_contact), "contact"
+                (with the couple) or "all" (with gravity, E, G, density, every and each knot's diameter).
 
         Returns:
             The equilibrium; its `result` is "ok", "not_converged" or "unstable"; numbers come only with "ok".
@@ -130,34 +199,72 @@ class Rod:
         Raises:
             InputError: an argument is not finite or s_contact lies off the rod.
         """
-        load = self._load(gravity, force, s_contact, tip_moment)
-        tol, until = TOLERANCES[mode]
-        k = _COLUMNS[columns]
+        load = self.load(gravity, force, s_contact, couple, tip_moment)
+        k, room = self.columns_of(columns), _NODES[mode]
         start = kernels.COLD if guess is None else kernels.WARM_ONLY if guess_only else kernels.WARM
-        t = np.array([0.0, 0.0, 1.0]) if guess is None else _unit(guess)
-        y, contact = np.empty(12 * (3 + k)), np.empty(12 * (3 + k))
-        nodes = np.empty((_MAX_NODES if mode == "reference" else 512, 13))
-        scratch = np.empty(kernels.SCRATCH)
-        status, count, stable, residual = kernels.solve(
-            t, start, scratch, self.body, load, tol, until, k, nodes, y, contact
+        found, derivatives = np.empty((1, kernels.FOUND)), np.empty((1, 15, k + 1))
+        row = found[0]
+        if guess is not None:
+            row[kernels.TIP : kernels.TIP + 6] = _tip(guess)
+        while True:
+            work = workspace(k, room)
+            kernels.solve_cases(
+                0,
+                1,
+                self.stacked,
+                FIRST,
+                load[None],
+                start,
+                False,
+                *TOLERANCES[mode],
+                *work,
+                found,
+                derivatives,
+            )
+            status, count = int(row[kernels.STATUS]), int(row[kernels.COUNT])
+            shape = work.nodes.reshape(room, -1)[:count]
+            if status != kernels.OK or shape[-1, 0] == 0.0:
+                break
+            room, start = 8 * room, kernels.WARM
+        d, tip = derivatives[0], row[kernels.TIP : kernels.TIP + 6]
+        sensitivity = None
+        if k and status == kernels.OK:
+            sensitivity = Sensitivity(d[:3, :k], d[3:, :k], d[3:, k], work.turns, load, self.body)
+        margin, residual = float(row[kernels.MARGIN]), float(row[kernels.RESIDUAL])
+        return Equilibrium(
+            RESULTS[status], margin, residual, load, shape, tip, work.y, work.contact, self.body, sensitivity
         )
-        sensitivity = self._sensitivity(y, contact, k, load) if k and status == kernels.OK else None
-        result, shape = _RESULTS[status], nodes[:count]
-        return Equilibrium(result, stable, residual, load, shape, y, contact, self.body, sensitivity)
 
-    def _load(
-        self, gravity: ArrayLike, force: ArrayLike, s_contact: float | None, moment: ArrayLike
+    def columns_of(self, columns: Columns) -> int:
+        """How many parameters the sensitivities are by."""
+        every = kernels.ALL_COLUMNS + len(self.s)
+        return {"none": 0, "load": kernels.LOAD_COLUMNS, "contact": kernels.CONTACT_COLUMNS, "all": every}[
+            columns
+        ]
+
+    def load(
+        self,
+        gravity: ArrayLike,
+        force: ArrayLike,
+        s_contact: float | None = None,
+        couple: ArrayLike = (0.0, 0.0, 0.0),
+        tip_moment: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Array:
-        """[force, gravity, tip moment, s_c] for the kernels, checked."""
-        load = np.empty(10)
-        for start, name, value in ((0, "force", force), (3, "gravity", gravity), (6, "tip_moment", moment)):
+        """[force, gravity, tip moment, couple, s_c] for the kernels, checked.
+
+        Raises:
+            InputError: as `solve`.
+        """
+        load = np.empty(kernels.LOAD)
+        given = (("force", force), ("gravity", gravity), ("tip_moment", tip_moment), ("couple", couple))
+        for i, (name, value) in enumerate(given):
             if np.shape(value) != (3,):
                 raise InputError(f"{name} = {value!r} must be three finite numbers")
-            load[start : start + 3] = value
+            load[3 * i : 3 * i + 3] = value
             if not (
-                math.isfinite(load[start])
-                and math.isfinite(load[start + 1])
-                and math.isfinite(load[start + 2])
+                math.isfinite(load[3 * i])
+                and math.isfinite(load[3 * i + 1])
+                and math.isfinite(load[3 * i + 2])
             ):
                 raise InputError(f"{name} = {value!r} must be three finite numbers")
         try:
@@ -166,21 +273,35 @@ class Rod:
             raise InputError(f"s_contact = {s_contact!r} must be a number in metres") from None
         if not 0.0 <= s <= self.length * (1 + 1e-12):  # a fraction of the length may round up
             raise InputError(f"s_contact = {s_contact} must lie in 0 ... {self.length:g} m")
-        load[9] = min(s, self.length)
+        load[12] = min(s, self.length)
         return load
 
-    def _sensitivity(self, y: Array, contact: Array, columns: int, load: Array) -> Sensitivity:
-        d_moment, d_contact, frame = np.empty((3, columns)), np.empty((12, columns)), np.empty(12)
-        kernels.sensitivities(y, contact, columns, self.body, load, d_moment, d_contact, frame)
-        return Sensitivity(d_moment, d_contact, frame, load, self.body)
+
+def _beyond(parts: Array) -> Array:
+    """Sums of the rows from each on, and zero after the last."""
+    sums = np.cumsum(parts[::-1], axis=0)[::-1]
+    return np.ascontiguousarray(np.concatenate([sums, np.zeros((1, *parts.shape[1:]))]))
 
 
-def _unit(t: ArrayLike) -> Array:
-    vector = np.array(t, dtype=float)
-    norm = float(np.linalg.norm(vector))
-    if vector.shape != (3,) or not 0.0 < norm < np.inf:
-        raise InputError(f"guess = {t!r} must be a direction (3,)")
-    return vector / norm
+def _tip(guess: ArrayLike) -> Array:
+    """[t, d] of a guess: a section, or a tangent, whose section is turned from the base's the shortest way."""
+    given = np.array(guess, dtype=float)
+    t = given[:3] if given.shape in ((3,), (6,)) else np.zeros(3)
+    norm = float(np.linalg.norm(t))
+    if not 0.0 < norm < np.inf or not np.isfinite(given).all():
+        raise InputError(f"guess = {guess!r} must be a direction (3,) or a section's [tangent, x axis] (6,)")
+    t = t / norm
+    d = given[3:] if len(given) == 6 else np.array([1.0, 0.0, 0.0])
+    if len(given) == 3:  # x carried along from z to t
+        d = (
+            d - t[0] / (1.0 + t[2]) * (t + np.array([0.0, 0.0, 1.0]))
+            if t[2] > -0.999
+            else np.array([-1.0, 0.0, 0.0])
+        )
+    d = d - (d @ t) * t
+    if np.linalg.norm(d) < 1e-6:
+        raise InputError(f"guess = {guess!r}: the x axis lies along the tangent")
+    return np.concatenate([t, d / np.linalg.norm(d)])
 
 
 def _require(holds: bool, message: str) -> None:

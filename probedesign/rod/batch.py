@@ -1,0 +1,199 @@
+"""Many equilibria at once: rods and loads as arrays in, answers as arrays out, on all cores."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probedesign.errors import InputError
+from probedesign.frames import Array
+from probedesign.rod import kernels
+from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
+from probedesign.rod.workspace import workspace
+
+CHUNK = 256
+"""Cases that a thread takes at a time: a few milliseconds, so that an interrupt is heard and cores end together."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Equilibria of n cases in base axes; rows of numbers are NaN unless `result` is "ok".
+
+    Attributes:
+        result: "ok", "not_converged" or "unstable", (n,).
+        margin: of stability, (n,).
+        residual: misfit of the base's tangent [rad], (n,).
+        tip: the tip's section [tangent, x axis], (n, 6).
+        wrench_base: what the rod does to its mount [N, N·m], (n, 6).
+        p_contact_base: where the force acts [m], (n, 3).
+        d_moment: of the base moment, (n, 3, k); k = 0 if no columns were asked for.
+        d_contact: of the contact's [tangent, section x axis, position, section y axis], (n, 12, k).
+    """
+
+    result: np.ndarray[tuple[int], np.dtype[np.str_]]
+    margin: Array
+    residual: Array
+    tip: Array
+    wrench_base: Array
+    p_contact_base: Array
+    d_moment: Array
+    d_contact: Array
+
+    @property
+    def ok(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which cases have an answer, (n,)."""
+        return np.asarray(self.result == "ok")
+
+
+def solve_batch(
+    rods: Rod | Sequence[Rod],
+    gravity: ArrayLike,
+    force: ArrayLike,
+    s_contact: ArrayLike,
+    *,
+    couple: ArrayLike = (0.0, 0.0, 0.0),
+    which: ArrayLike | None = None,
+    mode: Mode = "fast",
+    columns: Columns = "none",
+    threads: int | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Batch:
+    """Equilibria of n cases, each as `Rod.solve` finds it from no load.
+
+    Cases do not know of each other: the answers are the same to the bit whatever the number of threads.
+
+    Args:
+        rods: one for all cases, or several with equally many knots.
+        gravity: base axes [m/s²], (n, 3) or (3,).
+        force: base axes [N], (n, 3) or (3,).
+        s_contact: [m], (n,) or a number.
+        couple: base axes [N·m], (n, 3) or (3,).
+        which: index of each case's rod, (n,); case i has rods[i] if None.
+        mode: "fast" or "reference".
+        columns: which sensitivities to carry along, as for `Rod.solve`.
+        threads: all cores if None.
+        progress: called with the number of cases just done.
+
+    Returns:
+        The equilibria.
+
+    Raises:
+        InputError: shapes do not fit, a number is not finite or a contact lies off its rod.
+    """
+    several = [rods] if isinstance(rods, Rod) else list(rods)
+    loads, of = _cases(several, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
+    bodies = _stacked(several)
+    n, k = len(loads), several[0].columns_of(columns)
+    found, derivatives = np.empty((n, kernels.FOUND)), np.empty((n, 15, k + 1))
+    tol, until = TOLERANCES[mode]
+
+    def run(first: int) -> None:
+        last = min(first + CHUNK, n)
+        kernels.solve_cases(
+            first,
+            last,
+            bodies,
+            of,
+            loads,
+            kernels.COLD,
+            False,
+            tol,
+            until,
+            *workspace(k, 0),
+            found,
+            derivatives,
+        )
+        if progress is not None:
+            progress(last - first)
+
+    if n:
+        run(0)  # compiles, if anything has to be
+    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+        try:
+            for _ in pool.map(run, range(CHUNK, n, CHUNK)):
+                pass
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return _batch(found, derivatives, loads, bodies, of)
+
+
+def _cases(
+    rods: Sequence[Rod],
+    gravity: ArrayLike,
+    force: ArrayLike,
+    s_contact: ArrayLike,
+    couple: ArrayLike,
+    which: ArrayLike | None,
+    one: bool,
+) -> tuple[Array, Array]:
+    """Loads (n, 13) and the rod of each case, (n,), checked."""
+    given = {
+        "gravity": np.array(gravity, float),
+        "force": np.array(force, float),
+        "couple": np.array(couple, float),
+    }
+    s = np.array(s_contact, dtype=float)
+    sizes = [len(v) for v in given.values() if v.ndim == 2] + ([len(s)] if s.ndim else [])
+    of = np.arange(len(rods)) if which is None else np.array(which)
+    if not one or which is not None:
+        sizes.append(len(of))
+    n = max(sizes, default=1)
+    for name, v in given.items():
+        if v.shape not in ((3,), (n, 3)):
+            raise InputError(f"{name} has shape {v.shape}; it must be (3,) or ({n}, 3)")
+    if s.shape not in ((), (n,)):
+        raise InputError(f"s_contact has shape {s.shape}; it must be a number or ({n},)")
+    of = np.zeros(n, dtype=np.int64) if one and which is None else of
+    if of.shape != (n,) or of.dtype.kind != "i" or ((of < 0) | (of >= len(rods))).any():
+        raise InputError(f"which must be {n} indices of the {len(rods)} rods, one a case")
+    loads = np.zeros((n, kernels.LOAD))
+    loads[:, 0:3], loads[:, 3:6], loads[:, 9:12], loads[:, 12] = (
+        given["force"],
+        given["gravity"],
+        given["couple"],
+        s,
+    )
+    length = np.array([rod.length for rod in rods])[of]
+    good = np.isfinite(loads).all(axis=1) & (loads[:, 12] >= 0.0) & (loads[:, 12] <= length * (1 + 1e-12))
+    if not good.all():
+        i = int(np.argmin(good))
+        raise InputError(
+            f"case {i}: force, gravity and couple must be finite, "
+            f"s_contact = {loads[i, 12]} in 0 ... {length[i]:g} m"
+        )
+    loads[:, 12] = np.minimum(loads[:, 12], length)
+    return loads, of.astype(np.int64)
+
+
+def _stacked(rods: Sequence[Rod]) -> kernels.Body:
+    """The rods' arrays, one row a rod."""
+    if not rods or any(len(rod.s) != len(rods[0].s) for rod in rods):
+        raise InputError("the rods of a batch need equally many knots, and there must be one")
+    return kernels.Body(
+        *(np.ascontiguousarray(np.stack(arrays)) for arrays in zip(*(rod.body for rod in rods), strict=True))
+    )
+
+
+def _batch(found: Array, derivatives: Array, loads: Array, bodies: kernels.Body, of: Array) -> Batch:
+    """The kernels' rows by name."""
+    status = found[:, kernels.STATUS].astype(int)
+    bad = status != kernels.OK
+    mass = (bodies.constants[:, kernels.DENSITY] * bodies.volume_beyond[:, 0])[of]
+    moment = found[:, kernels.MOMENT : kernels.MOMENT + 3]
+    wrench = np.hstack([loads[:, 0:3] + mass[:, None] * loads[:, 3:6], moment])
+    for numbers in (wrench, found[:, kernels.RESIDUAL :], derivatives):
+        numbers[bad] = np.nan
+    return Batch(
+        result=np.array([RESULTS[code] for code in range(len(RESULTS))])[status],
+        margin=found[:, kernels.MARGIN],
+        residual=found[:, kernels.RESIDUAL],
+        tip=found[:, kernels.TIP : kernels.TIP + 6],
+        wrench_base=wrench,
+        p_contact_base=found[:, kernels.CONTACT + 3 : kernels.CONTACT + 6],
+        d_moment=derivatives[:, :3, :-1],
+        d_contact=derivatives[:, 3:, :-1],
+    )

@@ -1,0 +1,35 @@
+"""How the kernels are compiled: once, cached beside their source, without Python inside."""
+
+from pathlib import Path
+
+from numba import njit
+
+HERE = Path(__file__).parent
+
+
+def _drop_stale() -> None:
+    """Remove compiled kernels older than any kernel's source.
+
+    numba's cache looks at the file of the function it compiles alone; what that function calls stands here
+    in other files.
+    """
+    try:
+        newest = max(source.stat().st_mtime for source in HERE.glob("*.py"))
+        for index in (HERE / "__pycache__").glob("*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink()
+    except OSError:
+        pass  # installed where nothing may be written: nothing changes there either
+
+
+_drop_stale()
+
+kernel = njit(cache=True, nogil=True, error_model="numpy")
+"""Called from Python and by other kernels. Division by zero gives inf or NaN, which the step control refuses."""
+inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""The same for what only kernels call."""
+inlined = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Arithmetic on three numbers: always part of its caller."""
+
+merged = njit(error_model="numpy", inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""For what has one caller: compiled as part of it, not by itself and then again."""

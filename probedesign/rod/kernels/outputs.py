@@ -1,0 +1,139 @@
+"""What is read off a solved rod: exact sensitivities at base and contact, and the state between its nodes."""
+
+import math
+
+from probedesign.rod.kernels.body import FORCE, GRAVITY, ROOT_REACH, S_CONTACT
+from probedesign.rod.kernels.compiled import inlined, inner, kernel
+from probedesign.rod.kernels.equations import (
+    frustum_of,
+    medium,
+    rest_at,
+    rest_of,
+    round_slopes,
+    turning,
+)
+from probedesign.rod.kernels.steps import BLOCK, COLUMN, NEXT, STATE, WIDE, full_step
+from probedesign.rod.kernels.sweep import (
+    begin,
+    lane_of,
+    step_columns,
+)
+from probedesign.rod.kernels.vectors import add, cross, dot, minus, plus, take, times
+
+
+@inlined
+def _theta(columns, o):
+    return (columns[o], columns[o + WIDE], columns[o + 2 * WIDE])
+
+
+@inner
+def _solved_tips(columns, stride, lane):
+    """Turns of the tip about its three axes that take back what a column turns the base by."""
+    a, b, c = _theta(columns, 0), _theta(columns, 1), _theta(columns, 2)
+    x = _theta(columns, lane // WIDE * stride + lane % WIDE)
+    det = dot(a, cross(b, c))
+    return -dot(x, cross(b, c)) / det, -dot(x, cross(c, a)) / det, -dot(x, cross(a, b)) / det
+
+
+@inlined
+def _total(columns, stride, lane, row, turns):
+    """Three rows of a column with the tip turned so that the base stays."""
+    o = WIDE * row
+    a, b, c = _theta(columns, o), _theta(columns, o + 1), _theta(columns, o + 2)
+    x = _theta(columns, o + lane // WIDE * stride + lane % WIDE)
+    return add(add(add(x, turns[0], a), turns[1], b), turns[2], c)
+
+
+@inner
+def sensitivities(y, blocks, contact, body, load, turns, derivatives):
+    """Total derivatives of what the base feels and of where the contact is.
+
+    Args:
+        y, blocks, contact: as `solve` left them.
+        turns: (3, k) turns of the tip's section about its axes, for the columns elsewhere.
+        derivatives: (15, k + 1): of the base moment (3), of the contact's [t, x axis, position from the base,
+            y axis] (12); in its last column those twelve themselves.
+
+    The contact moves along the body with s_contact, so that column also holds the slopes there.
+    """
+    k = turns.shape[1]
+    # The x axis of a round section was started anyhow at the tip: turned about the tangent, it is e_x at the base.
+    norm = math.hypot(y[9], y[10])
+    co, si = y[9] / norm, -y[10] / norm
+    t, d = take(contact, 0), take(contact, 9)
+    e = cross(t, d)
+    x_axis = add(times(co, d), si, e)
+    y_axis = cross(t, x_axis)
+    place = minus(take(contact, 6), take(y, 6))
+    s = load[S_CONTACT]
+    i = body.knots.shape[0] - 2
+    while i > 0 and s <= body.knots[i]:
+        i -= 1
+    med = medium(
+        s, frustum_of(body, i, s <= body.constants[ROOT_REACH]), take(load, FORCE), take(load, GRAVITY)
+    )
+    turn_s = turning(t, take(contact, 3), d, e, rest_at(s, rest_of(body, i)), med)
+    _t1, _m1, p_s = round_slopes(t, take(contact, 3), med)
+    there = contact[STATE:]
+    for j in range(k):
+        lane = lane_of(j)
+        tips = _solved_tips(blocks, BLOCK, lane)
+        v = _total(blocks, BLOCK, lane, 3, tips)
+        theta = _total(there, WIDE * COLUMN, lane, 0, tips)
+        q = minus(_total(there, WIDE * COLUMN, lane, 6, tips), _total(blocks, BLOCK, lane, 6, tips))
+        if j == 3:
+            theta, q = plus(theta, turn_s), plus(q, p_s)
+        dt, dx, dy = cross(theta, t), cross(theta, x_axis), cross(theta, y_axis)
+        for r in range(3):
+            turns[r, j] = tips[r]
+            derivatives[r, j] = v[r]
+            derivatives[3 + r, j] = dt[r]
+            derivatives[6 + r, j] = dx[r]
+            derivatives[9 + r, j] = q[r]
+            derivatives[12 + r, j] = dy[r]
+    for r in range(3):
+        derivatives[3 + r, k] = t[r]
+        derivatives[6 + r, k] = x_axis[r]
+        derivatives[9 + r, k] = place[r]
+        derivatives[12 + r, k] = y_axis[r]
+
+
+@kernel
+def states_at(s, nodes, count, body, load, work, blocks, result):
+    """States and columns at arclengths s (j,), one step from the node above each.
+
+    Args:
+        nodes: as `solve` filled them, `count` rows.
+        work: (WORK,); blocks: (chunks · BLOCK,).
+        result: (j, STATE + 36 chunks).
+    """
+    chunks = blocks.shape[0] // BLOCK
+    width = 1 + STATE + WIDE * COLUMN * chunks
+    begin(nodes[1 : 1 + STATE], blocks, chunks)
+    for j in range(s.shape[0]):
+        row = 0
+        while row + 1 < count and nodes[(row + 1) * width] >= s[j]:
+            row += 1
+        o = row * width
+        at = nodes[o]
+        for q in range(width - 1):
+            result[j, q] = nodes[o + 1 + q]
+        if at > s[j]:
+            i = body.knots.shape[0] - 2
+            while i > 0 and at <= body.knots[i]:
+                i -= 1
+            in_root, on = at <= body.constants[ROOT_REACH], 1.0 if at <= load[S_CONTACT] else 0.0
+            for q in range(STATE):
+                work[q] = nodes[o + 1 + q]
+            for c in range(chunks):
+                for q in range(WIDE * COLUMN):
+                    blocks[c * BLOCK + q] = nodes[o + 1 + STATE + c * WIDE * COLUMN + q]
+            frustum, rest, gravity = frustum_of(body, i, in_root), rest_of(body, i), take(load, GRAVITY)
+            force = times(on, take(load, FORCE))
+            full_step(at, s[j] - at, work, frustum, rest, force, gravity, on)
+            step_columns(at, s[j] - at, i, in_root, work, blocks, chunks, body, gravity)
+            for q in range(STATE):
+                result[j, q] = work[STATE + q]
+            for c in range(chunks):
+                for q in range(WIDE * COLUMN):
+                    result[j, STATE + c * WIDE * COLUMN + q] = blocks[c * BLOCK + WIDE * NEXT + q]

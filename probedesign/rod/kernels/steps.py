@@ -1,0 +1,313 @@
+"""One step of the state and, over the same stages, of its columns.
+
+The state's step notes at each stage what the columns' equations need. Columns step WIDE at a time, one to a lane
+of a vector register: their arrays are laid out so that the compiler sees it (one array, constant offsets).
+"""
+
+import numpy as np
+
+from probedesign.rod.kernels import verner
+from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels.equations import (
+    changed,
+    column_slopes,
+    full_slopes,
+    medium,
+    rest_at,
+    round_slopes,
+    yielding,
+)
+from probedesign.rod.kernels.vectors import add, cross, minus, plus, put, take, times
+
+STATE = 12
+"""[t, m, p, d]: tangent, moment, point, the section's x axis."""
+ROW = 25
+"""Noted of a stage: [t, m, p', n, e, the rest of `medium`, on]."""
+NOTED = 2 * STATE
+WORK = NOTED + verner.STAGES * ROW
+"""What a step works in: the state, where it steps to, and what was noted."""
+WIDE = 4
+"""Columns that step together."""
+COLUMN = 9
+"""[θ, v, q] of a column."""
+NEXT, ERRORS, BY_LOAD, LOGS, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 36, 44
+"""Rows of a block of WIDE columns after the columns themselves: where they step to, errors of θ and v, how they
+move force and gravity, log E and log G, and at each stage log radius, log f and the weight factor."""
+BLOCK = (BY_WEIGHT + verner.STAGES) * WIDE
+
+S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(verner.STAGES)
+"""The stages; as numpy's integers, since numba would compile what it is given 0, 1, 2 ... for once for each."""
+C1, C2, C3, C4, C6 = (float(verner.C[j]) for j in (1, 2, 3, 4, 6))
+
+
+@inlined
+def _keep(work, j, t, m, p1, e, med, on):
+    """Note what the columns need of stage j."""
+    o = NOTED + ROW * j
+    put(work, o, t)
+    put(work, o + 3, m)
+    put(work, o + 6, p1)
+    put(work, o + 9, med[9])
+    put(work, o + 12, e)
+    put(work, o + 15, (med[0], med[1], med[2]))
+    put(work, o + 18, (med[3], med[4], med[5]))
+    put(work, o + 21, (med[6], med[7], med[8]))
+    work[o + 24] = on
+
+
+@inner
+def round_step(s, h, work, frustum, force, gravity, on):
+    """Step [t, m, p] of a round straight rod from s by h (negative: towards the base).
+
+    Args:
+        work: state, where it steps to, and the stages' notes, (WORK,).
+        frustum: from `frustum_of`.
+        force: the contact's on its base's side, else zero, (3,) tuple; gravity (3,) tuple.
+        on: 1 on the contact's base's side, else 0.
+
+    Returns:
+        Error estimates of t, m and p.
+    """
+    t, m = take(work, 0), take(work, 3)
+    e = (0.0, 0.0, 0.0)  # bending knows no direction
+
+    med = medium(s, frustum, force, gravity)
+    t0, m0, p0 = round_slopes(t, m, med)
+    _keep(work, S0, t, m, p0, e, med, on)
+
+    tj, mj = verner.stage1(t, h, t0), verner.stage1(m, h, m0)
+    med = medium(s + C1 * h, frustum, force, gravity)
+    t1, m1, p1 = round_slopes(tj, mj, med)
+    _keep(work, S1, tj, mj, p1, e, med, on)
+
+    tj, mj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1)
+    med = medium(s + C2 * h, frustum, force, gravity)
+    t2, m2, p2 = round_slopes(tj, mj, med)
+    _keep(work, S2, tj, mj, p2, e, med, on)
+
+    tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
+    med = medium(s + C3 * h, frustum, force, gravity)
+    t3, m3, p3 = round_slopes(tj, mj, med)
+    _keep(work, S3, tj, mj, p3, e, med, on)
+
+    tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
+    med = medium(s + C4 * h, frustum, force, gravity)
+    t4, m4, p4 = round_slopes(tj, mj, med)
+    _keep(work, S4, tj, mj, p4, e, med, on)
+
+    tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
+    end = medium(s + h, frustum, force, gravity)
+    t5, m5, p5 = round_slopes(tj, mj, end)
+    _keep(work, S5, tj, mj, p5, e, end, on)
+
+    tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
+    med = medium(s + C6 * h, frustum, force, gravity)
+    t6, m6, p6 = round_slopes(tj, mj, med)
+    _keep(work, S6, tj, mj, p6, e, med, on)
+
+    tj, mj = verner.stage7(t, h, t0, t1, t2, t3, t4, t6), verner.stage7(m, h, m0, m1, m2, m3, m4, m6)
+    t7, m7, p7 = round_slopes(tj, mj, end)
+    _keep(work, S7, tj, mj, p7, e, end, on)
+
+    put(work, STATE, verner.step(t, h, t0, t2, t3, t4, t6, t7))
+    put(work, STATE + 3, verner.step(m, h, m0, m2, m3, m4, m6, m7))
+    put(work, STATE + 6, verner.step(take(work, 6), h, p0, p2, p3, p4, p6, p7))
+    return (
+        verner.error(h, t0, t2, t3, t4, t5, t6, t7),
+        verner.error(h, m0, m2, m3, m4, m5, m6, m7),
+        verner.error(h, p0, p2, p3, p4, p5, p6, p7),
+    )
+
+
+@inlined
+def _stage_slopes(s, j, t, m, d, work, frustum, rest, force, gravity, on):
+    """Slopes of any rod at stage j, noted for the columns."""
+    med = medium(s, frustum, force, gravity)
+    e = cross(t, d)
+    t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
+    _keep(work, j, t, m, p1, e, med, on)
+    return t1, m1, p1, d1
+
+
+@inner
+def full_step(s, h, work, frustum, rest, force, gravity, on):
+    """Step [t, m, p, d] of any rod; as `round_step`, with the section's x axis and `rest` from `rest_of`."""
+    t, m, d = take(work, 0), take(work, 3), take(work, 9)
+    t0, m0, p0, d0 = _stage_slopes(s, S0, t, m, d, work, frustum, rest, force, gravity, on)
+
+    tj, mj, dj = verner.stage1(t, h, t0), verner.stage1(m, h, m0), verner.stage1(d, h, d0)
+    t1, m1, _p, d1 = _stage_slopes(s + C1 * h, S1, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    tj, mj, dj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1), verner.stage2(d, h, d0, d1)
+    t2, m2, p2, d2 = _stage_slopes(s + C2 * h, S2, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
+    dj = verner.stage3(d, h, d0, d1, d2)
+    t3, m3, p3, d3 = _stage_slopes(s + C3 * h, S3, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
+    dj = verner.stage4(d, h, d0, d1, d2, d3)
+    t4, m4, p4, d4 = _stage_slopes(s + C4 * h, S4, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
+    dj = verner.stage5(d, h, d0, d1, d2, d3, d4)
+    t5, m5, p5, d5 = _stage_slopes(s + h, S5, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
+    dj = verner.stage6(d, h, d0, d1, d2, d3, d4)
+    t6, m6, p6, d6 = _stage_slopes(s + C6 * h, S6, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    tj, mj = verner.stage7(t, h, t0, t1, t2, t3, t4, t6), verner.stage7(m, h, m0, m1, m2, m3, m4, m6)
+    dj = verner.stage7(d, h, d0, d1, d2, d3, d4, d6)
+    t7, m7, p7, d7 = _stage_slopes(s + h, S7, tj, mj, dj, work, frustum, rest, force, gravity, on)
+
+    put(work, STATE, verner.step(t, h, t0, t2, t3, t4, t6, t7))
+    put(work, STATE + 3, verner.step(m, h, m0, m2, m3, m4, m6, m7))
+    put(work, STATE + 6, verner.step(take(work, 6), h, p0, p2, p3, p4, p6, p7))
+    put(work, STATE + 9, verner.step(d, h, d0, d2, d3, d4, d6, d7))
+    return (
+        verner.error(h, t0, t2, t3, t4, t5, t6, t7) + verner.error(h, d0, d2, d3, d4, d5, d6, d7),
+        verner.error(h, m0, m2, m3, m4, m5, m6, m7),
+        verner.error(h, p0, p2, p3, p4, p5, p6, p7),
+    )
+
+
+@inlined
+def _stage(work, j):
+    """What was noted of stage j: t, m, p', e and the medium."""
+    o = NOTED + ROW * j
+    med = (
+        work[o + 15],
+        work[o + 16],
+        work[o + 17],
+        work[o + 18],
+        work[o + 19],
+        work[o + 20],
+        work[o + 21],
+        work[o + 22],
+        work[o + 23],
+        take(work, o + 9),
+    )
+    return take(work, o), take(work, o + 3), take(work, o + 6), take(work, o + 12), med
+
+
+@inlined
+def _free(work, j):
+    """The same with what bending of the place does, for columns without forcing."""
+    t, m, p1, e, med = _stage(work, j)
+    bend, beta, by_e, _turns, _points = yielding(t, m, e, med)
+    return t, m, p1, e, med, (bend, beta, by_e)
+
+
+@inlined
+def _noted(work, j):
+    """The same with what its softening would do and whether the contact lies beyond, for the other columns."""
+    t, m, p1, e, med = _stage(work, j)
+    bend, beta, by_e, turns, points = yielding(t, m, e, med)
+    return t, m, p1, e, med, (bend, beta, by_e), (turns, points), work[NOTED + ROW * j + 24]
+
+
+@inlined
+def _free_slopes(theta, v, stage):
+    """Slopes of a column without forcing at a stage."""
+    t, m, p1, e, med, yields = stage
+    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, yields)
+    return turn, cross(med[9], q1), q1
+
+
+@inlined
+def _row3(block, row, lane):
+    """Three rows of one lane."""
+    o = WIDE * row
+    return (block[o + lane], block[o + WIDE + lane], block[o + 2 * WIDE + lane])
+
+
+@inlined
+def _put3(block, row, lane, x):
+    """Three rows of one lane."""
+    o = WIDE * row
+    block[o + lane] = x[0]
+    block[o + WIDE + lane] = x[1]
+    block[o + 2 * WIDE + lane] = x[2]
+
+
+@inlined
+def _finish(block, lane, h, a, v, q, ka, kv, kq):
+    """Note where one column steps to and its error; ka, kv, kq: its slopes at the stages."""
+    a0, a2, a3, a4, a5, a6, a7 = ka
+    v0, v2, v3, v4, v5, v6, v7 = kv
+    q0, q2, q3, q4, q6, q7 = kq
+    _put3(block, NEXT, lane, verner.step(a, h, a0, a2, a3, a4, a6, a7))
+    _put3(block, NEXT + 3, lane, verner.step(v, h, v0, v2, v3, v4, v6, v7))
+    _put3(block, NEXT + 6, lane, verner.step(q, h, q0, q2, q3, q4, q6, q7))
+    block[WIDE * ERRORS + lane] = verner.error(h, a0, a2, a3, a4, a5, a6, a7)
+    block[WIDE * (ERRORS + 1) + lane] = verner.error(h, v0, v2, v3, v4, v5, v6, v7)
+
+
+@inner
+def free_columns_step(h, block, work):
+    """Step WIDE columns that move neither load nor section over the stages of the state's step.
+
+    Args:
+        block: (BLOCK,).
+    """
+    s0, s1, s2, s3 = _free(work, S0), _free(work, S1), _free(work, S2), _free(work, S3)
+    s4, s5, s6, s7 = _free(work, S4), _free(work, S5), _free(work, S6), _free(work, S7)
+    for lane in range(WIDE):
+        a, v, q = _row3(block, 0, lane), _row3(block, 3, lane), _row3(block, 6, lane)
+        a0, v0, q0 = _free_slopes(a, v, s0)
+        a1, v1, _q = _free_slopes(verner.stage1(a, h, a0), verner.stage1(v, h, v0), s1)
+        a2, v2, q2 = _free_slopes(verner.stage2(a, h, a0, a1), verner.stage2(v, h, v0, v1), s2)
+        aj, vj = verner.stage3(a, h, a0, a1, a2), verner.stage3(v, h, v0, v1, v2)
+        a3, v3, q3 = _free_slopes(aj, vj, s3)
+        aj, vj = verner.stage4(a, h, a0, a1, a2, a3), verner.stage4(v, h, v0, v1, v2, v3)
+        a4, v4, q4 = _free_slopes(aj, vj, s4)
+        aj, vj = verner.stage5(a, h, a0, a1, a2, a3, a4), verner.stage5(v, h, v0, v1, v2, v3, v4)
+        a5, v5, _q = _free_slopes(aj, vj, s5)
+        aj, vj = verner.stage6(a, h, a0, a1, a2, a3, a4), verner.stage6(v, h, v0, v1, v2, v3, v4)
+        a6, v6, q6 = _free_slopes(aj, vj, s6)
+        aj, vj = verner.stage7(a, h, a0, a1, a2, a3, a4, a6), verner.stage7(v, h, v0, v1, v2, v3, v4, v6)
+        a7, v7, q7 = _free_slopes(aj, vj, s7)
+        ka, kv = (a0, a2, a3, a4, a5, a6, a7), (v0, v2, v3, v4, v5, v6, v7)
+        _finish(block, lane, h, a, v, q, ka, kv, (q0, q2, q3, q4, q6, q7))
+
+
+@inlined
+def _forced_slopes(theta, v, stage, j, block, lane, gravity):
+    """Slopes of a column that moves load or section, at stage j."""
+    t, m, p1, e, med, yields, softens, on = stage
+    force, g = _row3(block, BY_LOAD, lane), _row3(block, BY_LOAD + 3, lane)
+    by_weight = block[WIDE * (BY_WEIGHT + j) + lane]
+    h = add(add(times(on, force), med[5], g), by_weight, gravity)
+    n = med[9]
+    turn, q1 = column_slopes(theta, v, plus(h, cross(n, theta)), t, m, p1, e, med, yields)
+    log_E, log_G = block[WIDE * LOGS + lane], block[WIDE * (LOGS + 1) + lane]
+    log_r, log_f = block[WIDE * (LOG_R + j) + lane], block[WIDE * (LOG_F + j) + lane]
+    turn, q1 = changed(turn, q1, softens, log_E, log_G, log_r, log_f)
+    return turn, minus(cross(n, q1), cross(p1, h)), q1
+
+
+@inner
+def forced_columns_step(h, block, work, gravity):
+    """Step WIDE columns as `free_columns_step` does, with their forcing; gravity (3,) tuple."""
+    s0, s1, s2, s3 = _noted(work, S0), _noted(work, S1), _noted(work, S2), _noted(work, S3)
+    s4, s5, s6, s7 = _noted(work, S4), _noted(work, S5), _noted(work, S6), _noted(work, S7)
+    for lane in range(WIDE):
+        a, v, q = _row3(block, 0, lane), _row3(block, 3, lane), _row3(block, 6, lane)
+        a0, v0, q0 = _forced_slopes(a, v, s0, S0, block, lane, gravity)
+        aj, vj = verner.stage1(a, h, a0), verner.stage1(v, h, v0)
+        a1, v1, _q = _forced_slopes(aj, vj, s1, S1, block, lane, gravity)
+        aj, vj = verner.stage2(a, h, a0, a1), verner.stage2(v, h, v0, v1)
+        a2, v2, q2 = _forced_slopes(aj, vj, s2, S2, block, lane, gravity)
+        aj, vj = verner.stage3(a, h, a0, a1, a2), verner.stage3(v, h, v0, v1, v2)
+        a3, v3, q3 = _forced_slopes(aj, vj, s3, S3, block, lane, gravity)
+        aj, vj = verner.stage4(a, h, a0, a1, a2, a3), verner.stage4(v, h, v0, v1, v2, v3)
+        a4, v4, q4 = _forced_slopes(aj, vj, s4, S4, block, lane, gravity)
+        aj, vj = verner.stage5(a, h, a0, a1, a2, a3, a4), verner.stage5(v, h, v0, v1, v2, v3, v4)
+        a5, v5, _q = _forced_slopes(aj, vj, s5, S5, block, lane, gravity)
+        aj, vj = verner.stage6(a, h, a0, a1, a2, a3, a4), verner.stage6(v, h, v0, v1, v2, v3, v4)
+        a6, v6, q6 = _forced_slopes(aj, vj, s6, S6, block, lane, gravity)
+        aj, vj = verner.stage7(a, h, a0, a1, a2, a3, a4, a6), verner.stage7(v, h, v0, v1, v2, v3, v4, v6)
+        a7, v7, q7 = _forced_slopes(aj, vj, s7, S7, block, lane, gravity)
+        ka, kv = (a0, a2, a3, a4, a5, a6, a7), (v0, v2, v3, v4, v5, v6, v7)
+        _finish(block, lane, h, a, v, q, ka, kv, (q0, q2, q3, q4, q6, q7))
