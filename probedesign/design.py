@@ -117,8 +117,8 @@ class Design(Table):
             "material.shear_modulus_mpa": self.shear_modulus,
             "material.density_kg_m3": self.density,
         }
-        # A flange as soft as the probe may hold less firmly than the bonded face that 0.12 was found for.
-        root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii > 0.0 else ()
+        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mounting/root.py).
+        root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         return (*dimensions, *(k for k, q in quantities.items() if q.provenance == "assumed"), *root)
 
 

@@ -77,6 +77,13 @@ def test_a_named_resin_fills_what_is_not_given():
     assert "material.youngs_modulus_mpa" in design.assumptions
 
 
+@pytest.mark.parametrize(("root", "assumed"), [(0.12, True), (-0.3, True), (0.0, False)])
+def test_a_root_is_assumed_unless_there_is_none(root, assumed):
+    document = {"schema": 1, "name": "r", "probe": {"shape": "cylinder", "length_mm": 80, "base_d_mm": 6}}
+    design = check_design(document | {"mount": {"root_rigid_radii": root}})
+    assert ("mount.root_rigid_radii" in design.assumptions) == assumed
+
+
 def test_a_given_number_goes_before_the_resins():
     text = plain(LARGE).replace("youngs_modulus_mpa = 2.32", "youngs_modulus_mpa = 3.1")
     assert parse_design(text).youngs_modulus.value == pytest.approx(3.1e6, rel=1e-15)

@@ -12,6 +12,7 @@ from probedesign.cad.verify import Findings
 from probedesign.frames import Array
 from probedesign.mass import MassProperties, combined
 from probedesign.mounting.adapter import SQUEEZE
+from probedesign.mounting.root import exported_root_radii
 from probedesign.units import MM
 
 SCHEMA = 1
@@ -100,7 +101,8 @@ def _base(drawing: Drawing) -> dict[str, Any]:
         f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
         f"{SQUEEZE / MM:g} mm",
         "root_rigid_radii": drawing.design.mount.root_rigid_radii,
-        "root_rigid_radii_means": "0.12 comes from finite elements of a base face bonded to a rigid part; "
-        "a flange as soft as the probe may hold less firmly: identify it on the bench",
+        "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
+        "bonded to a rigid part, this soft flange is estimated to yield: about "
+        f"{exported_root_radii(drawing.geometry):.2f}, computed, not measured; identify it on the bench",
         "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
     }

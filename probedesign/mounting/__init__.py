@@ -4,3 +4,4 @@ from probedesign.mounting.adapter import SensorAdapter as SensorAdapter
 from probedesign.mounting.adapter import sensor_adapter_for as sensor_adapter_for
 from probedesign.mounting.hanging import hanging_mass as hanging_mass
 from probedesign.mounting.hanging import hanging_parts as hanging_parts
+from probedesign.mounting.root import exported_root_radii as exported_root_radii

@@ -23,8 +23,8 @@ class Workspace(NamedTuple):
 
 
 def workspace(k: int, room: int) -> Workspace:
-    """Room for k sensitivities and so many nodes of the shape; the tip's columns come along with either."""
-    chunks = chunks_of(k) if k or room else 0
+    """Room for k sensitivities and so many nodes of the shape."""
+    chunks = chunks_of(k) if k else 0
     width = width_of(chunks)
     return Workspace(
         scratch=np.empty(kernels.SCRATCH),

@@ -11,7 +11,13 @@ from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.frames import is_pose
 from probedesign.geometry import build_geometry
-from probedesign.mounting import SensorAdapter, hanging_mass, hanging_parts, sensor_adapter_for
+from probedesign.mounting import (
+    SensorAdapter,
+    exported_root_radii,
+    hanging_mass,
+    hanging_parts,
+    sensor_adapter_for,
+)
 from probedesign.mounting.fasteners import M2_GRIP, M2_LENGTH
 from probedesign.mounting.prism import cylinder, hexagon, segment, without
 from probedesign.sensor import NANO17
@@ -96,6 +102,17 @@ def test_hanging_mass_is_the_sum_of_its_parts(make_design: Callable[..., Design]
     assert whole.wrench(gravity) == pytest.approx(sum(p.wrench(gravity) for p in parts.values()))
     assert 5e-3 < whole.mass < 15e-3  # ten grams, beside a sensor that weighs nine
     assert abs(whole.p_com[:2]).max() < 0.2e-3  # pins and peg are all that is not symmetric
+
+
+@pytest.mark.parametrize(
+    ("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)]
+)
+def test_the_exported_flange_yields_as_computed(
+    make_design: Callable[..., Design], base_d: float, computed: float
+) -> None:
+    """Own finite elements, docs/decisions/0006: lip stuck, plate without friction under the middle."""
+    geometry = build_geometry(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0"))
+    assert exported_root_radii(geometry) == pytest.approx(computed, abs=3e-3)  # what the fit leaves
 
 
 def test_a_probe_too_wide_for_any_ring_is_refused(make_design: Callable[..., Design]) -> None:

@@ -1,7 +1,10 @@
 """Rods that the tests of this folder share."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from probedesign.cross_section import CrossSection
 from probedesign.rod.rod import Rod
 
 E, G, RHO = 2.32e6, 0.761e6, 1010.0
@@ -16,6 +19,27 @@ PROFILE = Rod(
 """Two breaks of the taper, a shear coefficient and a rigid root."""
 
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
+"""Round and straight: turned about its axis each is the same rod."""
+
+FLAT = CrossSection(flatness=0.7).factors
+TUBE = CrossSection(bore_ratio=0.6).factors
+CURVATURE = np.array([[6.0, -4.0, 5.0], [-4.0, 8.0, 20.0], [0.0, 6.0, -8.0], [10.0, 0.0, 2.0]])
+"""At the knots of the profile [1/m]: unloaded, its tip leans by 28° and its sections turn by up to 42°."""
+
+YIELDING = replace(CONE, rigid_length=-1.5e-3)
+"""A root softer than the rod."""
+FINITE = replace(ROOTED_CONE, finite_strain=True)
+HOLLOW = replace(CONE, factors=TUBE)
+ELLIPTIC = replace(CONE, factors=FLAT)
+CURVED = replace(PROFILE, rest_curvature=CURVATURE)
+EVERYTHING = replace(PROFILE, factors=FLAT, rest_curvature=CURVATURE, rigid_length=-3e-3)
+"""All that a rod with finite strain cannot have."""
+
+MORE_RODS = {
+    "yielding": YIELDING, "finite": FINITE, "hollow": HOLLOW, "elliptic": ELLIPTIC, "curved": CURVED,
+    "everything": EVERYTHING,
+}  # fmt: skip
+ALL_RODS = RODS | MORE_RODS
 
 
 def turned(angle, vector):
@@ -27,7 +51,15 @@ def turned(angle, vector):
 def bending_force(rod, s_contact, strength):
     """The force [N] whose moment at the base turns the rod to s_contact by about `strength` rad.
 
-    strength = F s² / (E I(0) r(s)/r(0)), exact for a cone bent little.
+    strength = F s² / (E I(0) r(s)/r(0)), exact for a cone bent little; I that of the softer way.
     """
     r0, r = rod.radius[0], np.interp(s_contact, rod.s, rod.radius)
-    return strength * rod.youngs_modulus * np.pi / 4.0 * r0**4 * (r / r0) / s_contact**2
+    stiffness = rod.youngs_modulus * min(rod.factors[1:3]) * np.pi / 4.0 * r0**4
+    return strength * stiffness * (r / r0) / s_contact**2
+
+
+def rest_shape(rod, s):
+    """Curvature and twist of the unloaded rod at s [1/m], (j, 3)."""
+    if rod.rest_curvature is None:
+        return np.zeros((len(s), 3))
+    return np.stack([np.interp(s, rod.s, column) for column in rod.rest_curvature.T], axis=1)

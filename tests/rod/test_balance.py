@@ -1,8 +1,12 @@
 """Every part of the bent rod is in balance: the equations between nodes, and the whole about its base."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from rods import RODS, bending_force
+from rods import ALL_RODS, CONE, CYLINDER, bending_force, rest_shape
+
+from probedesign.rod.rod import FINITE_BEND, FINITE_STRETCH, ROOT_CENTRE
 
 G = 9.81
 LOADS = {
@@ -11,12 +15,12 @@ LOADS = {
     "tip": ((0, G, 0), (-1.0, 0.3, -0.5), 1.0, 0.7),
     "root": ((-G, 0, 0), (0.0, 1.0, 0.0), 0.1, 1.0),
 }
-CASES = [(rod, load) for rod in RODS for load in LOADS]
+CASES = [(rod, load) for rod in ALL_RODS for load in LOADS]
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 def solved(rod_name, load_name):
-    rod = RODS[rod_name]
+    rod = ALL_RODS[rod_name]
     gravity, way, fraction, strength = LOADS[load_name]
     s_c = fraction * rod.length
     force = bending_force(rod, s_c, strength) * np.array(way) / np.linalg.norm(way)
@@ -33,7 +37,8 @@ def integral(f, low, high):
 
 def line_weight(rod, gravity):
     """ρ A(s) g [N/m], (j, 3)."""
-    return lambda s: rod.density * np.pi * np.interp(s, rod.s, rod.radius)[:, None] ** 2 * gravity
+    line = rod.density * rod.factors[0] * np.pi
+    return lambda s: line * np.interp(s, rod.s, rod.radius)[:, None] ** 2 * gravity
 
 
 @pytest.mark.parametrize(("rod_name", "load_name"), CASES)
@@ -44,7 +49,7 @@ def test_each_piece_between_two_nodes_is_in_balance(rod_name, load_name):
     for low, high, n0, n1, m0, m1, p0, p1 in zip(
         s[:-1], s[1:], n[:-1], n[1:], m[:-1], m[1:], eq.p_base[:-1], eq.p_base[1:], strict=True
     ):
-        if low == eq.load[9]:  # at s_c itself the force is counted; just beyond it is not
+        if low == eq.s_contact:  # at s_c itself the force is counted; just beyond it is not
             n0 = n0 - eq.load[0:3]
         force = n1 - n0 + integral(weight, low, high)
 
@@ -70,24 +75,68 @@ def test_the_base_carries_force_and_weight_where_they_act(rod_name, load_name):
     np.testing.assert_allclose(eq.wrench_base[3:], moment, atol=1e-11 * np.linalg.norm(moment))
 
 
+def strains(rod, s, n, m):
+    """v - e_z and u at s from n and m in section axes, (j, 3) each: linear elasticity, root, finite strain, rest."""
+    r = np.interp(s, rod.s, rod.radius)
+    A, I_xx, I_yy, J = np.outer(rod.factors, np.ones_like(s)) * [
+        np.pi * r**2,
+        *[np.pi / 4.0 * r**4] * 2,
+        np.pi / 2.0 * r**4,
+    ]
+    shear, E = rod.shear_coefficient * rod.shear_modulus * A, rod.youngs_modulus
+    v = n / np.stack([shear, shear, E * A], axis=1)
+    u = m / np.stack([E * I_xx, E * I_yy, rod.shear_modulus * J], axis=1)
+    depth, reach = rod.root
+    keeps = np.where(s < reach, 1.0 - depth * (1.0 - s / reach) ** 3, 1.0)
+    if rod.finite_strain:  # docs/decisions/0006
+        e, large = v[:, 2].copy(), (u[:, 0] ** 2 + u[:, 1] ** 2) * r**2
+        v[:, 2] += e**2 + FINITE_STRETCH * keeps * large
+        u[:, :2] *= (1.0 + 3.0 * e + FINITE_BEND * large)[:, None]
+    u[:, :2] *= keeps[:, None]
+    return v, u + rest_shape(rod, s)
+
+
 @pytest.mark.parametrize(("rod_name", "load_name"), CASES)
 def test_strains_are_those_of_the_stiffness(rod_name, load_name):
-    """v = e_z + K_se⁻¹ Rᵀn and u = K_bt⁻¹ Rᵀm, by differences along the rod."""
+    """v = e_z + K_se⁻¹ Rᵀn and u = f K_bt⁻¹ Rᵀm + u_rest, by differences along the rod."""
     rod, _gravity, _force, eq = solved(rod_name, load_name)
     h = 1e-5 * rod.length
-    s = np.array([0.055, 0.31, 0.47, 0.71, 0.93]) * rod.length
-    R, n, m = eq.R_at(s), eq.n_at(s), eq.states_at(s)[:, 3:6]
+    s = np.array([0.011, 0.055, 0.31, 0.47, 0.71, 0.93]) * rod.length
+    R = eq.R_at(s)
     p_s = (eq.p_at(s + h) - eq.p_at(s - h)) / (2.0 * h)
     R_s = (eq.R_at(s + h) - eq.R_at(s - h)) / (2.0 * h)
-    area = np.pi * np.interp(s, rod.s, rod.radius) ** 2
-    inertia = area**2 / (4.0 * np.pi)
-    shear = rod.shear_coefficient * rod.shear_modulus * area
-    v = np.einsum("kji,kj->ki", R, n) / np.stack([shear, shear, rod.youngs_modulus * area], axis=1)
-    EI, GJ = rod.youngs_modulus * inertia, rod.shear_modulus * 2.0 * inertia
-    u = np.einsum("kji,kj->ki", R, m) / np.stack([EI, EI, GJ], axis=1)
+    n = np.einsum("kji,kj->ki", R, eq.n_at(s))
+    m = np.einsum("kji,kj->ki", R, eq.states_at(s)[:, 3:6])
+    v, u = strains(rod, s, n, m)
     u_hat = np.einsum("kji,kjl->kil", R, R_s)
     found_u = np.stack([u_hat[:, 2, 1], u_hat[:, 0, 2], u_hat[:, 1, 0]], axis=1)
     # Central differences over 1e-5 L: h² of the third derivative (1e-9), rounding 1e-13/1e-5 = 1e-8.
     np.testing.assert_allclose(np.einsum("kji,kj->ki", R, p_s), v + np.eye(3)[2], atol=1e-7)
-    bends = s >= rod.rigid_length
-    np.testing.assert_allclose(found_u * rod.length, u * bends[:, None] * rod.length, atol=1e-6)
+    np.testing.assert_allclose(found_u * rod.length, u * rod.length, atol=1e-6)
+
+
+@pytest.mark.parametrize("rigid_length", [0.72e-3, 4e-3, -2e-3])
+def test_the_root_lacks_its_rigid_length(rigid_length):
+    """∫(1 - f) ds is the rigid length, and f stays a share of a stiffness."""
+    rod = replace(CONE, rigid_length=rigid_length)
+    depth, reach = rod.root
+    s = reach * (NODES + 1.0) / 2.0
+    missing = depth * (1.0 - s / reach) ** 3
+    assert reach / 2.0 * (WEIGHTS @ missing) == pytest.approx(rigid_length, rel=1e-13)  # exact for a cubic
+    assert depth <= 0.9 * (1.0 + 1e-15)
+    if depth < 0.9:
+        centre = reach / 2.0 * (WEIGHTS @ (s * missing)) / rigid_length
+        assert centre == pytest.approx(ROOT_CENTRE * rod.radius[0], rel=1e-13)
+
+
+def test_the_root_turns_the_rod_less_by_its_rigid_length():
+    """Little bent: what the root takes from the tip's turn is m(0)/(E I) times the rigid length, but for its taper."""
+    force, rigid = 1e-6, 0.12 * CYLINDER.radius[0]
+    slope = [
+        replace(CYLINDER, rigid_length=x).solve(force=(force, 0, 0), mode="reference").tip_tangent[0]
+        for x in (0.0, rigid)
+    ]
+    EI = CYLINDER.youngs_modulus * np.pi / 4.0 * CYLINDER.radius[0] ** 4
+    # ∫ (1 - f) (L - s) ds: the rigid length sits at ROOT_CENTRE radii. (F L²/EI)² = 1e-7 is left out of the theory.
+    lacks = force * rigid * (CYLINDER.length - ROOT_CENTRE * CYLINDER.radius[0]) / EI
+    assert slope[0] - slope[1] == pytest.approx(lacks, rel=1e-6)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rods import CONE, CYLINDER, PROFILE, RHO, E, G
+from rods import CONE, CYLINDER, EVERYTHING, FINITE, FLAT, PROFILE, RHO, E, G
 
 from probedesign.errors import InputError
 from probedesign.rod.rod import Rod
@@ -61,6 +61,48 @@ def test_above_greenhills_weight_it_does_not(share):
     assert standing(share * GREENHILL).result == "unstable"  # 7.1 times: the second critical weight
 
 
+ROUND_OR_NOT = {
+    "flat": (FLAT[0], FLAT[1], FLAT[2], FLAT[3]),
+    "flat the other way": (FLAT[0], FLAT[2], FLAT[1], FLAT[3]),
+    "nearly round": (1.0, 1.0, 1.0 + 1e-9, 1.0),
+}
+
+
+@pytest.mark.parametrize("mode", ["fast", "reference"])
+@pytest.mark.parametrize("factors", ROUND_OR_NOT.values(), ids=ROUND_OR_NOT)
+@pytest.mark.parametrize(
+    ("share", "result"),
+    [
+        (0.5, "ok"),
+        (0.999, "ok"),
+        (1.001, "unstable"),
+        (1.5, "unstable"),
+        (3.0, "unstable"),
+        (20.0, "unstable"),
+    ],
+)
+def test_a_flat_column_gives_way_about_its_softer_axis(factors, share, result, mode):
+    """Euler's load with the smaller I; 2 is the load of the stiffer way, 9 the second critical one."""
+    rod = replace(ELASTICA, factors=factors)
+    eq = rod.solve(force=(0, 0, -share * min(factors[1:3]) * EULER), mode=mode)
+    assert eq.result == result
+    if eq.ok:
+        np.testing.assert_array_equal(eq.p_base[:, :2], 0.0)
+
+
+@pytest.mark.parametrize("share", [0.99, 1.001, 1.5, 3.0, 6.0, 20.0])
+def test_a_flat_column_gives_way_to_its_weight_about_its_softer_axis(share):
+    rod = replace(ELASTICA, factors=ROUND_OR_NOT["flat"])
+    g = share * rod.factors[1] * GREENHILL / (rod.mass / rod.length)
+    assert rod.solve((0, 0, -g)).result == ("ok" if share < 1.0 else "unstable")
+
+
+def test_a_hollow_column_bears_what_is_left_of_its_stiffness():
+    rod = replace(ELASTICA, factors=(0.5, 0.4, 0.4, 0.4))
+    assert rod.solve(force=(0, 0, -0.399 * EULER)).result == "ok"
+    assert rod.solve(force=(0, 0, -0.401 * EULER)).result == "unstable"
+
+
 def test_a_taper_lets_a_column_stand_taller():
     """Less weight above, the same stiffness below."""
     tallest = {}
@@ -95,10 +137,17 @@ HOPELESS = {
     "enormous": ((0, 0, 0), (1e200, 1e200, -1e200), 0.05),
     "endless": ((1e308, 0, 0), (1e308, 0, 0), 0.05),
 }
+HELPLESS = {
+    "cone": CONE,
+    "cylinder": CYLINDER,
+    "profile": PROFILE,
+    "finite": FINITE,
+    "everything": EVERYTHING,
+}
 
 
 @pytest.mark.parametrize("mode", ["fast", "reference"])
-@pytest.mark.parametrize("rod", [CONE, CYLINDER, PROFILE], ids=["cone", "cylinder", "profile"])
+@pytest.mark.parametrize("rod", HELPLESS.values(), ids=HELPLESS)
 @pytest.mark.parametrize("case", HOPELESS)
 def test_a_hopeless_load_gives_a_code_soon(case, rod, mode):
     gravity, force, s_c = HOPELESS[case]
@@ -113,7 +162,7 @@ def test_a_hopeless_load_gives_a_code_soon(case, rod, mode):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("which", ["gravity", "force", "tip_moment"])
+@pytest.mark.parametrize("which", ["gravity", "force", "tip_moment", "couple"])
 def test_a_load_that_is_no_number_is_refused_in_a_line(which, bad):
     with pytest.raises(InputError, match=which) as refused:
         CONE.solve(**{which: (0.0, bad, 0.0)})
@@ -132,7 +181,9 @@ def test_a_load_of_the_wrong_shape_is_refused(shape):
         CONE.solve((9.81, 0, 0), np.zeros(shape), 0.1)
 
 
-@pytest.mark.parametrize("guess", [(0, 0, 0), (np.nan, 0, 1), (0, 1), (np.inf, 0, 0)])
+@pytest.mark.parametrize(
+    "guess", [(0, 0, 0), (np.nan, 0, 1), (0, 1), (np.inf, 0, 0), (0, 0, 1, 0, 0, 1), (0, 0, 1, np.nan, 0, 0)]
+)
 def test_a_guess_that_is_no_direction_is_refused(guess):
     with pytest.raises(InputError, match="guess"):
         CONE.solve((9.81, 0, 0), guess=guess)
@@ -155,7 +206,17 @@ def test_a_bad_guess_costs_only_time():
         ({"density": -1.0}, "density"),
         ({"density": np.nan}, "density"),
         ({"rigid_length": 0.15}, "rigid_length"),
-        ({"rigid_length": -1e-3}, "rigid_length"),
+        ({"rigid_length": -6.1e-3}, "rigid_length"),  # more than a base radius
+        ({"rigid_length": np.nan}, "rigid_length"),
+        ({"factors": (1.0, 1.0, 1.0)}, "factors"),
+        ({"factors": (1.0, 0.0, 1.0, 1.0)}, "factors"),
+        ({"factors": (1.0, 1.0, np.inf, 1.0)}, "factors"),
+        ({"factors": (1.0, 1.0, 1.0, np.nan)}, "factors"),
+        ({"finite_strain": True, "factors": (1.0, 0.9, 1.0, 1.0)}, "finite_strain"),
+        ({"finite_strain": True, "inextensible": True}, "finite_strain"),
+        ({"rest_curvature": np.zeros(3)}, "rest_curvature"),
+        ({"rest_curvature": np.zeros((3, 3))}, "rest_curvature"),
+        ({"rest_curvature": np.full((2, 3), np.nan)}, "rest_curvature"),
         ({"s": np.array([0.0, 0.0])}, "increase"),
         ({"s": np.array([0.1, 0.2])}, "increase"),
         ({"s": np.array([0.0, np.inf])}, "increase"),

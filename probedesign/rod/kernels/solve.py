@@ -30,6 +30,8 @@ NEAR = 3e-3
 """How close [rad] the path has to come to the whole load's equilibrium before it is polished."""
 ROUNDING = 1e-14
 """Of the tip's turn [rad]; what grows of it on the way is no misfit."""
+NEAR_ENOUGH = 200.0
+"""Times the tolerance: Newton's matrix, taken NEAR the answer, makes a thousandth of a misfit."""
 MAX_GROWTH = 1e4
 """Beyond which smaller steps help no more."""
 AT_CONTACT = STATE + 36
@@ -106,8 +108,11 @@ def _approach(tip, start, scratch, body, load, path_tol, near):
 
 
 @merged
-def _find(tip, start, scratch, body, load, tol, until):
+def _find(tip, start, scratch, body, load, tol, until, near_enough):
     """Tip (6,), state at base and contact of the equilibrium, in `scratch`.
+
+    Args:
+        near_enough: misfit [rad] from which one more turn leads home: none where state and contact are wanted.
 
     Returns:
         status, residual at the base [rad], how far the rod turned, the margin of stability.
@@ -143,6 +148,8 @@ def _find(tip, start, scratch, body, load, tol, until):
             residual = math.inf
         else:
             turn_tip(tip, wanted_turn(y, general, inverse))
+            if residual < near_enough * size and not (is_judged(load) and margin < SAFE_MARGIN):
+                return OK, residual, size, margin
         before = residual
     return NOT_CONVERGED, residual, size, margin
 
@@ -159,25 +166,30 @@ def solve(tip, start, scratch, body, load, tol, until, nodes, blocks, y, contact
         tol: error allowed a step [rad]; until: residual allowed at the base [rad];
             both relative to how far the rod turns.
         nodes: for shape and columns, (m · (1 + STATE + 36 chunks),).
-        blocks: columns at the base, (chunks · BLOCK,); with none there is no last sweep, no shape and no axes.
+        blocks: columns at the base, (chunks · BLOCK,), may be none. With neither nodes nor blocks there is no last
+            sweep and there are no section axes.
         y, contact: state at the base, (STATE,), state and columns at s_c, (STATE + 36 chunks,).
 
     Returns:
         status, nodes filled, margin of stability, residual at the base [rad].
     """
-    status, residual, size, margin = _find(tip, start, scratch, body, load, tol, until)
+    report = nodes.shape[0] > 0 or blocks.shape[0] > 0
+    status, residual, size, margin = _find(
+        tip, start, scratch, body, load, tol, until, NEAR_ENOUGH * tol if report else 0.0
+    )
     path_y, work, path_contact, path_blocks, inverse, _paths = _parts(scratch)
-    if status != OK or blocks.shape[0] == 0:
+    if status != OK or not report:
         for q in range(STATE):
             y[q], contact[q] = path_y[q], path_contact[q]
         return status, 0, margin, residual
     growth = tip_growth(path_blocks)
     tol = tol / min(growth, MAX_GROWTH)
-    general, full = body.constants[GENERAL] != 0.0, blocks.shape[0] > 0
+    general, path_margin = body.constants[GENERAL] != 0.0, margin
     for _ in range(6):
         status, count, margin, size, _steps = sweep(
-            tip, y, work, blocks, body, load, tol, size, full, nodes, contact
+            tip, y, work, blocks, body, load, tol, size, report, nodes, contact
         )
+        margin = margin if blocks.shape[0] > 0 else path_margin
         if status != OK:
             return status, 0, margin, math.inf
         r = misfit(y, general)

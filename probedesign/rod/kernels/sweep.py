@@ -210,22 +210,34 @@ def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
 
 
 @inlined
-def _margin(e1, e2, t, blocks, general):
+def _round_margin(e1, e2, blocks):
     """How far the Jacobi fields of the free tip, seen in the carried section, are from vanishing.
 
     They are the identity at the tip; where their determinant first vanishes lies a point conjugate to the
     free end, and the second variation of the energy is positive as long as there is none before the clamp.
-    A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace, so all
-    coefficients of the characteristic polynomial must stay positive.
+    A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace.
+    """
+    a, b = take3(blocks, 0), take3(blocks, 1)
+    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
+    return min(xx * yy - xy * yx, 0.5 * (xx + yy))
+
+
+@inlined
+def _margin(blocks):
+    """The same of any rod: the determinant, negative too if two fields turned over within the step.
+
+    The step takes the fields A to B. Where two eigenvalues of B A^-1 turn negative, its determinant stays positive,
+    but its trace or the sum of its minors does not; unlike those of A or B they know no axes.
     """
     a, b, c = take3(blocks, 0), take3(blocks, 1), take3(blocks, 2)
-    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
-    minor = xx * yy - xy * yx
-    if not general:
-        return min(minor, 0.5 * (xx + yy))
-    xz, yz, zx, zy, zz = dot(c, e1), dot(c, e2), dot(a, t), dot(b, t), dot(c, t)
-    minors = minor + xx * zz - xz * zx + yy * zz - yz * zy
-    return min(dot(a, cross(b, c)), min(minors / 3.0, (xx + yy + zz) / 3.0))
+    o = NEXT
+    x = (blocks[WIDE * o], blocks[WIDE * (o + 1)], blocks[WIDE * (o + 2)])
+    y = (blocks[WIDE * o + 1], blocks[WIDE * (o + 1) + 1], blocks[WIDE * (o + 2) + 1])
+    z = (blocks[WIDE * o + 2], blocks[WIDE * (o + 1) + 2], blocks[WIDE * (o + 2) + 2])
+    trace = dot(x, cross(b, c)) + dot(y, cross(c, a)) + dot(z, cross(a, b))
+    minors = dot(a, cross(y, z)) + dot(b, cross(z, x)) + dot(c, cross(x, y))
+    det = dot(x, cross(y, z))
+    return det if trace > 0.0 and minors > 0.0 else -abs(det)
 
 
 @inlined
@@ -307,13 +319,16 @@ def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
         steps += tries
         if steps > most or math.isnan(s):
             return STEP_LIMIT, count, -1.0, 1.0, steps
-        if chunks > 0:
+        if chunks > 0 and general:
+            margin = min(margin, _margin(blocks))
+            _accept(blocks, chunks)
+        elif chunks > 0:
             _accept(blocks, chunks)
             if full:
                 e1 = take(out, 9)
                 e2 = cross(take(out, 0), e1)
             else:
                 e1, e2 = _carried(e1, take(y, 0), take(out, 0)), _carried(e2, take(y, 0), take(out, 0))
-            margin = min(margin, _margin(e1, e2, take(out, 0), blocks, general))
+            margin = min(margin, _round_margin(e1, e2, blocks))
         for q in range(STATE):
             y[q] = work[q] = out[q]

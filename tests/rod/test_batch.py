@@ -1,0 +1,167 @@
+"""Many equilibria at once: each the one that `Rod.solve` finds, whoever its neighbours and whatever the threads."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rods import CURVED, ELLIPTIC, EVERYTHING, PROFILE, bending_force
+
+from probedesign.errors import InputError
+from probedesign.rod import batch
+from probedesign.rod.batch import solve_batch
+
+GRAVITY = np.array([3.0, 4.0, -8.0])
+RODS = (PROFILE, CURVED, EVERYTHING)
+"""With equally many knots."""
+CASES = 40
+
+
+def cases(rods, count=CASES, hopeless=True):
+    """Loads of every kind and the rod of each, every eighth beyond what the rod can bear."""
+    rng = np.random.default_rng(5)
+    which = rng.integers(len(rods), size=count)
+    s_c = np.array([rng.uniform(0.05, 1.0) * rods[k].length for k in which])
+    way = rng.normal(size=(count, 3))
+    strength = [
+        bending_force(rods[k], s, 0.6 * x)
+        for k, s, x in zip(which, s_c, rng.uniform(size=count), strict=True)
+    ]
+    force = way / np.linalg.norm(way, axis=1, keepdims=True) * np.array(strength)[:, None]
+    if hopeless:
+        force[::8] = (0.0, 0.0, -1e3)
+    gravity = rng.normal(size=(count, 3)) * 5.0
+    couple = 1e-5 * rng.normal(size=(count, 3))
+    return {"gravity": gravity, "force": force, "s_contact": s_c, "couple": couple, "which": which}
+
+
+def solve_each(rods, given, **kwargs):
+    each = zip(*(given[key] for key in ("which", "gravity", "force", "s_contact", "couple")), strict=True)
+    return [rods[k].solve(g, F, s, couple=C, **kwargs) for k, g, F, s, C in each]
+
+
+@pytest.mark.parametrize("mode", ["fast", "reference"])
+@pytest.mark.parametrize("columns", ["load", "contact", "all"])
+def test_the_batch_is_each_case_by_itself(columns, mode):
+    given = cases(RODS)
+    found = solve_batch(RODS, **given, columns=columns, mode=mode)
+    one = solve_each(RODS, given, columns=columns, mode=mode)
+    assert list(found.result) == [eq.result for eq in one]
+    assert 20 < found.ok.sum() < CASES
+    for i, eq in enumerate(one):
+        np.testing.assert_array_equal(found.wrench_base[i], eq.wrench_base)
+        np.testing.assert_array_equal(found.p_contact_base[i], eq.p_contact_base)
+        if eq.ok:
+            assert found.margin[i] == eq.margin and found.residual[i] == eq.residual
+            np.testing.assert_array_equal(found.tip[i], eq.tip)
+            np.testing.assert_array_equal(found.d_moment[i], eq.sensitivity.d_moment)
+            np.testing.assert_array_equal(found.d_contact[i], eq.sensitivity.d_contact)
+
+
+def test_without_columns_the_answer_is_as_good():
+    """No last sweep with columns: its steps differ, so within what "fast" promises of either."""
+    given = cases(RODS)
+    found, wanted = solve_batch(RODS, **given), solve_batch(RODS, **given, columns="load")
+    assert found.d_moment.shape == (CASES, 3, 0) and found.d_contact.shape == (CASES, 12, 0)
+    np.testing.assert_array_equal(found.result, wanted.result)
+    ok = found.ok
+    np.testing.assert_allclose(found.p_contact_base[ok], wanted.p_contact_base[ok], rtol=0.0, atol=2e-6)
+    scale = np.linalg.norm(given["force"], axis=1) * given["s_contact"]
+    scale += np.array([RODS[k].mass * RODS[k].length for k in given["which"]]) * 9.81
+    off = np.abs(found.wrench_base - wanted.wrench_base)[:, 3:].max(axis=1)
+    assert (off[ok] <= 2e-6 * scale[ok]).all()
+
+
+@pytest.mark.parametrize("columns", ["none", "all"])
+def test_not_a_bit_depends_on_threads_or_neighbours(columns, monkeypatch):
+    given = cases(RODS, count=103)
+    whole = solve_batch(RODS, **given, columns=columns, threads=1)
+    order = np.random.default_rng(6).permutation(103)
+    shuffled = {key: value[order] for key, value in given.items()}
+    for threads, chunk in ((1, 7), (2, 7), (5, 1), (16, 10), (None, 256)):
+        monkeypatch.setattr(batch, "CHUNK", chunk)
+        for other, rows in (
+            (solve_batch(RODS, **given, columns=columns, threads=threads), slice(None)),
+            (solve_batch(RODS, **shuffled, columns=columns, threads=threads), order),
+        ):
+            for name in vars(whole):
+                np.testing.assert_array_equal(getattr(other, name), getattr(whole, name)[rows], err_msg=name)
+
+
+def test_what_has_no_answer_has_a_code_and_no_numbers():
+    given = cases(RODS)
+    found = solve_batch(RODS, **given, columns="load")
+    bad = ~found.ok
+    assert bad[::8].all() and set(found.result[bad]) <= {"unstable", "not_converged"}
+    for numbers in (found.wrench_base, found.p_contact_base, found.tip, found.d_moment, found.d_contact):
+        assert np.isnan(numbers[bad]).all() and np.isfinite(numbers[~bad]).all()
+
+
+def test_one_rod_and_one_load_serve_for_all():
+    force = bending_force(ELLIPTIC, 0.1, 0.3) * np.array([1.0, 0.5, 0.0])
+    s_c = np.linspace(0.05, 0.15, 5)
+    found = solve_batch(ELLIPTIC, GRAVITY, force, s_c, columns="load")
+    for i, s in enumerate(s_c):
+        eq = ELLIPTIC.solve(GRAVITY, force, s, columns="load")
+        np.testing.assert_array_equal(found.wrench_base[i], eq.wrench_base)
+    assert len(solve_batch(ELLIPTIC, GRAVITY, force, 0.1).result) == 1
+    each = solve_batch([PROFILE, CURVED], GRAVITY, 0.1 * force, 0.05, columns="load")
+    for i, rod in enumerate((PROFILE, CURVED)):
+        eq = rod.solve(GRAVITY, 0.1 * force, 0.05, columns="load")
+        np.testing.assert_array_equal(each.wrench_base[i], eq.wrench_base)
+
+
+def test_no_cases_are_no_answers():
+    found = solve_batch(PROFILE, np.empty((0, 3)), (0.0, 0.0, 0.0), 0.05)
+    assert found.result.shape == (0,) and found.wrench_base.shape == (0, 6)
+
+
+def test_progress_counts_every_case(monkeypatch):
+    monkeypatch.setattr(batch, "CHUNK", 7)
+    done = []
+    solve_batch(RODS, **cases(RODS), threads=3, progress=done.append)
+    assert sum(done) == CASES and max(done) == 7
+
+
+def test_a_stop_in_the_middle_is_heard(monkeypatch):
+    monkeypatch.setattr(batch, "CHUNK", 1)
+
+    def stop(count):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        solve_batch(RODS, **cases(RODS), threads=2, progress=stop)
+
+
+FINE = {"gravity": GRAVITY, "force": np.zeros((2, 3)), "s_contact": 0.05}
+
+
+@pytest.mark.parametrize(
+    ("rods", "change", "told"),
+    [
+        (PROFILE, {"gravity": np.zeros((3, 3))}, "3"),
+        (PROFILE, {"force": np.zeros((2, 2))}, "force"),
+        (PROFILE, {"couple": np.zeros(2)}, "couple"),
+        (PROFILE, {"s_contact": np.zeros((2, 1))}, "s_contact"),
+        (PROFILE, {"s_contact": [0.05, 0.121]}, "case 1"),
+        (PROFILE, {"s_contact": [np.nan, 0.1]}, "case 0"),
+        (PROFILE, {"force": [[0.0, 0.0, 0.0], [0.0, np.inf, 0.0]]}, "case 1"),
+        (PROFILE, {"couple": (0.0, np.nan, 0.0)}, "case 0"),
+        (PROFILE, {"which": [0, 1]}, "which"),
+        (PROFILE, {"which": [0, -1]}, "which"),
+        (PROFILE, {"which": [0.0, 0.0]}, "which"),
+        (RODS, {"force": np.zeros((2, 3))}, "3"),
+        ([PROFILE, ELLIPTIC], {}, "knots"),
+        ([], {"which": [0, 0]}, "rods"),
+    ],
+)
+def test_cases_that_do_not_fit_are_refused(rods, change, told):
+    with pytest.raises(InputError, match=told):
+        solve_batch(rods, **(FINE | change))
+
+
+def test_a_rod_of_another_kind_beside_it_changes_nothing():
+    """Round rods go the shorter way through the kernels even in one call with others."""
+    given = cases((PROFILE,), hopeless=False)
+    alone = solve_batch(PROFILE, **given)
+    mixed = solve_batch([PROFILE, replace(EVERYTHING, density=1.0)], **given)
+    np.testing.assert_array_equal(alone.wrench_base, mixed.wrench_base)
