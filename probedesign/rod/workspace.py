@@ -6,6 +6,7 @@ import numpy as np
 
 from probedesign.frames import Array
 from probedesign.rod import kernels
+from probedesign.rod.kernels.compiled import announce
 
 FIRST = np.zeros(1, dtype=np.int64)
 """The rod of a single case."""
@@ -24,6 +25,7 @@ class Workspace(NamedTuple):
 
 def workspace(k: int, room: int) -> Workspace:
     """Room for k sensitivities and so many nodes of the shape."""
+    announce(kernels.solve_cases)
     chunks = chunks_of(k) if k else 0
     width = width_of(chunks)
     return Workspace(

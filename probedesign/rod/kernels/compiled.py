@@ -1,6 +1,9 @@
 """How the kernels are compiled: once, cached beside their source, without Python inside."""
 
+import sys
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from numba import njit
 
@@ -30,6 +33,13 @@ inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=Tru
 """The same for what only kernels call."""
 inlined = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Arithmetic on three numbers: always part of its caller."""
-
 merged = njit(error_model="numpy", inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """For what has one caller: compiled as part of it, not by itself and then again."""
+
+
+@cache
+def announce(dispatcher: Any) -> None:
+    """Tell someone who waits at a terminal that the first run compiles; once, and only where nothing is cached."""
+    name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__name__}-"
+    if sys.stderr.isatty() and not any(Path(dispatcher.stats.cache_path).glob(name + "*.nbi")):
+        print("compiling the rod's kernels, about 20 s, once ...", file=sys.stderr, flush=True)
