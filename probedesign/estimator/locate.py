@@ -45,8 +45,8 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
     loads[:, -1] = stations
     found = np.empty((STATIONS, kernels.FOUND))
     reached = kernels.solve_cases(
-        0, STATIONS, rod.stacked, np.zeros(STATIONS, dtype=np.int64), loads, kernels.COLD, True, SCAN_TOLERANCE,
-        10.0 * SCAN_TOLERANCE, *workspace(0, 0), found, np.empty((STATIONS, 15, 1)),
+        0, STATIONS, rod.stacked, np.zeros(STATIONS, dtype=np.int64), loads, rod.directed, kernels.COLD, True,
+        SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *workspace(0, 0), found, np.empty((STATIONS, 15, 1)),
     )  # fmt: skip
     if found[reached - 1, kernels.STATUS] != kernels.OK:
         reached -= 1

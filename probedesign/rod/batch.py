@@ -14,6 +14,7 @@ from probedesign.rod import kernels
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
 from probedesign.rod.workspace import workspace
 
+Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
 CHUNK = 256
 """Cases that a thread takes at a time: a few milliseconds, so that an interrupt is heard and cores end together."""
 
@@ -89,36 +90,44 @@ def solve_batch(
     n, k = len(loads), several[0].columns_of(columns)
     found, derivatives = np.empty((n, kernels.FOUND)), np.empty((n, 15, k + 1))
     tol, until = TOLERANCES[mode]
+    order, kinds = _by_kind(several, of)
+    loads, of = loads[order], of[order]
 
-    def run(first: int) -> None:
-        last = min(first + CHUNK, n)
+    def run(first: int, last: int, directed: int | None) -> None:
         kernels.solve_cases(
             first,
             last,
             bodies,
             of,
             loads,
+            directed,
             kernels.COLD,
             False,
             tol,
             until,
-            *workspace(k, 0),
+            *workspace(k, 0, CHUNK),
             found,
             derivatives,
         )
         if progress is not None:
             progress(last - first)
 
-    if n:
-        run(0)  # compiles, if anything has to be
+    chunks = [
+        (first, min(first + CHUNK, end), directed)
+        for begin, end, directed in kinds
+        for first in range(begin, end, CHUNK)
+    ]
+    for _begin, _end, directed in kinds:  # compiles, if anything has to be
+        run(0, 0, directed)
     with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
         try:
-            for _ in pool.map(run, range(CHUNK, n, CHUNK)):
+            for _ in pool.map(lambda chunk: run(*chunk), chunks):
                 pass
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    return _batch(found, derivatives, loads, bodies, of)
+    back = np.argsort(order)
+    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
 
 
 def _cases(
@@ -176,6 +185,14 @@ def _stacked(rods: Sequence[Rod]) -> kernels.Body:
     return kernels.Body(
         *(np.ascontiguousarray(np.stack(arrays)) for arrays in zip(*(rod.body for rod in rods), strict=True))
     )
+
+
+def _by_kind(rods: Sequence[Rod], of: Array) -> tuple[Indices, list[tuple[int, int, int | None]]]:
+    """An order of the cases in which those of round straight rods come first; where each kind begins and ends."""
+    general = np.array([rod.directed is not None for rod in rods])[of]
+    straight = int((~general).sum())
+    kinds = [(0, straight, None), (straight, len(of), 0)]
+    return np.argsort(general, kind="stable").astype(np.int64), [kind for kind in kinds if kind[0] < kind[1]]
 
 
 def _batch(found: Array, derivatives: Array, loads: Array, bodies: kernels.Body, of: Array) -> Batch:

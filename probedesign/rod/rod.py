@@ -158,6 +158,11 @@ class Rod:
         """The same as one row of many."""
         return kernels.Body(*(array[None] for array in self.body))
 
+    @cached_property
+    def directed(self) -> int | None:
+        """How the kernels are told whether bending knows direction: None if it does not."""
+        return 0 if self.body.constants[kernels.GENERAL] else None
+
     @property
     def mass(self) -> float:
         """[kg]."""
@@ -214,6 +219,7 @@ class Rod:
                 self.stacked,
                 FIRST,
                 load[None],
+                self.directed,
                 start,
                 False,
                 *TOLERANCES[mode],
@@ -289,21 +295,26 @@ def _tip(guess: ArrayLike) -> Array:
     """[t, d] of a guess: a section, or a tangent, whose section is turned from the base's the shortest way."""
     given = np.array(guess, dtype=float)
     t = given[:3] if given.shape in ((3,), (6,)) else np.zeros(3)
-    norm = float(np.linalg.norm(t))
-    if not 0.0 < norm < np.inf or not np.isfinite(given).all():
+    norm = math.sqrt(t @ t)
+    if not 0.0 < norm < math.inf or not math.isfinite(given.sum()):
         raise InputError(f"guess = {guess!r} must be a direction (3,) or a section's [tangent, x axis] (6,)")
     t = t / norm
-    d = given[3:] if len(given) == 6 else np.array([1.0, 0.0, 0.0])
-    if len(given) == 3:  # x carried along from z to t
-        d = (
-            d - t[0] / (1.0 + t[2]) * (t + np.array([0.0, 0.0, 1.0]))
-            if t[2] > -0.999
-            else np.array([-1.0, 0.0, 0.0])
-        )
+    d = given[3:] if len(given) == 6 else _carried_x(t)
     d = d - (d @ t) * t
-    if np.linalg.norm(d) < 1e-6:
+    norm = math.sqrt(d @ d)
+    if norm < 1e-6:
         raise InputError(f"guess = {guess!r}: the x axis lies along the tangent")
-    return np.concatenate([t, d / np.linalg.norm(d)])
+    found = np.empty(6)
+    found[:3], found[3:] = t, d / norm
+    return found
+
+
+def _carried_x(t: Array) -> Array:
+    """The x axis carried along from z to t."""
+    if t[2] < -0.999:
+        return np.array([-1.0, 0.0, 0.0])
+    carried: Array = np.array([1.0, 0.0, 0.0]) - t[0] / (1.0 + t[2]) * (t + np.array([0.0, 0.0, 1.0]))
+    return carried
 
 
 def _require(holds: bool, message: str) -> None:

@@ -23,13 +23,13 @@ class Workspace(NamedTuple):
     turns: Array
 
 
-def workspace(k: int, room: int) -> Workspace:
-    """Room for k sensitivities and so many nodes of the shape."""
+def workspace(k: int, room: int, group: int = 1) -> Workspace:
+    """Room for k sensitivities, so many nodes of the shape and so many cases side by side."""
     announce(kernels.solve_cases)
     chunks = chunks_of(k) if k else 0
     width = width_of(chunks)
     return Workspace(
-        scratch=np.empty(kernels.SCRATCH),
+        scratch=np.empty(kernels.FIXED + group * kernels.CASE),
         nodes=np.empty(room * width),
         blocks=np.empty(chunks * kernels.BLOCK),
         y=np.empty(kernels.STATE),

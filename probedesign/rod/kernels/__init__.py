@@ -1,6 +1,8 @@
 """The compiled rod: sweeps from the free tip to the base with exact sensitivities, and the solve on top of them.
 
-Read `equations` first, then `steps`, `sweep`, `newton`, `solve`; `outputs` and `batch` stand on those. Everything
+Read `equations` first. The tip is sought in `lanes`, a register's width of cases at a time: `sweeps`, `newton`,
+`search`, `solve`. What is asked for beside it comes of one more `sweep` with `steps`, and of `outputs`; `batch` is the
+door to all. Everything
 works on flat arrays and tuples, and allocates nothing: the memory is the caller's.
 """
 
@@ -10,10 +12,14 @@ from probedesign.rod.kernels.batch import (
     FOUND,
     MARGIN,
     MOMENT,
-    RESIDUAL,
-    STATUS,
     TIP,
     solve_cases,
+)
+from probedesign.rod.kernels.batch import (
+    ROW_RESIDUAL as RESIDUAL,
+)
+from probedesign.rod.kernels.batch import (
+    ROW_STATUS as STATUS,
 )
 from probedesign.rod.kernels.body import (
     ALL_COLUMNS,
@@ -21,6 +27,7 @@ from probedesign.rod.kernels.body import (
     CONSTANTS,
     CONTACT_COLUMNS,
     DENSITY,
+    GENERAL,
     LOAD,
     LOAD_COLUMNS,
     NOT_CONVERGED,
@@ -31,13 +38,15 @@ from probedesign.rod.kernels.body import (
     Body,
 )
 from probedesign.rod.kernels.outputs import states_at
-from probedesign.rod.kernels.solve import COLD, SCRATCH, WARM, WARM_ONLY
+from probedesign.rod.kernels.search import COLD, WARM, WARM_ONLY
+from probedesign.rod.kernels.solve import CASE, FIXED
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK
 from probedesign.rod.kernels.sweep import lane_of
 
 __all__ = [
     "ALL_COLUMNS",
     "BLOCK",
+    "CASE",
     "COLD",
     "COLUMN",
     "CONE",
@@ -46,7 +55,9 @@ __all__ = [
     "CONTACT_COLUMNS",
     "COUNT",
     "DENSITY",
+    "FIXED",
     "FOUND",
+    "GENERAL",
     "LOAD",
     "LOAD_COLUMNS",
     "MARGIN",
@@ -55,7 +66,6 @@ __all__ = [
     "OK",
     "PARAMETERS",
     "RESIDUAL",
-    "SCRATCH",
     "STATE",
     "STATUS",
     "STEP_LIMIT",

@@ -27,13 +27,32 @@ def _drop_stale() -> None:
 
 _drop_stale()
 
-kernel = njit(cache=True, nogil=True, error_model="numpy")
+kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 """Called from Python and by other kernels. Division by zero gives inf or NaN, which the step control refuses."""
-inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner = njit(
+    cache=True,
+    nogil=True,
+    error_model="numpy",
+    fastmath={"contract"},
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+)
 """The same for what only kernels call."""
-inlined = njit(error_model="numpy", forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inlined = njit(
+    error_model="numpy",
+    fastmath={"contract"},
+    forceinline=True,
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+)
 """Arithmetic on three numbers: always part of its caller."""
-merged = njit(error_model="numpy", inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+merged = njit(
+    error_model="numpy",
+    fastmath={"contract"},
+    inline="always",
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+)
 """For what has one caller: compiled as part of it, not by itself and then again."""
 
 

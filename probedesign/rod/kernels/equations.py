@@ -166,16 +166,31 @@ def yielding(t, m, e_y, med):
 
 
 @inlined
-def column_slopes(theta, v, z, t, m, p1, e_y, med, yields):
-    """θ' and q' of a column whose section does not change; z = δn - θ × n."""
-    cx, cyx, gj, a, b, _weight, c4, c5, three, _n = med
+def round_yields(t, m, med):
+    """What `yielding` says of bending alone, at a place of a round straight rod."""
+    cx, _cyx, _gj, _a, _b, _weight, _c4, _c5, three, _n = med
+    tm, e, beta, _epsilon = _strains(t, m, med)
+    return times(cx, add(m, -tm, t)), beta, 1.0 + three * e * (2.0 / 3.0)
+
+
+@inlined
+def round_column_slopes(theta, w, z, t, m, p1, med, yields):
+    """θ' and q' of a column whose section neither changes nor knows direction; z = δn - θ × n, w = v - θ × m."""
+    cx, _cyx, gj, a, b, _weight, c4, c5, three, _n = med
     bend, beta, by_e = yields
-    w = minus(v, cross(theta, m))
     tw, tz = dot(t, w), dot(t, z)
     mw = 2.0 * (dot(m, w) - dot(t, m) * tw)
-    turn = add(add(times(beta * cx, w), beta * cyx * dot(e_y, w), e_y), (gj - beta * cx) * tw, t)
+    turn = add(times(beta * cx, w), (gj - beta * cx) * tw, t)
     turn = add(turn, three * b * tz + c4 * mw, bend)
     return turn, add(add(cross(theta, p1), a, z), (by_e * b - a) * tz + c5 * mw, t)
+
+
+@inlined
+def column_slopes(theta, v, z, t, m, p1, e_y, med, yields):
+    """The same of any rod."""
+    w = minus(v, cross(theta, m))
+    turn, q1 = round_column_slopes(theta, w, z, t, m, p1, med, yields)
+    return add(turn, yields[1] * med[1] * dot(e_y, w), e_y), q1
 
 
 @inlined

@@ -12,7 +12,24 @@ from probedesign.rod.kernels.equations import (
     round_slopes,
     turning,
 )
-from probedesign.rod.kernels.steps import BLOCK, COLUMN, NEXT, STATE, WIDE, full_step
+from probedesign.rod.kernels.steps import (
+    BLOCK,
+    COLUMN,
+    NEXT,
+    S0,
+    S1,
+    S2,
+    STATE,
+    THETA,
+    WIDE,
+    D,
+    M,
+    P,
+    Q,
+    T,
+    V,
+    full_step,
+)
 from probedesign.rod.kernels.sweep import (
     begin,
     lane_of,
@@ -29,7 +46,7 @@ def _theta(columns, o):
 @inner
 def _solved_tips(columns, stride, lane):
     """Turns of the tip about its three axes that take back what a column turns the base by."""
-    a, b, c = _theta(columns, 0), _theta(columns, 1), _theta(columns, 2)
+    a, b, c = _theta(columns, S0), _theta(columns, S1), _theta(columns, S2)
     x = _theta(columns, lane // WIDE * stride + lane % WIDE)
     det = dot(a, cross(b, c))
     return -dot(x, cross(b, c)) / det, -dot(x, cross(c, a)) / det, -dot(x, cross(a, b)) / det
@@ -60,11 +77,11 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
     # The x axis of a round section was started anyhow at the tip: turned about the tangent, it is e_x at the base.
     norm = math.hypot(y[9], y[10])
     co, si = y[9] / norm, -y[10] / norm
-    t, d = take(contact, 0), take(contact, 9)
+    t, d = take(contact, T), take(contact, D)
     e = cross(t, d)
     x_axis = add(times(co, d), si, e)
     y_axis = cross(t, x_axis)
-    place = minus(take(contact, 6), take(y, 6))
+    place = minus(take(contact, P), take(y, P))
     s = load[S_CONTACT]
     i = body.knots.shape[0] - 2
     while i > 0 and s <= body.knots[i]:
@@ -72,15 +89,15 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
     med = medium(
         s, frustum_of(body, i, s <= body.constants[ROOT_REACH]), take(load, FORCE), take(load, GRAVITY)
     )
-    turn_s = turning(t, take(contact, 3), d, e, rest_at(s, rest_of(body, i)), med)
-    _t1, _m1, p_s = round_slopes(t, take(contact, 3), med)
+    turn_s = turning(t, take(contact, M), d, e, rest_at(s, rest_of(body, i)), med)
+    _t1, _m1, p_s = round_slopes(t, take(contact, M), med)
     there = contact[STATE:]
     for j in range(k):
         lane = lane_of(j)
         tips = _solved_tips(blocks, BLOCK, lane)
-        v = _total(blocks, BLOCK, lane, 3, tips)
-        theta = _total(there, WIDE * COLUMN, lane, 0, tips)
-        q = minus(_total(there, WIDE * COLUMN, lane, 6, tips), _total(blocks, BLOCK, lane, 6, tips))
+        v = _total(blocks, BLOCK, lane, V, tips)
+        theta = _total(there, WIDE * COLUMN, lane, THETA, tips)
+        q = minus(_total(there, WIDE * COLUMN, lane, Q, tips), _total(blocks, BLOCK, lane, Q, tips))
         if j == 3:
             theta, q = plus(theta, turn_s), plus(q, p_s)
         dt, dx, dy = cross(theta, t), cross(theta, x_axis), cross(theta, y_axis)

@@ -1,201 +1,149 @@
-"""The equilibrium of one rod under one load: the tip found, polished, and one last sweep with all asked for."""
+"""Tips of cases side by side, each lane taking up the next case as it ends one; then what is asked of each."""
 
 import math
 
-from probedesign.rod.kernels.body import GENERAL, LOAD, NOT_CONVERGED, OK, UNSTABLE
+from probedesign.rod.kernels.body import GENERAL, NOT_CONVERGED, OK, UNSTABLE
 from probedesign.rod.kernels.compiled import inlined, merged
+from probedesign.rod.kernels.lanes import EVENT, GOING, READY, ROWS, STUCK, WANTS_TIPS
 from probedesign.rod.kernels.newton import (
-    CAREFUL_TOLERANCE,
-    MAX_TURN,
-    PATH_TOLERANCE,
-    PATHS,
+    INVERSE,
+    STABLE,
+    STATUS,
+    TURNED,
     is_clamped,
     is_judged,
     misfit,
-    newton,
-    trace,
     turn_tip,
-    unbent,
     wanted_turn,
 )
-from probedesign.rod.kernels.steps import BLOCK, STATE, WIDE, WORK
+from probedesign.rod.kernels.search import (
+    GROWTH,
+    MAX_GROWTH,
+    MIND,
+    ROUNDING,
+    begin_polish,
+    begin_search,
+    polish,
+    seek,
+)
+from probedesign.rod.kernels.steps import STATE, WIDE, WORK, D, T
 from probedesign.rod.kernels.sweep import sweep
-from probedesign.rod.kernels.vectors import cross, dot, put, take
+from probedesign.rod.kernels.sweeps import TIP, arrive, body_of, launch, tick
+from probedesign.rod.kernels.vectors import take
 
-COLD, WARM, WARM_ONLY = 0, 1, 2
-"""Start from no load; from a guess, else from no load; from a guess or not at all."""
-SAFE_MARGIN = 0.3
-"""Of stability on the path, from which its sweeps need no second judgement: they know it to a hundredth."""
-NEAR = 3e-3
-"""How close [rad] the path has to come to the whole load's equilibrium before it is polished."""
-ROUNDING = 1e-14
-"""Of the tip's turn [rad]; what grows of it on the way is no misfit."""
-NEAR_ENOUGH = 200.0
-"""Times the tolerance: Newton's matrix, taken NEAR the answer, makes a thousandth of a misfit."""
-MAX_GROWTH = 1e4
-"""Beyond which smaller steps help no more."""
-AT_CONTACT = STATE + 36
-SCRATCH = STATE + WORK + AT_CONTACT + BLOCK + 9 + PATHS
-"""Numbers that finding the tip works in."""
+BASE = MIND
+"""In a case's mind after all of the search: the state at the base."""
+CASE = BASE + STATE
+FIXED = WIDE * ROWS + WIDE + WORK
+"""Numbers that solving works in beside CASE for each case that is in work together."""
+SEEKING, POLISHING = 0, 1
 
 
 @inlined
-def _parts(scratch):
-    """State, what a step works in, the contact, one block of columns, Newton's matrix, loads and tips."""
-    o = STATE + WORK
-    p = o + AT_CONTACT
-    q = p + BLOCK
-    return (
-        scratch[:STATE],
-        scratch[STATE:o],
-        scratch[o:p],
-        scratch[p:q],
-        scratch[q : q + 9],
-        scratch[q + 9 : SCRATCH],
-    )
+def parts(scratch):
+    """The lanes, which mind each lane is of, what a last sweep works in, the minds."""
+    a = WIDE * ROWS
+    b = a + WIDE
+    return scratch[:a], scratch[a:b], scratch[b:FIXED], scratch[FIXED:]
 
 
 @inlined
-def tip_growth(blocks):
-    """How much larger than at the tip a small turn of it is at the base; at least 1."""
-    growth = 1.0
-    for q in range(3 * WIDE):
-        if q % WIDE < 3:
-            growth = max(growth, abs(blocks[q]))
-    return growth
+def _wants_tips(lanes, seats):
+    """Whether a lane at work wants its tip's columns."""
+    wanted = False
+    for lane in range(WIDE):
+        wanted = wanted or (seats[lane] >= 0.0 and lanes[WIDE * WANTS_TIPS + lane] > 0.0)
+    return wanted
 
 
 @merged
-def _start(tip, y, work, contact, blocks, paths, body):
-    """The tip of the rod without load: where it stands straight, or as it is curved by nature."""
-    unbent(tip)
-    if body.constants[GENERAL] != 0.0:
-        for q in range(LOAD):
-            paths[q] = 0.0
-        full = body.constants[GENERAL] != 0.0
-        sweep(tip, y, work, blocks[:0], body, paths[:LOAD], 1e-9, 1.0, full, work[:0], contact)
-        t, d = take(y, 0), take(y, 9)
-        e = cross(t, d)
-        put(tip, 0, (d[2], e[2], t[2]))
-        put(tip, 3, (d[0], e[0], t[0]))
+def through(
+    stage, count, lanes, seats, minds, bodies, which, loads, directed, start, tol, until, near_enough
+):
+    """All cases of a group through one stage.
 
-
-@merged
-def _approach(tip, start, scratch, body, load, path_tol, near):
-    """The tip within `near` [rad] of the equilibrium, by sweeps of that tolerance; Newton's matrix there.
-
-    Returns:
-        status, how far the rod turned, the margin of stability.
+    Args:
+        count: of cases; which, loads: theirs.
+        directed: see `tick`.
+        seats: the case of each lane, -1: none, (WIDE,).
+        minds: of each case, its tip's guess where there is one, (group · CASE,).
     """
-    y, work, contact, blocks, inverse, paths = _parts(scratch)
-    judged = is_judged(load)
-    status, size, margin = NOT_CONVERGED, 1.0, -1.0
-    if start != COLD:
-        status, _away, _first, size, margin, _steps = newton(
-            tip, y, work, contact, blocks, inverse, body, load, path_tol, near, judged, MAX_TURN
-        )
-    for careful in range(2):
-        if status == OK or start == WARM_ONLY:
+    waiting, busy, general = 0, 0, directed is not None
+    for lane in range(WIDE):
+        seats[lane] = -1.0
+    while True:
+        for lane in range(WIDE):
+            while seats[lane] < 0.0 and waiting < count:
+                o, body = waiting * CASE, body_of(bodies, which[waiting])
+                if stage == SEEKING:
+                    begin_search(minds, o, loads[waiting], start, body, tol)
+                elif minds[o + STATUS] == OK:
+                    begin_polish(minds, o, tol)
+                if stage == SEEKING or minds[o + STATUS] == OK:
+                    seats[lane] = waiting
+                    busy += 1
+                    lanes[WIDE * EVENT + lane] = READY
+                waiting += 1
+            case = int(seats[lane])
+            if case >= 0 and lanes[WIDE * EVENT + lane] == READY:
+                launch(lanes, lane, minds, case * CASE, body_of(bodies, which[case]), general)
+        if busy == 0:
             break
-        # A very soft rod magnifies the errors of the steps themselves; under a moment, the way matters.
-        with_tol = CAREFUL_TOLERANCE if careful and judged else path_tol
-        moment_first = careful == 1 and not judged
-        _start(tip, y, work, contact, blocks, paths, body)
-        status, size, margin, _steps = trace(
-            tip, y, work, contact, blocks, inverse, paths, body, load, with_tol, near, moment_first
-        )
-    return status, size, margin
+        tick(lanes, directed, _wants_tips(lanes, seats))
+        for lane in range(WIDE):
+            if seats[lane] >= 0.0 and lanes[WIDE * EVENT + lane] != GOING:
+                case = int(seats[lane])
+                o, body = case * CASE, body_of(bodies, which[case])
+                if lanes[WIDE * EVENT + lane] == STUCK or arrive(lanes, lane, minds, o, body, general):
+                    if stage == SEEKING:
+                        over = seek(lanes, lane, minds, o, body, tol)
+                    else:
+                        for q in range(STATE):
+                            minds[o + BASE + q] = lanes[WIDE * q + lane]
+                        over = polish(lanes, lane, minds, o, body, until, near_enough)
+                    lanes[WIDE * EVENT + lane] = READY
+                    if over:
+                        seats[lane] = -1.0
+                        busy -= 1
 
 
 @merged
-def _find(tip, start, scratch, body, load, tol, until, near_enough):
-    """Tip (6,), state at base and contact of the equilibrium, in `scratch`.
+def report(mind, o, work, body, load, tol, until, nodes, blocks, y, contact):
+    """Sweep a case once more, with what is asked for beside base and contact.
 
     Args:
-        near_enough: misfit [rad] from which one more turn leads home: none where state and contact are wanted.
-
-    Returns:
-        status, residual at the base [rad], how far the rod turned, the margin of stability.
-    """
-    status, size, margin = _approach(tip, start, scratch, body, load, max(tol, PATH_TOLERANCE), NEAR)
-    if status != OK:
-        return status, math.inf, size, margin
-    y, work, contact, blocks, inverse, _paths = _parts(scratch)
-    general = body.constants[GENERAL] != 0.0
-    growth = tip_growth(blocks)
-    tol, before = tol / min(growth, MAX_GROWTH), math.inf
-    for _ in range(12):
-        status, _count, _margin, size, _steps = sweep(
-            tip, y, work, blocks[:0], body, load, tol, size, general, work[:0], contact
-        )
-        if status != OK:
-            return status, math.inf, size, margin
-        r = misfit(y, general)
-        residual = math.sqrt(dot(r, r))
-        if is_clamped(y, general, max(until * size, ROUNDING * growth)):
-            if is_judged(load) and margin < SAFE_MARGIN:
-                _s, _c, margin, _b, _n = sweep(
-                    tip, y, work, blocks, body, load, tol, size, general, work[:0], contact
-                )
-                return (OK if margin > 0.0 else UNSTABLE), residual, size, margin
-            return OK, residual, size, margin
-        if not residual < 0.5 * before:  # the path's matrix does not lead on: take it anew
-            status, _away, _first, size, margin, _steps = newton(
-                tip, y, work, contact, blocks, inverse, body, load, tol, 1e-6, is_judged(load), 0.1
-            )
-            if status != OK:
-                return status, residual, size, margin
-            residual = math.inf
-        else:
-            turn_tip(tip, wanted_turn(y, general, inverse))
-            if residual < near_enough * size and not (is_judged(load) and margin < SAFE_MARGIN):
-                return OK, residual, size, margin
-        before = residual
-    return NOT_CONVERGED, residual, size, margin
-
-
-@merged
-def solve(tip, start, scratch, body, load, tol, until, nodes, blocks, y, contact):
-    """Find the equilibrium, and sweep it once more with what is asked for beside base and contact.
-
-    Args:
-        tip: section at the tip [t, d], (6,): a guess unless COLD, the solution on return.
-        start: COLD, WARM or WARM_ONLY.
-        scratch: (SCRATCH,).
+        mind: the case's, from o on; its tip is turned a little more where it has to.
         load: (13,), see `body`.
         tol: error allowed a step [rad]; until: residual allowed at the base [rad];
             both relative to how far the rod turns.
         nodes: for shape and columns, (m · (1 + STATE + 36 chunks),).
-        blocks: columns at the base, (chunks · BLOCK,), may be none. With neither nodes nor blocks there is no last
-            sweep and there are no section axes.
+        blocks: columns at the base, (chunks · BLOCK,), may be none.
         y, contact: state at the base, (STATE,), state and columns at s_c, (STATE + 36 chunks,).
 
     Returns:
         status, nodes filled, margin of stability, residual at the base [rad].
     """
-    report = nodes.shape[0] > 0 or blocks.shape[0] > 0
-    status, residual, size, margin = _find(
-        tip, start, scratch, body, load, tol, until, NEAR_ENOUGH * tol if report else 0.0
-    )
-    path_y, work, path_contact, path_blocks, inverse, _paths = _parts(scratch)
-    if status != OK or not report:
-        for q in range(STATE):
-            y[q], contact[q] = path_y[q], path_contact[q]
-        return status, 0, margin, residual
-    growth = tip_growth(path_blocks)
+    general, growth, size = body.constants[GENERAL] != 0.0, mind[o + GROWTH], mind[o + TURNED]
     tol = tol / min(growth, MAX_GROWTH)
-    general, path_margin = body.constants[GENERAL] != 0.0, margin
+    margin, residual, tip = mind[o + STABLE], math.inf, mind[o + TIP : o + TIP + 6]
     for _ in range(6):
-        status, count, margin, size, _steps = sweep(
-            tip, y, work, blocks, body, load, tol, size, report, nodes, contact
+        status, count, found, size, _steps = sweep(
+            tip, y, work, blocks, body, load, tol, size, nodes, contact
         )
-        margin = margin if blocks.shape[0] > 0 else path_margin
+        margin = found if blocks.shape[0] > 0 else margin
         if status != OK:
             return status, 0, margin, math.inf
-        r = misfit(y, general)
-        residual = math.sqrt(dot(r, r))
-        if is_clamped(y, general, max(max(until, tol) * size, ROUNDING * growth)):
-            stable = margin > 0.0 or not is_judged(load)
+        t, d = take(y, T), take(y, D)
+        r = misfit(t, d, general)
+        residual = math.sqrt(dot_of(r))
+        if is_clamped(t, d, general, max(max(until, tol) * size, ROUNDING * growth)):
+            stable = margin > 0.0 or not is_judged(load, 0)
             return (OK if stable else UNSTABLE), count, margin, residual
-        turn_tip(tip, wanted_turn(y, general, inverse))
+        turn_tip(mind, o + TIP, wanted_turn(t, d, general, mind, o + INVERSE))
     return NOT_CONVERGED, 0, margin, residual
+
+
+@inlined
+def dot_of(r):
+    """|r|²."""
+    return r[0] * r[0] + r[1] * r[1] + r[2] * r[2]

@@ -14,13 +14,15 @@ from probedesign.rod.kernels.equations import (
     full_slopes,
     medium,
     rest_at,
-    round_slopes,
     yielding,
 )
 from probedesign.rod.kernels.vectors import add, cross, minus, plus, put, take, times
 
 STATE = 12
 """[t, m, p, d]: tangent, moment, point, the section's x axis."""
+T, M, P, D = np.arange(0, STATE, 3)
+"""Where in a state its parts stand. As numpy's integers, like all such indices here: numba would compile what it is
+given 0, 3, 6 ... for once for each."""
 ROW = 25
 """Noted of a stage: [t, m, p', n, e, the rest of `medium`, on]."""
 NOTED = 2 * STATE
@@ -35,8 +37,10 @@ NEXT, ERRORS, BY_LOAD, LOGS, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 36, 44
 move force and gravity, log E and log G, and at each stage log radius, log f and the weight factor."""
 BLOCK = (BY_WEIGHT + verner.STAGES) * WIDE
 
+THETA, V, Q = np.arange(0, COLUMN, 3)
+"""Rows of a column."""
 S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(verner.STAGES)
-"""The stages; as numpy's integers, since numba would compile what it is given 0, 1, 2 ... for once for each."""
+"""The stages."""
 C1, C2, C3, C4, C6 = (float(verner.C[j]) for j in (1, 2, 3, 4, 6))
 
 
@@ -55,70 +59,6 @@ def _keep(work, j, t, m, p1, e, med, on):
     work[o + 24] = on
 
 
-@inner
-def round_step(s, h, work, frustum, force, gravity, on):
-    """Step [t, m, p] of a round straight rod from s by h (negative: towards the base).
-
-    Args:
-        work: state, where it steps to, and the stages' notes, (WORK,).
-        frustum: from `frustum_of`.
-        force: the contact's on its base's side, else zero, (3,) tuple; gravity (3,) tuple.
-        on: 1 on the contact's base's side, else 0.
-
-    Returns:
-        Error estimates of t, m and p.
-    """
-    t, m = take(work, 0), take(work, 3)
-    e = (0.0, 0.0, 0.0)  # bending knows no direction
-
-    med = medium(s, frustum, force, gravity)
-    t0, m0, p0 = round_slopes(t, m, med)
-    _keep(work, S0, t, m, p0, e, med, on)
-
-    tj, mj = verner.stage1(t, h, t0), verner.stage1(m, h, m0)
-    med = medium(s + C1 * h, frustum, force, gravity)
-    t1, m1, p1 = round_slopes(tj, mj, med)
-    _keep(work, S1, tj, mj, p1, e, med, on)
-
-    tj, mj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1)
-    med = medium(s + C2 * h, frustum, force, gravity)
-    t2, m2, p2 = round_slopes(tj, mj, med)
-    _keep(work, S2, tj, mj, p2, e, med, on)
-
-    tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
-    med = medium(s + C3 * h, frustum, force, gravity)
-    t3, m3, p3 = round_slopes(tj, mj, med)
-    _keep(work, S3, tj, mj, p3, e, med, on)
-
-    tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
-    med = medium(s + C4 * h, frustum, force, gravity)
-    t4, m4, p4 = round_slopes(tj, mj, med)
-    _keep(work, S4, tj, mj, p4, e, med, on)
-
-    tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
-    end = medium(s + h, frustum, force, gravity)
-    t5, m5, p5 = round_slopes(tj, mj, end)
-    _keep(work, S5, tj, mj, p5, e, end, on)
-
-    tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
-    med = medium(s + C6 * h, frustum, force, gravity)
-    t6, m6, p6 = round_slopes(tj, mj, med)
-    _keep(work, S6, tj, mj, p6, e, med, on)
-
-    tj, mj = verner.stage7(t, h, t0, t1, t2, t3, t4, t6), verner.stage7(m, h, m0, m1, m2, m3, m4, m6)
-    t7, m7, p7 = round_slopes(tj, mj, end)
-    _keep(work, S7, tj, mj, p7, e, end, on)
-
-    put(work, STATE, verner.step(t, h, t0, t2, t3, t4, t6, t7))
-    put(work, STATE + 3, verner.step(m, h, m0, m2, m3, m4, m6, m7))
-    put(work, STATE + 6, verner.step(take(work, 6), h, p0, p2, p3, p4, p6, p7))
-    return (
-        verner.error(h, t0, t2, t3, t4, t5, t6, t7),
-        verner.error(h, m0, m2, m3, m4, m5, m6, m7),
-        verner.error(h, p0, p2, p3, p4, p5, p6, p7),
-    )
-
-
 @inlined
 def _stage_slopes(s, j, t, m, d, work, frustum, rest, force, gravity, on):
     """Slopes of any rod at stage j, noted for the columns."""
@@ -131,8 +71,18 @@ def _stage_slopes(s, j, t, m, d, work, frustum, rest, force, gravity, on):
 
 @inner
 def full_step(s, h, work, frustum, rest, force, gravity, on):
-    """Step [t, m, p, d] of any rod; as `round_step`, with the section's x axis and `rest` from `rest_of`."""
-    t, m, d = take(work, 0), take(work, 3), take(work, 9)
+    """Step [t, m, p, d] of any rod from s by h (negative: towards the base).
+
+    Args:
+        work: state, where it steps to, and the stages' notes, (WORK,).
+        frustum: from `frustum_of`; rest: from `rest_of`.
+        force: the contact's on its base's side, else zero, (3,) tuple; gravity (3,) tuple.
+        on: 1 on the contact's base's side, else 0.
+
+    Returns:
+        Error estimates of t and d, of m and of p.
+    """
+    t, m, d = take(work, T), take(work, M), take(work, D)
     t0, m0, p0, d0 = _stage_slopes(s, S0, t, m, d, work, frustum, rest, force, gravity, on)
 
     tj, mj, dj = verner.stage1(t, h, t0), verner.stage1(m, h, m0), verner.stage1(d, h, d0)
@@ -161,10 +111,10 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
     dj = verner.stage7(d, h, d0, d1, d2, d3, d4, d6)
     t7, m7, p7, d7 = _stage_slopes(s + h, S7, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    put(work, STATE, verner.step(t, h, t0, t2, t3, t4, t6, t7))
-    put(work, STATE + 3, verner.step(m, h, m0, m2, m3, m4, m6, m7))
-    put(work, STATE + 6, verner.step(take(work, 6), h, p0, p2, p3, p4, p6, p7))
-    put(work, STATE + 9, verner.step(d, h, d0, d2, d3, d4, d6, d7))
+    put(work, STATE + T, verner.step(t, h, t0, t2, t3, t4, t6, t7))
+    put(work, STATE + M, verner.step(m, h, m0, m2, m3, m4, m6, m7))
+    put(work, STATE + P, verner.step(take(work, P), h, p0, p2, p3, p4, p6, p7))
+    put(work, STATE + D, verner.step(d, h, d0, d2, d3, d4, d6, d7))
     return (
         verner.error(h, t0, t2, t3, t4, t5, t6, t7) + verner.error(h, d0, d2, d3, d4, d5, d6, d7),
         verner.error(h, m0, m2, m3, m4, m5, m6, m7),
@@ -254,7 +204,7 @@ def free_columns_step(h, block, work):
     s0, s1, s2, s3 = _free(work, S0), _free(work, S1), _free(work, S2), _free(work, S3)
     s4, s5, s6, s7 = _free(work, S4), _free(work, S5), _free(work, S6), _free(work, S7)
     for lane in range(WIDE):
-        a, v, q = _row3(block, 0, lane), _row3(block, 3, lane), _row3(block, 6, lane)
+        a, v, q = _row3(block, THETA, lane), _row3(block, V, lane), _row3(block, Q, lane)
         a0, v0, q0 = _free_slopes(a, v, s0)
         a1, v1, _q = _free_slopes(verner.stage1(a, h, a0), verner.stage1(v, h, v0), s1)
         a2, v2, q2 = _free_slopes(verner.stage2(a, h, a0, a1), verner.stage2(v, h, v0, v1), s2)
@@ -293,7 +243,7 @@ def forced_columns_step(h, block, work, gravity):
     s0, s1, s2, s3 = _noted(work, S0), _noted(work, S1), _noted(work, S2), _noted(work, S3)
     s4, s5, s6, s7 = _noted(work, S4), _noted(work, S5), _noted(work, S6), _noted(work, S7)
     for lane in range(WIDE):
-        a, v, q = _row3(block, 0, lane), _row3(block, 3, lane), _row3(block, 6, lane)
+        a, v, q = _row3(block, THETA, lane), _row3(block, V, lane), _row3(block, Q, lane)
         a0, v0, q0 = _forced_slopes(a, v, s0, S0, block, lane, gravity)
         aj, vj = verner.stage1(a, h, a0), verner.stage1(v, h, v0)
         a1, v1, _q = _forced_slopes(aj, vj, s1, S1, block, lane, gravity)

@@ -1,4 +1,4 @@
-"""One integration from the free tip to the clamp, its steps chosen by their error estimate."""
+"""One integration from the free tip to the clamp with all that is asked for on the way: shape, columns, margin."""
 
 import math
 
@@ -17,7 +17,7 @@ from probedesign.rod.kernels.body import (
     STEP_LIMIT,
     TIP_MOMENT,
 )
-from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels.compiled import inlined, inner, merged
 from probedesign.rod.kernels.equations import frustum_of, medium, rest_at, rest_of, round_slopes, turning
 from probedesign.rod.kernels.steps import (
     BLOCK,
@@ -31,14 +31,20 @@ from probedesign.rod.kernels.steps import (
     NEXT,
     NOTED,
     ROW,
+    S0,
+    S1,
+    S2,
     STATE,
     WIDE,
+    D,
+    M,
+    P,
+    T,
     forced_columns_step,
     free_columns_step,
     full_step,
-    round_step,
 )
-from probedesign.rod.kernels.vectors import add, cross, dot, plus, put, take, times
+from probedesign.rod.kernels.vectors import cross, dot, plus, put, take, times
 from probedesign.rod.kernels.verner import STAGES, C
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
@@ -50,12 +56,6 @@ MAX_STEPS = 1000
 
 
 @inlined
-def _carried(e, t, new):
-    """The normal e of the tangent t carried to the tangent `new` without turning about it."""
-    return add(e, -dot(e, new) / (1.0 + dot(t, new)), plus(t, new))
-
-
-@inlined
 def lane_of(j):
     """Lane of PARAMETERS[j]."""
     return L_FORCE + j if j < 3 else L_S_CONTACT if j == 3 else L_COUPLE + j - 4
@@ -64,7 +64,7 @@ def lane_of(j):
 @inner
 def begin(tip, blocks, chunks):
     """Columns at the tip: unit turns about its axes, and what each parameter moves; tip [t, ..., d]."""
-    t, d = take(tip, 0), take(tip, tip.shape[0] - 3)
+    t, d = take(tip, T), take(tip, tip.shape[0] - 3)
     for q in range(chunks * BLOCK):
         blocks[q] = 0.0
     if chunks > 0:
@@ -116,7 +116,7 @@ def _reshape(s, h, i, in_root, blocks, chunks, body, work):
             blocks[o + WIDE * (BY_WEIGHT + j)] = by_weight
 
 
-@inlined
+@merged
 def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity):
     """The columns over the stages of the state's step."""
     if chunks > 0:
@@ -144,8 +144,8 @@ def _jacobi_error(blocks, bend, tol):
     return worst
 
 
-@inlined
-def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on, full):
+@merged
+def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on):
     """One accepted step towards `stop`: (new s, next step, tries), new s = NaN where none is accepted.
 
     Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all
@@ -159,10 +159,7 @@ def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size
         tries += 1
         last = s + 1.1 * h <= stop  # rather a slightly longer step than a sliver after it
         hs = stop - s if last else h
-        if full:
-            et, em, ep = full_step(s, hs, work, frustum, rest, force, gravity, on)
-        else:
-            et, em, ep = round_step(s, hs, work, frustum, force, gravity, on)
+        et, em, ep = full_step(s, hs, work, frustum, rest, force, gravity, on)
         r = frustum[1] + frustum[2] * (frustum[0] - s)
         bend = body.constants[BEND_X] * length / (r * r * r * r)
         error = max(max(et, bend * em) / (size * tol), ep / (length * tol))
@@ -185,7 +182,7 @@ def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size
 @inner
 def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
     """Add to a column `change` times the state's slopes at s, seen as turn, moment and point."""
-    t, m, d = take(y, 0), take(y, 3), take(y, 9)
+    t, m, d = take(y, T), take(y, M), take(y, D)
     force = times(on, take(load, FORCE))
     med = medium(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
     turn = turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
@@ -202,7 +199,7 @@ def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
     """State and columns over the contact: the couple acts, and the place moves with s_contact."""
     if chunks > 0:
         _add_slopes(L_S_CONTACT, 1.0, s, i, in_root, y, blocks, body, load, 0.0)
-    put(y, 3, plus(take(y, 3), take(load, COUPLE)))
+    put(y, M, plus(take(y, M), take(load, COUPLE)))
     if chunks > 0:
         _add_slopes(L_S_CONTACT, -1.0, s, i, in_root, y, blocks, body, load, 1.0)
     for lane in range(L_COUPLE, min(L_GRAVITY, WIDE * chunks)):
@@ -217,7 +214,7 @@ def _round_margin(e1, e2, blocks):
     free end, and the second variation of the energy is positive as long as there is none before the clamp.
     A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace.
     """
-    a, b = take3(blocks, 0), take3(blocks, 1)
+    a, b = take3(blocks, S0), take3(blocks, S1)
     xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
     return min(xx * yy - xy * yx, 0.5 * (xx + yy))
 
@@ -229,7 +226,7 @@ def _margin(blocks):
     The step takes the fields A to B. Where two eigenvalues of B A^-1 turn negative, its determinant stays positive,
     but its trace or the sum of its minors does not; unlike those of A or B they know no axes.
     """
-    a, b, c = take3(blocks, 0), take3(blocks, 1), take3(blocks, 2)
+    a, b, c = take3(blocks, S0), take3(blocks, S1), take3(blocks, S2)
     o = NEXT
     x = (blocks[WIDE * o], blocks[WIDE * (o + 1)], blocks[WIDE * (o + 2)])
     y = (blocks[WIDE * o + 1], blocks[WIDE * (o + 1) + 1], blocks[WIDE * (o + 2) + 1])
@@ -266,7 +263,7 @@ def _note(y, blocks, chunks, row):
 
 
 @inner
-def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
+def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
     """Integrate from the tip to the base.
 
     Args:
@@ -275,7 +272,6 @@ def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
         work: scratch, (WORK,).
         blocks: columns, (chunks · BLOCK,), WIDE to a block, may be none; at the base on return.
         tol: error allowed a step, relative to size; size: how far the rod turns from the axis, at most 1.
-        full: whether the section's axis d is carried too; a rod that is not round and straight needs it.
         nodes: rows [s, state, columns] from tip to base, (m · (1 + STATE + 36 chunks),); m may be 0.
         contact: state and columns at s_c, (STATE + 36 chunks,), filled on passing it.
 
@@ -287,12 +283,11 @@ def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
     general = body.constants[GENERAL] != 0.0
     width = 1 + STATE + WIDE * COLUMN * chunks
     s_c, reach = load[S_CONTACT], body.constants[ROOT_REACH]
-    put(y, 0, take(tip, 0))
-    put(y, 3, take(load, TIP_MOMENT))
-    put(y, 6, (0.0, 0.0, 0.0))
-    put(y, 9, take(tip, 3))
+    put(y, T, take(tip, T))
+    put(y, M, take(load, TIP_MOMENT))
+    put(y, P, (0.0, 0.0, 0.0))
+    put(y, D, take(tip, M))  # a tip is [t, d]
     begin(tip, blocks, chunks)
-    e1, e2 = take(tip, 3), cross(take(tip, 0), take(tip, 3))
     for q in range(STATE):
         work[q] = out[q] = y[q]
     i, s, h = body.knots.shape[0] - 2, body.knots[-1], -body.knots[-1] / 6.0
@@ -303,7 +298,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
         if on == 0.0 and s <= s_c:
             _cross_contact(s, i, in_root, y, blocks, chunks, body, load)
             on = 1.0
-            put(work, 3, take(y, 3))
+            put(work, M, take(y, M))
             _note(y, blocks, chunks, contact)
         if (count + 1) * width <= nodes.shape[0]:
             nodes[count * width] = s
@@ -315,7 +310,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
         while i > 0 and s <= body.knots[i]:
             i -= 1
         stop = max(body.knots[i], s_c if on == 0.0 else 0.0, 0.0 if in_root else reach)
-        s, h, tries = _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on, full)
+        s, h, tries = _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on)
         steps += tries
         if steps > most or math.isnan(s):
             return STEP_LIMIT, count, -1.0, 1.0, steps
@@ -324,11 +319,8 @@ def sweep(tip, y, work, blocks, body, load, tol, size, full, nodes, contact):
             _accept(blocks, chunks)
         elif chunks > 0:
             _accept(blocks, chunks)
-            if full:
-                e1 = take(out, 9)
-                e2 = cross(take(out, 0), e1)
-            else:
-                e1, e2 = _carried(e1, take(y, 0), take(out, 0)), _carried(e2, take(y, 0), take(out, 0))
+            e1 = take(out, D)
+            e2 = cross(take(out, T), e1)
             margin = min(margin, _round_margin(e1, e2, blocks))
         for q in range(STATE):
             y[q] = work[q] = out[q]
