@@ -1,6 +1,6 @@
 """The compiled rod: sweeps from the free tip to the base with exact sensitivities, and the solve on top of them.
 
-Read `equations` first. The tip is sought in `lanes`, a register's width of cases at a time: `sweeps`, `newton`,
+Read `equations` first. The tip is sought in `lanes`, a register's width of cases at a time: `lane_sweep`, `newton`,
 `search`, `solve`. What is asked for beside it comes of one more `sweep` with `steps`, and of `outputs`; `batch` is the
 door to all. Everything
 works on flat arrays and tuples, and allocates nothing: the memory is the caller's.

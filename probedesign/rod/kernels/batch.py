@@ -2,13 +2,13 @@
 
 from probedesign.rod.kernels.body import OK
 from probedesign.rod.kernels.compiled import inlined, kernel
+from probedesign.rod.kernels.lane_sweep import SEEN, body_of
+from probedesign.rod.kernels.lane_sweep import TIP as MIND_TIP
 from probedesign.rod.kernels.newton import STABLE, STATUS
 from probedesign.rod.kernels.outputs import sensitivities
 from probedesign.rod.kernels.search import RESIDUAL, WARM
 from probedesign.rod.kernels.solve import BASE, CASE, POLISHING, SEEKING, parts, report, through
 from probedesign.rod.kernels.steps import STATE
-from probedesign.rod.kernels.sweeps import SEEN, body_of
-from probedesign.rod.kernels.sweeps import TIP as MIND_TIP
 
 ROW_STATUS, MARGIN, ROW_RESIDUAL, COUNT, TIP, MOMENT, CONTACT, FOUND = 0, 1, 2, 3, 4, 10, 13, 19
 """Where in a row of answers stand the status, the margin of stability, the residual, the nodes filled, the tip's

@@ -61,4 +61,4 @@ def announce(dispatcher: Any) -> None:
     """Tell someone who waits at a terminal that the first run compiles; once, and only where nothing is cached."""
     name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__name__}-"
     if sys.stderr.isatty() and not any(Path(dispatcher.stats.cache_path).glob(name + "*.nbi")):
-        print("compiling the rod's kernels, about 20 s, once ...", file=sys.stderr, flush=True)
+        print("compiling the rod's kernels, half a minute or so, once ...", file=sys.stderr, flush=True)

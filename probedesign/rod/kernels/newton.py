@@ -18,6 +18,7 @@ from probedesign.rod.kernels.body import (
     UNSTABLE,
 )
 from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels.lane_sweep import PART, SWEEP, TIP
 from probedesign.rod.kernels.lanes import (
     BEND,
     EVENT,
@@ -29,7 +30,6 @@ from probedesign.rod.kernels.lanes import (
     row3,
 )
 from probedesign.rod.kernels.steps import WIDE, D, T
-from probedesign.rod.kernels.sweeps import PART, SWEEP, TIP
 from probedesign.rod.kernels.vectors import add, cross, dot, put, take, times
 
 MAX_NEWTON = 12

@@ -4,6 +4,7 @@ import math
 
 from probedesign.rod.kernels.body import GENERAL, LOAD, NOT_CONVERGED, OK, STEP_LIMIT, UNSTABLE
 from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels.lane_sweep import ALLOWED, TIP, intend
 from probedesign.rod.kernels.lanes import BEND, EVENT, MARGIN, STUCK, TIPS, TURN, row3
 from probedesign.rod.kernels.newton import (
     AGAIN,
@@ -28,7 +29,6 @@ from probedesign.rod.kernels.newton import (
     wanted_turn,
 )
 from probedesign.rod.kernels.steps import WIDE, D, T
-from probedesign.rod.kernels.sweeps import ALLOWED, TIP, intend
 from probedesign.rod.kernels.vectors import cross, dot, put
 
 COLD, WARM, WARM_ONLY = 0, 1, 2

@@ -4,6 +4,7 @@ import math
 
 from probedesign.rod.kernels.body import GENERAL, NOT_CONVERGED, OK, UNSTABLE
 from probedesign.rod.kernels.compiled import inlined, merged
+from probedesign.rod.kernels.lane_sweep import TIP, arrive, body_of, launch, tick
 from probedesign.rod.kernels.lanes import EVENT, GOING, READY, ROWS, STUCK, WANTS_TIPS
 from probedesign.rod.kernels.newton import (
     INVERSE,
@@ -28,7 +29,6 @@ from probedesign.rod.kernels.search import (
 )
 from probedesign.rod.kernels.steps import STATE, WIDE, WORK, D, T
 from probedesign.rod.kernels.sweep import sweep
-from probedesign.rod.kernels.sweeps import TIP, arrive, body_of, launch, tick
 from probedesign.rod.kernels.vectors import take
 
 BASE = MIND
