@@ -5,6 +5,7 @@ import json
 import signal
 import subprocess
 import sys
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -207,9 +208,15 @@ def test_live_refuses(call, bundle, options, told):
 
 
 def live_process(bundle, *options: str) -> subprocess.Popen[str]:
-    """`live` as a process of its own, at a sensor's pace and without an end."""
+    """`live` as a process of its own, at a sensor's pace and without an end.
+
+    It hears SIGINT even if these tests run in a shell's background, where it is inherited as ignored.
+    """
     command = [*PROGRAM, "live", str(bundle), "--source", "sim:?seconds=1000000", *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard
+    )
 
 
 def test_interrupted_live_ends_well_and_leaves_a_whole_recording(bundle, tmp_path):
