@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.rod import GRAVITY, LARGE, TABLE_I
+from benchmarks.cases import GRAVITY, LARGE, TABLE_I
 from benchmarks.timing import interleaved, print_table, shown
 from probedesign.design import load_design
 from probedesign.probe import build_probe

@@ -1,85 +1,107 @@
-"""One equilibrium of the paper's large probe: the compiled rod beside plain Python with scipy."""
+"""The rod: beside the other ways, inside the kernel, in batches, in lanes; at last what was promised of it."""
 
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Sequence
 
-import numpy as np
+from benchmarks import batch, compare, inside
+from benchmarks.batch import Batch
+from benchmarks.cases import bare_large, paper_loads
+from benchmarks.inside import COLD, JACOBIAN, TOGETHER, Work
+from benchmarks.peak import peaks
+from benchmarks.timing import digits, print_table, shown
+from probedesign.rod import kernels
 
-from benchmarks.peers import shoot_rk45, solve_by_bvp
-from benchmarks.timing import interleaved, print_table, shown
-from probedesign.design import load_design
-from probedesign.frames import Array
-from probedesign.probe import build_probe
-from probedesign.rod.rod import Rod
+Compared = Sequence[dict[str, compare.Found | None]]
 
-LARGE = Path(__file__).parents[1] / "designs/large.toml"
-GRAVITY = np.array([9.81, 0.0, 0.0])
-TABLE_I = ((0.25, 0.133), (0.103, 0.4), (0.032, 0.533), (0.006, 0.8))
-"""Force [N] and place over L of four of the paper's tests on the large probe."""
-ROUNDS = 9
-STATIONS = 31
-SHOOTING = "RK45 shooting, rtol "
-"""At scipy's default tolerance, which misses 1 µm, and at one that keeps it."""
-
-
-class Load(NamedTuple):
-    """One row: sideways to gravity, so that the probe bends in three dimensions."""
-
-    force: Array
-    s: float
-
-
-def bare_large() -> Rod:
-    """The paper's rod: clamped at s = 0 without a rigid root, so that all methods solve the same equations."""
-    rod = build_probe(load_design(LARGE)).rod
-    return Rod(rod.s, rod.radius, rod.youngs_modulus, rod.shear_modulus, rod.density, rod.shear_coefficient)
-
-
-def methods(rod: Rod, load: Load, s: Array) -> dict[str, tuple[Callable[[], object], Callable[[], Array]]]:
-    """Of each method what is timed, and the centreline at the stations that it gives."""
-    fast = partial(rod.solve, GRAVITY, load.force, load.s)
-    reference = partial(rod.solve, GRAVITY, load.force, load.s, mode="reference")
-    peers = {
-        SHOOTING + "1e-3": partial(shoot_rk45, rod, GRAVITY, load.force, load.s, s, 1e-3),
-        SHOOTING + "1e-5": partial(shoot_rk45, rod, GRAVITY, load.force, load.s, s, 1e-5),
-        "solve_bvp, tol 1e-3": partial(solve_by_bvp, rod, GRAVITY, load.force, load.s, s, 1e-3),
-    }
-    return {
-        "Rod.solve": (fast, lambda: fast().p_at(s)),
-        'Rod.solve(mode="reference")': (reference, lambda: reference().p_at(s)),
-        **{name: (peer, peer) for name, peer in peers.items()},
-    }
-
-
-def measure(rod: Rod, load: Load) -> list[tuple[str, float, float]]:
-    """(method, median seconds, worst error of the centreline [µm]) of one load."""
-    s = np.linspace(0.0, rod.length, STATIONS)
-    truth = rod.solve(GRAVITY, load.force, load.s, mode="reference").p_at(s)
-    tried = methods(rod, load, s)
-    seconds = interleaved({name: timed for name, (timed, _) in tried.items()}, ROUNDS)
-    errors = {
-        name: np.linalg.norm(curve() - truth, axis=1).max() / 1e-6 for name, (_, curve) in tried.items()
-    }
-    return [(name, seconds[name], float(errors[name])) for name in tried]
+COLD_AT_MOST, WARM_AT_MOST, CALL_AT_MOST = 30e-6, 12e-6, 60e-6
+"""[s]."""
+BATCH_AT_LEAST, LANES_AT_LEAST = 100_000.0, 400_000.0
+"""Solutions a second on two cores; what lanes should lead to."""
 
 
 def report() -> None:
-    """Print the table."""
-    rod, rows = bare_large(), []
-    for force, fraction in TABLE_I:
-        found = measure(rod, Load(np.array([0.0, force, 0.0]), fraction * rod.length))
-        ours = found[0][1]
-        for name, seconds, error in found:
-            accurate = "< 0.001" if error < 1e-3 else f"{error:.3g}"
-            target = "≥ 1000 at ≤ 1 µm" if name.startswith(SHOOTING) else ""
-            rows.append([f"{force:g} N at {fraction:g} L: {name}", shown(seconds), accurate,
-                         f"{seconds / ours:.4g}", target])  # fmt: skip
+    """Measure everything and print it."""
+    rod = bare_large()
+    compared = compare.compared(rod)
+    compare.print_compared(compared)
+    calls = compare.calls_from_python(rod)
+    compare.print_calls(calls)
+    peak, load = peaks(), paper_loads(rod)[1]
+    work, each = inside.measure(rod, paper_loads(rod)), inside.parts(rod, load)
+    inside.print_times(work, max(peak.values()))
+    for name in (COLD, JACOBIAN):
+        inside.print_parts(work[name][1], each, peak, name)
+    batches = batch.report()
+    print_lanes(batches, work)
+    print_targets([
+        *of_one(compared, work, calls[compare.CALLS[0]]),
+        *of_batches(batches),
+        *of_floor(work, max(peak.values())),
+    ])  # fmt: skip
+
+
+def print_lanes(batches: dict[str, Batch], work: dict[str, list[Work]]) -> None:
+    """What lanes brought, and what stands in the way of more."""
+    gains = [alone.seconds / beside.seconds for alone, beside in zip(work[COLD], work[TOGETHER], strict=True)]
+    print(
+        f"  lanes: {kernels.WIDE} like cases side by side × {digits(min(gains))} or more, unlike ones "
+        + ", ".join(f"× {digits(batch.gain)} ({name})" for name, batch in batches.items())
+        + "\n  in the way of more: a core has so many units for whole registers, and the steps keep them busy; "
+        "stops, Newton's matrix and the path go lane by lane"
+    )
+
+
+def of_one(compared: Compared, work: dict[str, list[Work]], call: float) -> list[list[str]]:
+    """The targets of one equilibrium."""
+    cold, warm = (max(w.seconds for w in work[name]) for name in (COLD, JACOBIAN))
+    rows = [at_most("one equilibrium, cold, inside the kernel", cold, COLD_AT_MOST)]
+    for start, least in compare.TARGETS.items():
+        name = compare.closest(start, compared)
+        if name:
+            ratio = min(compare.ratios(name, compared, compare.INSIDE))
+            verdict = _verdict(ratio >= least)
+            rows.append([f"over the same: {name}", f"× {digits(ratio)}", f"≥ {least:g} ×", verdict])
+    return [
+        *rows,
+        at_most("from a neighbouring load with the Jacobian by force and s_contact", warm, WARM_AT_MOST),
+        at_most("one call from Python, cold", call, CALL_AT_MOST),
+    ]
+
+
+def of_batches(batches: dict[str, Batch]) -> list[list[str]]:
+    """The targets of many cases."""
+    rows = []
+    for name, found in batches.items():
+        threads = max(found.rates)
+        rate = found.rates[threads]
+        rows.append([f"{name}: solutions a second on {threads} threads", f"{rate:,.0f}", f"≥ {BATCH_AT_LEAST:,.0f}",
+                     _verdict(rate >= BATCH_AT_LEAST)])  # fmt: skip
+    best = max(max(found.rates.values()) for found in batches.values())
+    rows.append([f"lanes towards {LANES_AT_LEAST:,.0f}", f"{best:,.0f}", "tried and reported", "tried"])
+    return rows
+
+
+def of_floor(work: dict[str, list[Work]], peak: float) -> list[list[str]]:
+    """How much of the floating-point floor is reached."""
+    shares = [w.operations / w.seconds / peak for w in work[COLD]]
+    return [
+        ["share of the floating-point peak, cold", f"{min(shares):.0%}", "where the rest goes", "see above"]
+    ]
+
+
+def at_most(name: str, seconds: float, most: float) -> list[str]:
+    """A line of a time that is to be short, the slowest of the loads."""
+    return [name, shown(seconds), f"≤ {shown(most)}", _verdict(seconds <= most)]
+
+
+def _verdict(reached: bool) -> str:
+    return "reached" if reached else "missed"
+
+
+def print_targets(rows: Sequence[Sequence[str]]) -> None:
+    """Print what was promised and what is."""
     print_table(
-        f"One equilibrium of the large probe, cold start. Median of {ROUNDS} interleaved rounds",
-        ["load and method", "time", "error µm", "× Rod.solve", "target"],
+        "What was promised, under the least favourable of the loads; peers by their row whose error comes closest "
+        "to ours and is not below it",
+        ["", "measured", "target", ""],
         rows,
     )
-    print("  error: largest distance from the converged centreline (Rod.solve in reference mode, "
-          "itself within 1e-11 L of probedesign/rod/plain.py; tests/rod/test_plain.py)")  # fmt: skip

@@ -12,20 +12,24 @@ import scipy
 
 
 def interleaved(
-    calls: Mapping[str, Callable[[], object]], rounds: int, at_least_s: float = 2e-3
+    calls: Mapping[str, Callable[[], object]], rounds: int, at_least_s: float = 2e-3, at_most_s: float = 2.0
 ) -> dict[str, float]:
     """Median seconds of each call over so many rounds; each round runs all of them, so drift hits all alike.
 
-    A call much shorter than `at_least_s` is repeated within its round until that time is filled.
+    A call much shorter than `at_least_s` is repeated within its round until that time is filled. One that would
+    take more than `at_most_s` over all rounds sits out the last of them, but never the first three.
     """
-    repeats = {}
+    repeats, turns = {}, {}
     for name, call in calls.items():  # also warms up: compilation and caches
         call()
-        repeats[name] = max(1, round(at_least_s / _seconds(call, 1)))
+        once = _seconds(call, 1)
+        repeats[name] = max(1, round(at_least_s / once))
+        turns[name] = min(rounds, max(3, int(at_most_s / once)))
     times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
+    for turn in range(rounds):
         for name, call in calls.items():
-            times[name].append(_seconds(call, repeats[name]))
+            if turn < turns[name]:
+                times[name].append(_seconds(call, repeats[name]))
     return {name: statistics.median(found) for name, found in times.items()}
 
 
@@ -42,6 +46,17 @@ def shown(seconds: float) -> str:
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
     return f"{seconds / 1e-6:.3g} µs"
+
+
+def digits(value: float) -> str:
+    """Two of them, without an exponent."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def spread(values: Sequence[float], show: Callable[[float], str]) -> str:
+    """From the least to the most."""
+    low, high = show(min(values)), show(max(values))
+    return low if low == high else f"{low} – {high}"
 
 
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -1,0 +1,88 @@
+"""Exudyn: geometrically exact beams and its static solver, with its own tolerances and one load step.
+
+Each element has one section, that of its middle. It is loaded without range checks and factorises sparsely, the
+fastest of what it documents. Its beams lie along x: the rod's z, x, y are its x, y, z.
+"""
+
+import contextlib
+import io
+import sys
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.mesh import nodal_weights, stations
+from probedesign.frames import Array
+from probedesign.rod.rod import Rod
+
+sys.exudynFast = True  # its own switch: the build without range checks
+with contextlib.redirect_stdout(io.StringIO()):  # it says so
+    import exudyn
+    from exudyn import itemInterface as item
+
+
+class Model(NamedTuple):
+    """A cone ready to be solved.
+
+    Attributes:
+        s: of the nodes [m], (k,).
+        nodes: their numbers, k of them.
+        container: keeps the system alive.
+        system: of bodies and loads.
+        settings: of the solver.
+    """
+
+    s: Array
+    nodes: list[Any]
+    container: Any
+    system: Any
+    settings: Any
+
+
+def build(rod: Rod, gravity: Array, force: Array, s_contact: float, elements: int) -> Model:
+    """The cone under gravity [m/s²] and a dead force [N], which acts on a node at s_contact [m]."""
+    s = stations(rod, s_contact, elements)
+    loads = nodal_weights(rod, s, gravity)
+    loads[np.searchsorted(s, s_contact)] += force
+    container = exudyn.SystemContainer()
+    system = container.AddSystem()
+    nodes = [system.AddNode(item.NodeRigidBodyEP(referenceCoordinates=[at, 0, 0, 1, 0, 0, 0])) for at in s]
+    for i, middle in enumerate((s[:-1] + s[1:]) / 2.0):
+        section = _section(rod, float(np.interp(middle, rod.s, rod.radius)))
+        ends = [nodes[i], nodes[i + 1]]
+        system.AddObject(
+            item.ObjectBeamGeometricallyExact(nodeNumbers=ends, length=s[i + 1] - s[i], sectionData=section)
+        )
+    for node, load in zip(nodes, loads, strict=True):
+        marker = system.AddMarker(item.MarkerNodePosition(nodeNumber=node))
+        system.AddLoad(item.LoadForceVector(markerNumber=marker, loadVector=np.roll(load, 1)))
+    ends = [system.AddNode(item.NodePointGround()), nodes[0]]
+    clamp = [system.AddMarker(item.MarkerNodeRigid(nodeNumber=node)) for node in ends]
+    system.AddObject(item.ObjectJointGeneric(markerNumbers=clamp))
+    system.Assemble()
+    settings = exudyn.SimulationSettings()
+    settings.solution.file.write = False
+    settings.staticSolver.verboseMode = 0
+    settings.linearSolver.solverType = exudyn.LinearSolverType.EigenSparse
+    return Model(s, nodes, container, system, settings)
+
+
+def solve(model: Model) -> tuple[Array, Array]:
+    """From the straight cone to rest: stations [m], (k,), and the centreline there [m], (k, 3)."""
+    if not model.system.SolveStatic(model.settings):
+        raise ArithmeticError("Exudyn found no equilibrium")
+    position = exudyn.OutputVariableType.Position
+    found = np.array([model.system.GetNodeOutput(node, position) for node in model.nodes])
+    return model.s, np.roll(found, -1, axis=1)
+
+
+def _section(rod: Rod, radius: float) -> Any:
+    """Stiffness of a full round section in Exudyn's order: stretch, two shears, twist, two bends."""
+    E, kG = rod.youngs_modulus, rod.shear_coefficient * rod.shear_modulus
+    A = np.pi * radius * radius
+    EI, GJ = E * A * radius * radius / 4.0, rod.shear_modulus * A * radius * radius / 2.0
+    section = exudyn.BeamSection()
+    section.stiffnessMatrix = np.diag([E * A, kG * A, kG * A, GJ, EI, EI])
+    section.massPerLength = rod.density * A  # at rest without effect, but it must be given
+    section.inertia = rod.density * A * radius * radius / 2.0 * np.eye(3)
+    return section
