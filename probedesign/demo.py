@@ -74,7 +74,7 @@ def run_demo(
         _check_own(folder, design, text)
     write_design(text, design, force=True)
     made[str(design)] = "the design: edit it and run the chain again"
-    say("predicting what it will feel (the first run compiles the rod, about 20 s)")
+    say("predicting what it will feel (the first run compiles the rod, half a minute or so)")
     made |= _predicted(design, folder, skipped)
     say("building the parts")
     made |= _exported(design, folder, skipped)

@@ -29,7 +29,7 @@ COMMENTS = {
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
-    "mount.root_rigid_radii": "assumed; bending the base lacks, in base radii; 0: bare rod, < 0: it yields",
+    "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
 """What stands beside a key, unless the design's own notes say something better."""
 

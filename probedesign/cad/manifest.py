@@ -102,7 +102,7 @@ def _base(drawing: Drawing) -> dict[str, Any]:
         f"{SQUEEZE / MM:g} mm",
         "root_rigid_radii": drawing.design.mount.root_rigid_radii,
         "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
-        "bonded to a rigid part, this soft flange is estimated to yield: about "
-        f"{exported_root_radii(drawing.geometry):.2f}, computed, not measured; identify it on the bench",
+        f"bonded to a rigid part, this soft flange yields by about {exported_root_radii(drawing.geometry):.2f}, "
+        "computed for a full round probe, not measured: identify it on the bench",
         "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
     }

@@ -90,7 +90,7 @@ def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Est
 def warm_up(estimator: Estimator, say: Say) -> None:
     """Load or compile the rod's kernels before anything is read, and say so if it takes long."""
     model = estimator.model
-    notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, about 20 s"])
+    notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, half a minute or so"])
     notice.daemon = True
     notice.start()
     try:
