@@ -1,6 +1,8 @@
 """One answer of an estimator. Numbers never come without their result code."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -42,13 +44,27 @@ class Candidate:
         s_contact: [m].
         std_s: its standard deviation [m].
         p_contact_base: point of the centreline [m], (3,).
-        chi2: misfit of the moment, two degrees of freedom.
+        p_surface_base: the touched point of the surface [m], (3,).
+        force_base: [N], (3,).
+        cov_contact_base: of p_contact_base [m²], (3, 3).
+        chi2: how badly it explains the reading: a χ² of `dof` degrees of freedom if it is the true place.
+        dof: 3 of "ml", 2 of "paper".
+        lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
+        tip: the tip's section, for a neighbouring reading to start from, (6,).
+        shape: the probe touched there.
     """
 
     s_contact: float
     std_s: float
     p_contact_base: Array
+    p_surface_base: Array
+    force_base: Array
+    cov_contact_base: Array
     chi2: float
+    dof: int
+    lever: float
+    tip: Array = field(repr=False)
+    shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -63,9 +79,9 @@ class Estimate:
         p_surface_base: the touched point of the surface [m], (3,).
         force_base: what the object does to the probe [N], (3,).
         cov_contact_base: covariance of p_contact_base [m²], (3, 3).
-        shape: the reconstructed probe, or None.
         detection_chi2: how far the reading is from the free probe's, six degrees of freedom.
         candidates: every place that was considered, best first.
+        solve_shape: for `shape`.
     """
 
     result: Result
@@ -75,11 +91,16 @@ class Estimate:
     p_surface_base: Array = field(default_factory=lambda: _nan(3))
     force_base: Array = field(default_factory=lambda: _nan(3))
     cov_contact_base: Array = field(default_factory=lambda: _nan(3, 3))
-    shape: Equilibrium | None = None
     detection_chi2: float = float("nan")
     candidates: tuple[Candidate, ...] = ()
+    solve_shape: Callable[[], Equilibrium] | None = field(default=None, repr=False, compare=False)
 
     @property
     def ok(self) -> bool:
         """Whether a contact was located."""
         return self.result == "ok"
+
+    @cached_property
+    def shape(self) -> Equilibrium | None:
+        """The reconstructed probe, solved when it is first asked for; None if there is none."""
+        return self.solve_shape() if self.solve_shape is not None else None

@@ -1,41 +1,44 @@
-"""The paper's estimator: gravity, detection, force, contact arclength, shape, with covariance and result codes."""
+"""The estimator's door: gravity, detection, one of the methods, and what the answer is worth."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from probedesign.errors import InputError
-from probedesign.estimator.covariance import propagate
+from probedesign.estimator import likelihood, paper
 from probedesign.estimator.estimate import Candidate, Estimate, Result
-from probedesign.estimator.locate import candidates
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.observation import Observation
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.sensor import Noise
+
+Method = Literal["ml", "paper"]
 
 FALSE_ALARM = 1.4e-6
 """Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
 LEAST_FORCE = 5.0
 """Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
 normal where F is known to less than a fifth (tests/estimator/test_statistics.py)."""
-INCONSISTENT = 1e-4
+INCONSISTENT = 1e-3
 """Chance that a true single contact is called inconsistent."""
-NUMERICAL = 1e-6
-"""Error of the fast solve's base moment, relative: no reading is held against it more closely."""
+LEAST_LEVER = 0.1
+"""Change of the base moment with s, over the force, below which a force leaves no trace of its place."""
 AMBIGUOUS = 9.0
 """Candidates whose misfit χ² lies within 3² of the best explain a reading about as well."""
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """Locates one contact from one base wrench.
+    """Locates one contact from one base wrench, or from a window of them.
 
-    The paper's method: equation 4 decides whether there is a contact, equation 5 gives the force, and the
-    contact's arclength is where that force makes the measured moment. One contact is assumed; the force may
-    have any direction (friction is not assumed away here).
+    Two methods behind one door. "ml", maximum likelihood: the contact without friction whose base wrench lies
+    nearest to the reading, weighted by the sensor's covariance. "paper", the published one: the force by its
+    equation 5, then the arclength where that force, of any direction, makes the measured moment.
 
     Attributes:
         model: the probe.
@@ -59,40 +62,70 @@ class Estimator:
                 raise InputError(f"{name} = {value} must be positive and finite")
         return Estimator(self.model.with_noise(Noise(float(force_N), float(moment_Nm))))
 
-    def estimate(self, wrench_base: ArrayLike, gravity_base: ArrayLike | None = None) -> Estimate:
+    def estimate(
+        self,
+        wrench_base: ArrayLike,
+        gravity_base: ArrayLike | None = None,
+        *,
+        method: Method = "ml",
+        near: Estimate | None = None,
+    ) -> Estimate:
         """Locate the contact that explains a reading.
 
         Args:
-            wrench_base: what the probe does to its mount, about the base origin [N, N·m], (6,).
+            wrench_base: what the probe does to its mount, about the base origin [N, N·m], (6,), or a window of
+                independent readings of one and the same touch, (n, 6).
             gravity_base: gravity in base axes [m/s²], (3,); the design's mount if None.
+            method: "ml" or "paper".
+            near: an estimate of a touch close by, which "ml" then starts from; it looks no further if it finds
+                a contact there.
 
         Returns:
             The estimate; anything that goes wrong is its result code, never an exception.
 
         Raises:
-            InputError: an argument has the wrong shape, or gravity is not finite.
+            InputError: an argument has the wrong shape, gravity is not finite, or there is no such method.
         """
-        wrench = np.asarray(wrench_base, dtype=float)
-        gravity = self.model.gravity_base if gravity_base is None else np.asarray(gravity_base, dtype=float)
-        if wrench.shape != (6,):
-            raise InputError(f"wrench_base has shape {wrench.shape}; it must be (6,): force and moment")
-        if gravity.shape != (3,) or not np.isfinite(gravity).all():
-            raise InputError(f"gravity_base = {gravity} must be three finite numbers in m/s²")
-        if not np.isfinite(wrench).all() or not self.model.reads(self.model.to_sensor(wrench, gravity)):
+        wrenches = np.asarray(wrench_base, dtype=float)
+        gravity = self._gravity(gravity_base)
+        if method not in ("ml", "paper"):
+            raise InputError(f"method = {method!r} is not known; known: ml, paper")
+        if wrenches.shape[-1:] != (6,) or wrenches.ndim > 2 or len(wrenches) == 0:
+            raise InputError(
+                f"wrench_base has shape {wrenches.shape}; it must be (6,), force and moment, or (n, 6) of them"
+            )
+        window = np.atleast_2d(wrenches)
+        if not self._read(window, gravity):
             return Estimate("out_of_range")
         free = self.free(gravity)
         if not free.ok:
             return Estimate("not_converged")
-        chi2 = self._detection_chi2(wrench, free)
+        seen = Observation.of(self.model, window.mean(axis=0), gravity, len(window))
+        chi2 = self._detection_chi2(seen.wrench, free) * len(window)
         if not self._exceeds(chi2):
-            return Estimate("no_contact", shape=free, detection_chi2=chi2)
-        force = wrench[0:3] - self.model.mass * gravity  # equation 5, base axes
-        found = candidates(self.model.rod, gravity, force, wrench[3:6])
-        return replace(self._decide(found, wrench), detection_chi2=chi2)
+            return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
+        if method == "paper":
+            found = paper.locate(self.model.rod, seen)
+        else:
+            start = near.candidates[0] if near is not None and near.candidates else None
+            found = likelihood.locate(self.model.rod, seen, start) or paper.locate(self.model.rod, seen)
+        return self._decide(found, chi2, len(window))
+
+    def _gravity(self, gravity_base: ArrayLike | None) -> Array:
+        gravity = self.model.gravity_base if gravity_base is None else np.asarray(gravity_base, dtype=float)
+        if gravity.shape != (3,) or not np.isfinite(gravity).all():
+            raise InputError(f"gravity_base = {gravity} must be three finite numbers in m/s²")
+        return gravity
+
+    def _read(self, window: Array, gravity: Array) -> bool:
+        """Whether the sensor can have read all of these base wrenches (n, 6)."""
+        if not np.isfinite(window).all():
+            return False
+        return all(self.model.reads(reading) for reading in self.model.to_sensor(window, gravity))
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
         """The untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
-        gravity = self.model.gravity_base if gravity_base is None else np.asarray(gravity_base, dtype=float)
+        gravity = self._gravity(gravity_base)
         key = tuple(gravity.tolist())
         if key not in self._last_free:
             self._last_free.clear()
@@ -104,7 +137,7 @@ class Estimator:
         free = self.free(gravity_base)
         return free.ok and self._exceeds(self._detection_chi2(wrench_base, free))
 
-    def locates(self, std_s: float, force: Array) -> bool:
+    def locates(self, std_s: float, force: Array, readings: int = 1) -> bool:
         """Whether an estimate with that standard deviation [m] and force [N] (3,) says where.
 
         It does not if s is known no better than with no reading at all (uniform over the probe, L/√12), or
@@ -112,7 +145,7 @@ class Estimator:
         """
         return bool(
             std_s < self.model.rod.length / np.sqrt(12.0)
-            and np.linalg.norm(force) > LEAST_FORCE * self.model.noise.force
+            and np.linalg.norm(force) > LEAST_FORCE * self.model.noise.force / np.sqrt(readings)
         )
 
     @staticmethod
@@ -142,63 +175,28 @@ class Estimator:
         d = wrench - free.wrench_base
         return float(d @ self._information @ d)
 
-    def _decide(self, found: list[Equilibrium], wrench: Array) -> Estimate:
-        """Turn the candidate equilibria into one answer with its code."""
+    def _decide(self, found: list[Candidate], detection_chi2: float, readings: int) -> Estimate:
+        """Turn the candidates into one answer with its code."""
         if not found:
-            return Estimate("not_converged")
-        judged = [(self._candidate(eq, wrench), eq) for eq in found]
-        judged.sort(key=lambda pair: pair[0].chi2)
-        listed = tuple(candidate for candidate, _ in judged)
-        best, eq = judged[0]
-        result = self._result(listed, eq, wrench)
-        force = eq.load[0:3].copy()
+            return Estimate("not_converged", detection_chi2=detection_chi2)
+        listed = tuple(sorted(found, key=lambda candidate: candidate.chi2))
+        best = listed[0]
+        result = self._result(listed, readings)
         if result != "ok":
-            return Estimate(result, force_base=force, candidates=listed)
-        assert eq.sensitivity is not None
-        cov = propagate(eq.sensitivity, self.cov_wrench)
-        return Estimate("ok", best.s_contact, cov.std_s, best.p_contact_base, self._surface(eq), force,
-                        cov.cov_p, eq, candidates=listed)  # fmt: skip
+            return Estimate(
+                result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed
+            )
+        return Estimate("ok", best.s_contact, best.std_s, best.p_contact_base, best.p_surface_base,
+                        best.force_base, best.cov_contact_base, detection_chi2, listed, best.shape)  # fmt: skip
 
-    def _candidate(self, eq: Equilibrium, wrench: Array) -> Candidate:
-        assert eq.sensitivity is not None
-        cov = propagate(eq.sensitivity, self.cov_wrench)
-        misfit = eq.wrench_base[3:6] - wrench[3:6]
-        rounding = (NUMERICAL * float(np.linalg.norm(wrench[3:6]))) ** 2 * np.eye(3)
-        chi2 = float(misfit @ np.linalg.solve(cov.moment_misfit + rounding, misfit))
-        return Candidate(eq.s_contact, cov.std_s, eq.p_contact_base, chi2)
-
-    def _result(self, listed: tuple[Candidate, ...], eq: Equilibrium, wrench: Array) -> Result:
+    def _result(self, listed: tuple[Candidate, ...], readings: int) -> Result:
         """The code of the best candidate beside its rivals."""
         best = listed[0]
-        length = self.model.rod.length
-        if best.chi2 > chdtri(2, INCONSISTENT):
-            return "out_of_range" if best.s_contact in (0.0, length) else "inconsistent"
-        if not self.locates(best.std_s, eq.load[0:3]):
-            return "unobservable" if _acts_along_axis(eq) else "too_light"
+        if best.chi2 > chdtri(best.dof, INCONSISTENT):
+            return "out_of_range" if best.s_contact in (0.0, self.model.rod.length) else "inconsistent"
+        if not self.locates(best.std_s, best.force_base, readings):
+            return "unobservable" if best.lever < LEAST_LEVER else "too_light"
         rivals = [c for c in listed[1:] if c.chi2 < best.chi2 + AMBIGUOUS]
         if any(abs(c.s_contact - best.s_contact) > 3.0 * (c.std_s + best.std_s) for c in rivals):
             return "ambiguous"
         return "ok"
-
-    def _surface(self, eq: Equilibrium) -> Array:
-        """The touched point of the surface, where the force's line leaves the body.
-
-        The outward normal at the touched section leans towards the tip by α, so with r the radius at
-        s_contact the touched section lies r cos α sin α further out and has radius r cos² α.
-        """
-        rod, s = self.model.rod, eq.s_contact
-        tan = rod.taper_at(s)
-        cos2 = 1.0 / (1.0 + tan * tan)
-        radius = float(np.interp(s, rod.s, rod.radius)) * cos2
-        there = min(s + radius * tan, rod.length)
-        R = eq.R_at(there)
-        inward = eq.load[0:3] - R[:, 2] * float(R[:, 2] @ eq.load[0:3])
-        norm = float(np.linalg.norm(inward))
-        out = -inward / norm if norm > 0.0 else np.zeros(3)
-        return eq.p_at(there) + radius * out
-
-
-def _acts_along_axis(eq: Equilibrium) -> bool:
-    """Whether moving the contact changes the moment by less than a tenth of force times way."""
-    assert eq.sensitivity is not None
-    return bool(np.linalg.norm(eq.sensitivity.d_moment[:, 3]) < 0.1 * np.linalg.norm(eq.load[0:3]))

@@ -5,6 +5,8 @@ moment is zero by itself, and is matched to the measured moment at the base: the
 the side on which errors die out instead of growing through the thin tip (docs/decisions/0002).
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from probedesign.frames import Array
@@ -106,19 +108,23 @@ def refine(
     return best if inside and not blocked else None
 
 
+def starts(rod: Rod, gravity: Array, force: Array, moment: Array) -> Iterator[tuple[float, Array]]:
+    """Arclength [m] and tip (6,) of every local minimum of the scanned misfit."""
+    stations, misfit, tips = scan(rod, gravity, force, moment)
+    before, after = np.append(np.inf, misfit[:-1]), np.append(misfit[1:], np.inf)
+    for i in np.flatnonzero((misfit <= before) & (misfit <= after)):
+        yield float(stations[i]), tips[i]
+
+
 def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Equilibrium]:
     """Equilibria at the local minima of the misfit along the probe, best first."""
-    stations, misfit, tips = scan(rod, gravity, force, moment)
     found: list[Equilibrium] = []
-    for i in range(len(stations)):
-        before = misfit[i - 1] if i else np.inf
-        after = misfit[i + 1] if i + 1 < len(stations) else np.inf
-        if misfit[i] <= before and misfit[i] <= after:
-            reach = REACH * rod.length / (STATIONS - 1)
-            low, high = max(stations[i] - reach, 0.0), min(stations[i] + reach, rod.length)
-            eq = refine(rod, gravity, force, moment, stations[i], low, high, tips[i])
-            if eq is not None and not any(_same_place(eq, other) for other in found):
-                found.append(eq)
+    reach = REACH * rod.length / (STATIONS - 1)
+    for s, tip in starts(rod, gravity, force, moment):
+        low, high = max(s - reach, 0.0), min(s + reach, rod.length)
+        eq = refine(rod, gravity, force, moment, s, low, high, tip)
+        if eq is not None and not any(_same_place(eq, other) for other in found):
+            found.append(eq)
     return sorted(found, key=lambda eq: float(((eq.wrench_base[3:6] - moment) ** 2).sum()))
 
 

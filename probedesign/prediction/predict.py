@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.covariance import propagate
+from probedesign.estimator.bound import contact_bound
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.prediction.quantile import radius_95
@@ -103,8 +103,8 @@ def predict(
 ) -> Prediction:
     """Predict sensitivity and contact error over a grid of touches.
 
-    The error is the first-order propagation of the sensor's noise through the estimator's own equations
-    with the rod's exact sensitivities; E, geometry and mount count as known.
+    The error is Cramér and Rao's bound for the sensor's noise, by the rod's exact sensitivities, which the default
+    estimator reaches; E, geometry and mount count as known, the touch as free of friction.
 
     Args:
         model: the probe.
@@ -146,7 +146,7 @@ def predict_touch(estimator: Estimator, fraction: float, force_N: float, directi
     if contact.result != "ok":
         return Condition(fraction, force_N, direction, _NO_TOUCH[contact.result])
     model, eq = estimator.model, contact.equilibrium
-    cov = propagate(contact.sensitivity, estimator.cov_wrench)
+    bound = contact_bound(contact, estimator.cov_wrench)
     per_N, p_per_N = contact.d_wrench[:, 2], contact.d_position[:, 2]
     press = float(contact.force_base @ p_per_N) / force_N  # metres that one newton more presses in
     use = np.abs(model.to_sensor(eq.wrench_base, model.gravity_base)) / model.wrench_range
@@ -155,10 +155,10 @@ def predict_touch(estimator: Estimator, fraction: float, force_N: float, directi
         fraction,
         force_N,
         direction,
-        _result(estimator, contact, cov.std_s, float(use.max())),
-        predicted_error_mm=_finite(math.sqrt(np.trace(cov.cov_p)) / MM),
-        predicted_error_95_mm=_finite(radius_95(cov.cov_p) / MM),
-        std_s_mm=_finite(cov.std_s / MM),
+        _result(estimator, contact, bound.std_s, float(use.max())),
+        predicted_error_mm=_finite(math.sqrt(np.trace(bound.cov_p)) / MM),
+        predicted_error_95_mm=_finite(radius_95(bound.cov_p) / MM),
+        std_s_mm=_finite(bound.std_s / MM),
         deflection_mm=float(np.linalg.norm(eq.p_contact_base - estimator.free().p_at(eq.s_contact)) / MM),
         moment_per_N_Nmm=1e3 * moment,
         force_per_N_N=force,

@@ -40,7 +40,8 @@ def test_without_noise_every_touch_is_found(name, probes, gravity):
         c = sharp.estimate(eq.wrench_base, gravity)
         assert c.result == "ok", where
         assert np.linalg.norm(c.p_contact_base - eq.p_contact_base) <= ASKED, where
-        np.testing.assert_allclose(c.force_base, touch.force_base, atol=1e-12)  # a difference of sums
+        # Where the probe is about to give way, s and force know each other well: a micrometre is 1e-5 of the force.
+        np.testing.assert_allclose(c.force_base, touch.force_base, rtol=0, atol=1e-5 * where[1] + 1e-9)
         seen = usual.estimate(eq.wrench_base, gravity)
         assert seen.result in ("ok", "too_light", "no_contact"), where
         if seen.result == "ok":
@@ -101,26 +102,31 @@ def test_every_shape_is_located_however_gravity_pulls(shape, pull):
 
 
 def test_the_example_of_the_contract(large, gravity):
-    """A dead load of 0.014 N at 0.06 m, along gravity."""
+    """A dead load of 0.014 N at 0.06 m, along gravity; as it is not quite normal to the bent surface, only "paper",
+    which takes a force of any direction, finds it exactly."""
     eq = large.solve(gravity, 0.06, (0.014, 0.0, 0.0))
-    c = large.estimator().estimate(eq.wrench_base, gravity_base=(9.81, 0.0, 0.0))
-    assert c.result == "ok" and c.ok
-    assert c.s_contact == pytest.approx(0.06, abs=ASKED)
-    np.testing.assert_allclose(c.p_contact_base, eq.p_contact_base, atol=ASKED)
-    np.testing.assert_allclose(c.force_base, (0.014, 0.0, 0.0), atol=1e-12)
-    assert c.cov_contact_base.shape == (3, 3) and np.isfinite(c.cov_contact_base).all()
-    np.testing.assert_allclose(c.shape.p_base[-1], eq.p_base[-1], atol=ASKED)
+    for method, asked in (
+        ("ml", 5e-4),
+        ("paper", ASKED),
+    ):  # 1.6 mN along the probe, 3 deviations: 0.15 of std_s
+        c = large.estimator().estimate(eq.wrench_base, gravity_base=(9.81, 0.0, 0.0), method=method)
+        assert c.result == "ok" and c.ok
+        assert c.s_contact == pytest.approx(0.06, abs=asked)
+        np.testing.assert_allclose(c.p_contact_base, eq.p_contact_base, atol=asked)
+        np.testing.assert_allclose(c.force_base, (0.014, 0.0, 0.0), atol=2e-3 if method == "ml" else 1e-12)
+        assert c.cov_contact_base.shape == (3, 3) and np.isfinite(c.cov_contact_base).all()
+        np.testing.assert_allclose(c.shape.p_base[-1], eq.p_base[-1], atol=asked)
 
 
-def test_a_dead_force_of_any_direction_is_found(large):
-    """Friction is not assumed away: nine oblique forces and mounts, found where they act."""
+def test_a_dead_force_of_any_direction_is_found_by_the_papers_method(large):
+    """There friction is not assumed away: nine oblique forces and mounts, found where they act."""
     rng = np.random.default_rng(3)
     sharp = large.estimator().with_noise(**NEXT_TO_NONE)
     for _ in range(9):
         g, way = rng.normal(size=(2, 3))
         gravity, s = 9.81 * g / np.linalg.norm(g), rng.uniform(0.1, 0.7) * large.length
         eq = large.solve(gravity, s, 0.02 * way / np.linalg.norm(way), mode="reference")
-        c = sharp.estimate(eq.wrench_base, gravity)
+        c = sharp.estimate(eq.wrench_base, gravity, method="paper")
         assert c.result == "ok"
         assert np.linalg.norm(c.p_contact_base - eq.p_contact_base) <= ASKED
 
@@ -158,13 +164,14 @@ def test_the_force_points_from_the_surface_point_to_the_axis(estimated):
             assert np.linalg.norm(np.cross(arm, push)) <= 5e-6
 
 
-def test_the_frozen_probe_estimates_the_same_to_the_last_bit(large, gravity, tmp_path):
+@pytest.mark.parametrize("method", ["ml", "paper"])
+def test_the_frozen_probe_estimates_the_same_to_the_last_bit(method, large, gravity, touched, tmp_path):
     path = tmp_path / "large.probe.json"
     write_frozen(large.model, path)
     live, frozen = large.estimator(), load_estimator(path)
     for fraction, force in ((0.3, 0.05), (0.6, 0.02), (1.0, 0.01)):
-        wrench = large.solve(gravity, fraction * large.length, (0.3 * force, force, 0.0)).wrench_base
-        a, b = live.estimate(wrench, gravity), frozen.estimate(wrench, gravity)
+        wrench = touched(fraction * large.length, force, 1.2)
+        a, b = (either.estimate(wrench, gravity, method=method) for either in (live, frozen))
         assert a.result == b.result == "ok"
         for name in ("s_contact", "std_s", "p_contact_base", "p_surface_base", "force_base",
                      "cov_contact_base", "detection_chi2"):  # fmt: skip
@@ -172,7 +179,7 @@ def test_the_frozen_probe_estimates_the_same_to_the_last_bit(large, gravity, tmp
         np.testing.assert_array_equal(a.shape.p_base, b.shape.p_base)
 
 
-def test_the_mounts_own_gravity_is_taken_where_none_is_said(large, gravity):
-    wrench = large.solve(gravity, 0.06, (0.0, 0.05, 0.0)).wrench_base
+def test_the_mounts_own_gravity_is_taken_where_none_is_said(large, gravity, touched):
+    wrench = touched(0.06, 0.05)
     a, b = large.estimator().estimate(wrench), large.estimator().estimate(wrench, gravity)
     assert a.s_contact == b.s_contact

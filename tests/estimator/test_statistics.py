@@ -1,4 +1,4 @@
-"""Covariance and detection against noisy readings drawn with a fixed seed.
+"""Covariance and detection of both methods against noisy readings drawn with a fixed seed.
 
 Every limit is a quantile of the statistic's own distribution with 1e-4 on either side: a correct program
 fails by chance once in thousands of seeds, and this seed is kept.
@@ -13,12 +13,13 @@ from probedesign.prediction.quantile import radius_95
 READINGS = 300
 RARE = 1e-4
 TOUCHES = {
-    "mid": (0.4, (0.0, 0.1, 0.0), 1.0),
-    "near base": (0.2, (0.15, 0.1, 0.0), 1.0),
-    "far": (0.7, (0.02, 0.03, 0.0), 0.1),
+    "mid": (0.4, 0.1, 1.57, 1.0),
+    "near base": (0.2, 0.18, 0.6, 1.0),
+    "far": (0.7, 0.036, 1.0, 0.1),
 }
-"""Fraction of the length, force [N], noise over the sensor's: the covariance is of first order, and far out
-a light touch is known so vaguely that the curve of the probe shows in the scatter of full noise."""
+DOF = {"ml": 3, "paper": 2}
+"""Fraction of the length, force [N], angle [rad], noise over the sensor's: the covariance is of first order, and
+far out a light touch is known so vaguely that the curve of the probe shows in the scatter of full noise."""
 
 
 def between(distribution):
@@ -31,26 +32,28 @@ def noisy(estimator, wrench, seed):
     return wrench + rng.multivariate_normal(np.zeros(6), estimator.model.noise_base(), READINGS)
 
 
-@pytest.fixture(scope="module", params=TOUCHES)
-def drawn(request, large, gravity):
+@pytest.fixture(scope="module", params=[(name, method) for name in TOUCHES for method in DOF])
+def drawn(request, large, gravity, touched):
     """The estimate without noise and those of noisy readings."""
-    fraction, force, share = TOUCHES[request.param]
-    eq = large.solve(gravity, fraction * large.length, force)
+    name, method = request.param
+    fraction, force, angle, share = TOUCHES[name]
+    wrench = touched(fraction * large.length, force, angle)
     noise = large.model.noise
     estimator = large.estimator().with_noise(share * noise.force, share * noise.moment)
-    estimates = [estimator.estimate(w, gravity) for w in noisy(estimator, eq.wrench_base, seed=11)]
-    return estimator.estimate(eq.wrench_base, gravity), estimates
+    estimates = [estimator.estimate(w, gravity, method=method) for w in noisy(estimator, wrench, seed=11)]
+    return estimator.estimate(wrench, gravity, method=method), estimates
 
 
 def test_a_well_posed_touch_is_always_located(drawn):
     _, estimates = drawn
-    # A true contact is called inconsistent once in ten thousand readings.
-    assert [c.result for c in estimates] == ["ok"] * READINGS
+    # A true contact is called inconsistent once in a thousand readings, and else it is located.
+    others = [c.result for c in estimates if not c.ok]
+    assert set(others) <= {"inconsistent"} and len(others) <= stats.binom(READINGS, 1e-3).ppf(1.0 - RARE)
 
 
 def test_errors_scatter_as_the_covariance_says(drawn):
     exact, estimates = drawn
-    errors = np.array([c.p_contact_base for c in estimates]) - exact.p_contact_base
+    errors = np.array([c.candidates[0].p_contact_base for c in estimates]) - exact.p_contact_base
     white = np.linalg.solve(np.linalg.cholesky(exact.cov_contact_base), errors.T)
     # White errors are independent standard normals: their squares sum to chi-square.
     low, high = between(stats.chi2(3 * READINGS))
@@ -68,24 +71,27 @@ def test_errors_scatter_as_the_covariance_says(drawn):
 
 def test_the_arclength_scatters_as_its_deviation_says(drawn):
     exact, estimates = drawn
-    errors = (np.array([c.s_contact for c in estimates]) - exact.s_contact) / exact.std_s
+    errors = (np.array([c.candidates[0].s_contact for c in estimates]) - exact.s_contact) / exact.std_s
     low, high = between(stats.chi2(READINGS))
     assert low <= (errors**2).sum() <= high
 
 
 def test_19_of_20_lie_within_the_95_percent_radius(drawn):
     exact, estimates = drawn
-    errors = np.linalg.norm([c.p_contact_base - exact.p_contact_base for c in estimates], axis=1)
+    errors = np.linalg.norm(
+        [c.candidates[0].p_contact_base - exact.p_contact_base for c in estimates], axis=1
+    )
     low, high = between(stats.binom(READINGS, 0.95))
     assert low <= (errors <= radius_95(exact.cov_contact_base)).sum() <= high
 
 
-def test_the_misfit_is_chi_square_of_two(drawn):
-    _, estimates = drawn
+def test_the_misfit_is_chi_square(drawn):
+    exact, estimates = drawn
+    dof = exact.candidates[0].dof
     misfits = np.array([c.candidates[0].chi2 for c in estimates])
-    low, high = between(stats.chi2(2 * READINGS))
+    low, high = between(stats.chi2(dof * READINGS))
     assert low <= misfits.sum() <= high
-    assert stats.kstest(misfits, stats.chi2(2).cdf).pvalue > RARE
+    assert stats.kstest(misfits, stats.chi2(dof).cdf).pvalue > RARE
 
 
 @pytest.mark.parametrize("mount", [(9.81, 0, 0), (0, 0, -9.81)])

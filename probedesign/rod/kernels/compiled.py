@@ -10,22 +10,22 @@ from numba import njit
 HERE = Path(__file__).parent
 
 
-def _drop_stale() -> None:
-    """Remove compiled kernels older than any kernel's source.
+def drop_stale(folder: Path) -> None:
+    """Remove a folder's compiled kernels that are older than any kernel's source, there or here.
 
-    numba's cache looks at the file of the function it compiles alone; what that function calls stands here
-    in other files.
+    numba's cache looks at the file of the function it compiles alone; what that function calls stands in other
+    files.
     """
     try:
-        newest = max(source.stat().st_mtime for source in HERE.glob("*.py"))
-        for index in (HERE / "__pycache__").glob("*.nbi"):
+        newest = max(source.stat().st_mtime for of in {folder, HERE} for source in of.glob("*.py"))
+        for index in (folder / "__pycache__").glob("*.nbi"):
             if index.stat().st_mtime < newest:
                 index.unlink()
     except OSError:
         pass  # installed where nothing may be written: nothing changes there either
 
 
-_drop_stale()
+drop_stale(HERE)
 
 kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 """Called from Python and by other kernels. Division by zero gives inf or NaN, which the step control refuses."""
