@@ -1,0 +1,93 @@
+"""What one reading of the moment leaves open: a curve of places along the probe, each with the force that it takes.
+
+The point that was touched from several poses lies where their curves meet; that is where a fusion starts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.estimator.pressed import Push
+from probedesign.frames import Array
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+
+STATIONS = 24
+NEAREST = 0.04
+"""Of the stations to the base, over the length."""
+_ITERATIONS = 3
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The places that one moment leaves open.
+
+    Attributes:
+        points: of the centreline, in the world [m], (j, 3); NaN where no force makes the moment.
+        pushes: that make the moment there, (j,).
+    """
+
+    points: Array
+    pushes: tuple[Push | None, ...]
+
+
+def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:
+    """For each station the force across the probe that makes the measured moment there.
+
+    Args:
+        rod: of the probe.
+        gravity: base axes [m/s²], (3,).
+        moment: read at the base [N·m], (3,).
+        T_world_base: pose of the base, (4, 4).
+    """
+    stations = np.linspace(NEAREST, 1.0, STATIONS) * rod.length
+    points, pushes = np.full((STATIONS, 3), np.nan), []
+    for j, s in enumerate(stations):
+        eq = _under_moment(rod, gravity, moment, float(s))
+        pushes.append(Push.under(rod, eq) if eq is not None else None)
+        if eq is not None:
+            points[j] = T_world_base[:3, :3] @ eq.p_contact_base + T_world_base[:3, 3]
+    return Curve(points, tuple(pushes))
+
+
+def _under_moment(rod: Rod, gravity: Array, moment: Array, s: float) -> Equilibrium | None:
+    """The equilibrium under the force across the section at s whose base moment comes nearest to the one read."""
+    force, best = np.zeros(3), None
+    for _ in range(_ITERATIONS):
+        eq = rod.solve(gravity, force, s, columns="load")
+        if not eq.ok or eq.sensitivity is None:
+            break
+        best = eq
+        across = eq.R_at(s)[:, :2]
+        by_force = eq.sensitivity.d_moment[:, :3]
+        misfit = moment - eq.wrench_base[3:6] + by_force @ force
+        force = across @ np.linalg.lstsq(by_force @ across, misfit, rcond=None)[0]
+    return best
+
+
+def meetings(curves: list[Curve]) -> list[tuple[int, ...]]:
+    """Where curves come nearest to each other: a station of each, for every local minimum, nearest first."""
+    first = curves[0].points
+    stations, total = [np.arange(STATIONS)], np.zeros(STATIONS)
+    for other in curves[1:]:
+        nearest, apart = _nearest(first, other.points)
+        stations.append(nearest)
+        total += apart**2
+    before, after = np.append(np.inf, total[:-1]), np.append(total[1:], np.inf)
+    lowest = np.flatnonzero((total <= before) & (total <= after) & np.isfinite(total))
+    return [tuple(int(of[j]) for of in stations) for j in lowest[np.argsort(total[lowest])]]
+
+
+def _nearest(points: Array, line: Array) -> tuple[NDArray[np.intp], Array]:
+    """The vertex of a line (j, 3) next to where each point (i, 3) comes nearest to it, and how near [m]."""
+    start, way = line[:-1], np.diff(line, axis=0)
+    off = points[:, None] - start[None]
+    with np.errstate(invalid="ignore"):
+        share = np.clip((off * way).sum(axis=2) / (way * way).sum(axis=1), 0.0, 1.0)
+        apart = np.linalg.norm(off - share[:, :, None] * way, axis=2)
+    apart = np.where(np.isfinite(apart), apart, np.inf)
+    segment = apart.argmin(axis=1)
+    i = np.arange(len(points))
+    vertex = segment + (np.nan_to_num(share[i, segment]) > 0.5)
+    return vertex, apart[i, segment]

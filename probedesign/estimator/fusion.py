@@ -1,0 +1,443 @@
+"""Many readings of one fixed point, from several poses of the base, into one answer.
+
+Pressing on by a known motion of the base measures the compliance at the contact, which tells its place without any
+reading of the force. Unknown are the fixed point p, a common factor on the stiffness, and the base's own offset; the
+sensor's bias, its walk and the base's scatter from pose to pose go into the covariance V of all readings together:
+
+    w_k = h_k(p) + b_k + ε_k,   b a random walk,   minimise rᵀ V⁻¹ r + priors.
+
+At every pose the arclength, the side and the force that put the probe's fixed point at p are found on the way
+(`pressed.py`), so the contact may slide along the probe.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtri
+
+from probedesign.estimator.curves import curve, meetings
+from probedesign.estimator.estimate import Result
+from probedesign.estimator.fused import Fused
+from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.pressed import Fixed, Pressed, Push, press, settle, stiffer
+from probedesign.estimator.unknowns import Source, Unknowns
+from probedesign.frames import Array, pose, wrench_map
+from probedesign.rod.rod import Rod
+
+UNLIKELY = 1e-3
+"""Chance that true touches of one fixed point are called inconsistent."""
+RIVAL = 9.0
+"""Least misfits this close to the best explain the readings about as well."""
+POINT, STIFFNESS, OFFSET = slice(0, 3), 3, slice(4, 7)
+"""Of the unknowns: where the fixed point is, the logarithm of the stiffness, the base's offset in its own axes."""
+_UNKNOWN = 7
+_STARTS = 3
+_MAX_ITERATIONS = 30
+_CLOSE = 1e-3  # of a standard deviation
+_NEAR = 1e-9  # [m]
+_EXACT = 1e-12  # a prior that is none, relative and in metres
+MomentsAbout = Literal["base", "sensor"]
+_SOURCES: tuple[Source, ...] = ("stiffness", "bias", "robot")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One pose.
+
+    Attributes:
+        wrench: read at the base, free of what hangs below it, (6,).
+        cov: of its noise, (6, 6).
+        T_world_base: (4, 4).
+        gravity: base axes [m/s²], (3,).
+        touched: whether there was contact.
+    """
+
+    wrench: Array
+    cov: Array
+    T_world_base: Array
+    gravity: Array
+    touched: bool
+
+    def to_base(self, p_world: Array) -> Array:
+        """A point of the world seen from the base [m], (3,)."""
+        seen: Array = self.T_world_base[:3, :3].T @ (p_world - self.T_world_base[:3, 3])
+        return seen
+
+    def to_world(self, p_base: Array) -> Array:
+        """A point of the base's in the world [m], (3,)."""
+        there: Array = self.T_world_base[:3, :3] @ p_base + self.T_world_base[:3, 3]
+        return there
+
+
+@dataclass(frozen=True)
+class Linear:
+    """All readings to first order about one guess.
+
+    Attributes:
+        misfit: read less modelled, (n,).
+        design: of the model by the unknowns, (n, 7).
+        by_place: of the model by where each base is, one block a reading, (k, m, 3).
+        noise: (k, m, m).
+    """
+
+    misfit: Array
+    design: Array
+    by_place: Array
+    noise: Array
+
+    def repeated(self, other: "Linear") -> "Linear":
+        """These readings and others after them."""
+        return Linear(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in
+                        ("misfit", "design", "by_place", "noise")))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the iterations ended.
+
+    Attributes:
+        x: the unknowns, (7,).
+        cov: of them, (7, 7).
+        chi2: misfit, priors included.
+        pressed: the touches, None where free.
+        linear: the readings there.
+        iterations: how many.
+    """
+
+    x: Array
+    cov: Array
+    chi2: float
+    pressed: tuple[Pressed | None, ...]
+    linear: Linear
+    iterations: int
+
+
+def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
+    """What of a wrench at the base counts.
+
+    Args:
+        model: the probe.
+        moments: None: all six channels. "base": the moments about the base's origin alone. "sensor": the moments that
+            the sensor reads, which hold no noise of the forces; but they are got back from all six numbers.
+
+    Returns:
+        (6, 6) or (3, 6).
+    """
+    if moments is None:
+        return np.eye(6)
+    return np.eye(6)[3:] if moments == "base" else wrench_map(model.T_sensor_base)[3:]
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """Readings to be fused.
+
+    Attributes:
+        model: the probe.
+        readings: in the order of time.
+        unknowns: what is not known.
+        channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
+    """
+
+    model: ProbeModel
+    readings: tuple[Reading, ...]
+    unknowns: Unknowns
+    channels: Array
+
+    def solve(self) -> Fused:
+        """The answer; see `Estimator.fuse`."""
+        if not self._enough():
+            return Fused("unobservable")
+        starts = self._starts()
+        if not starts:
+            return Fused("not_converged")
+        centre = _distinct(self._run(pushes, "contact") for pushes in starts)
+        if not centre:
+            return Fused("not_converged")
+        surface = _distinct(self._run(_pushes(found), "surface") for found in centre)
+        found, fixed = self._choose(centre, surface)
+        return self._answer(found, fixed)
+
+    def _enough(self) -> bool:
+        """Whether the poses can tell a point at all: moments alone need two that differ."""
+        touched = [reading.T_world_base for reading in self.readings if reading.touched]
+        if not touched:
+            return False
+        differ = any(not np.allclose(touched[0], T, atol=_NEAR) for T in touched[1:])
+        return differ or not self._moments_only
+
+    def _starts(self) -> list[tuple[Push | None, ...]]:
+        """Pushes to start from, where the curves of the readings meet."""
+        touched = [reading for reading in self.readings if reading.touched]
+        curves = [
+            curve(self.model.rod, reading.gravity, reading.wrench[3:6], reading.T_world_base)
+            for reading in touched
+        ]
+        starts = []
+        for stations in meetings(curves)[:_STARTS] if len(curves) > 1 else [(j,) for j in range(3, 24, 5)]:
+            pushes = iter([of.pushes[j] for of, j in zip(curves, stations, strict=True)])
+            listed = tuple(next(pushes) if reading.touched else None for reading in self.readings)
+            if all(push is not None for push, r in zip(listed, self.readings, strict=True) if r.touched):
+                starts.append(listed)
+        return starts
+
+    def _choose(self, centre: list[Solution], surface: list[Solution]) -> tuple[list[Solution], Fixed]:
+        """The touched point stands still, unless the readings speak for the centreline's."""
+        if surface and surface[0].chi2 <= centre[0].chi2 + RIVAL:
+            return surface, "surface"
+        return centre, "contact"
+
+    def _run(self, pushes: tuple[Push | None, ...], fixed: Fixed) -> Solution | None:
+        """Gauss and Newton from one guess."""
+        x, x_prior, most = np.zeros(_UNKNOWN), self._prior(), 0.1 * self.model.rod.length
+        pressed = self._press(pushes, 0.0, fixed)
+        if pressed is None:
+            return None
+        there = [r.to_world(p.p_fixed) for r, p in zip(self.readings, pressed, strict=True) if p is not None]
+        x[POINT] = np.mean(there, axis=0)
+        for iteration in range(_MAX_ITERATIONS):
+            linear = self.linear(pressed, x)
+            cov, step, chi2 = self._normal(linear, x, x_prior)
+            if not np.isfinite(step).all():
+                return None
+            far = float(np.linalg.norm(step[POINT]))
+            small = (np.abs(step) <= _CLOSE * np.sqrt(np.diag(cov)) + _EXACT).all()
+            settled = all(
+                np.linalg.norm(p.towards_normal) <= 1e-3 * abs(p.push.magnitude) + 1e-9
+                and np.linalg.norm(r.to_base(x[POINT]) - x[OFFSET] - p.p_fixed)
+                <= 1e-6 + 1e-3 * math.sqrt(cov[0, 0])
+                for r, p in zip(self.readings, pressed, strict=True)
+                if p is not None
+            )
+            if small and settled:
+                return Solution(x, cov, chi2, pressed, linear, iteration)
+            share = min(1.0, most / max(far, 1e-300), 0.2 / max(abs(step[STIFFNESS]), 1e-300))
+            x_new = x + share * step
+            moved = self._moved(pressed, x, x_new, most)
+            pressed_new = self._press(moved, float(x_new[STIFFNESS]), fixed)
+            if pressed_new is None:
+                most *= 0.25
+                if most < 1e-4 * self.model.rod.length:
+                    return None
+                continue
+            x, pressed = x_new, pressed_new
+        return None
+
+    def _moved(
+        self, pressed: tuple[Pressed | None, ...], x: Array, x_new: Array, most: float
+    ) -> tuple[Push | None, ...]:
+        """The pushes that put each fixed point where the unknowns say."""
+        stiffer_by = float(x_new[STIFFNESS] - x[STIFFNESS])
+        return tuple(
+            None if p is None else p.moved(r.to_base(x_new[POINT]) - x_new[OFFSET], stiffer_by, most)
+            for r, p in zip(self.readings, pressed, strict=True)
+        )
+
+    def _press(
+        self, pushes: tuple[Push | None, ...], log_stiffness: float, fixed: Fixed
+    ) -> tuple[Pressed | None, ...] | None:
+        """Every touch solved and linearised; None if one of them has no equilibrium."""
+        rod = self._rod(log_stiffness)
+        pressed = tuple(
+            None if push is None else press(rod, reading.gravity, push, fixed)
+            for reading, push in zip(self.readings, pushes, strict=True)
+        )
+        lost = any(p is None and push is not None for p, push in zip(pressed, pushes, strict=True))
+        return None if lost else pressed
+
+    def _rod(self, log_stiffness: float) -> Rod:
+        return stiffer(self.model.rod, log_stiffness) if log_stiffness else self.model.rod
+
+    @property
+    def _moments_only(self) -> bool:
+        return len(self.channels) == 3
+
+    @cached_property
+    def _free_wrenches(self) -> dict[int, tuple[Array, Array]]:
+        """Of the readings without contact: the wrench and its derivative by log stiffness."""
+        found = {}
+        for k, reading in enumerate(self.readings):
+            if not reading.touched:
+                eq = self.model.rod.solve(reading.gravity, columns="all")
+                assert eq.sensitivity is not None, "the free probe stands"
+                d = eq.sensitivity.d_wrench
+                names = eq.sensitivity.names
+                found[k] = (eq.wrench_base, d[:, names.index("log_E")] + d[:, names.index("log_G")])
+        return found
+
+    def linear(self, pressed: tuple[Pressed | None, ...], x: Array) -> Linear:
+        """All readings to first order, each touch's fixed point put where the unknowns say."""
+        rows = []
+        for k, (reading, p) in enumerate(zip(self.readings, pressed, strict=True)):
+            design, by_place = np.zeros((6, _UNKNOWN)), np.zeros((6, 3))
+            if p is None:
+                free, by_stiffness = self._free_wrenches[k]
+                modelled = free + by_stiffness * x[STIFFNESS]
+            else:
+                modelled = p.wrench_at(reading.to_base(x[POINT]) - x[OFFSET])
+                by_place, by_stiffness = p.stiffness, p.by_stiffness
+                design[:, POINT] = by_place @ reading.T_world_base[:3, :3].T
+                design[:, OFFSET] = -by_place
+            design[:, STIFFNESS] = by_stiffness
+            rows.append((reading.wrench - modelled, design, by_place, reading.cov))
+        of = self.channels
+        return Linear(
+            np.concatenate([of @ row[0] for row in rows]),
+            np.concatenate([of @ row[1] for row in rows]),
+            np.array([of @ row[2] for row in rows]),
+            np.array([of @ row[3] @ of.T for row in rows]),
+        )
+
+    def _prior(self) -> Array:
+        """Standard deviations of the unknowns but the point, (4,)."""
+        offset = max(self.unknowns.base_offset, _EXACT)
+        return np.array([max(self.unknowns.stiffness, _EXACT), offset, offset, offset])
+
+    def covariance(self, linear: Linear, unknowns: Unknowns) -> Array:
+        """V: noise, bias and its walk, and the base's scatter, of all readings together, (n, n)."""
+        k, m, _ = linear.noise.shape
+        step = self.channels @ self.model.noise_base() @ self.channels.T * self.model.averaging_samples
+        walked = np.minimum.outer(np.arange(1, k + 1), np.arange(1, k + 1)).astype(float)
+        bias = unknowns.bias_steps**2 + unknowns.bias_walk_steps**2 * walked
+        V = np.asarray(np.kron(bias, step), dtype=float)
+        creep = unknowns.creep
+        for i in range(k):
+            o = slice(m * i, m * (i + 1))
+            V[o, o] += linear.noise[i] + unknowns.base_repeat**2 * linear.by_place[i] @ linear.by_place[i].T
+        if creep:
+            grown = linear.design[:, STIFFNESS] * np.repeat(np.arange(k) / max(k - 1, 1), m)
+            V += creep**2 * np.outer(grown, grown)
+        return V
+
+    def _normal(self, linear: Linear, x: Array, prior: Array) -> tuple[Array, Array, float]:
+        """Covariance of the unknowns, the step that the normal equations ask for, and the misfit."""
+        V = cho_factor(self.covariance(linear, self.unknowns), lower=True)
+        weighted = cho_solve(V, np.column_stack([linear.design, linear.misfit]))
+        cov = _inverted(linear.design.T @ weighted[:, :-1], prior)
+        lack = linear.design.T @ weighted[:, -1]
+        lack[STIFFNESS:] -= x[STIFFNESS:] / prior**2
+        chi2 = float(linear.misfit @ weighted[:, -1] + ((x[STIFFNESS:] / prior) ** 2).sum())
+        return cov, cov @ lack, chi2
+
+    def rms(self, linear: Linear, unknowns: Unknowns) -> float:
+        """Of the fixed point [m], by the bound."""
+        V = cho_factor(self.covariance(linear, unknowns), lower=True)
+        information = linear.design.T @ cho_solve(V, linear.design)
+        prior = replace(self, unknowns=unknowns)._prior()
+        return math.sqrt(max(float(np.trace(_inverted(information, prior)[POINT, POINT])), 0.0))
+
+    @cached_property
+    def _most(self) -> float:
+        return float(chdtri(self._dof, UNLIKELY))
+
+    @property
+    def _dof(self) -> int:
+        return max(len(self.readings) * len(self.channels) - 3, 1)
+
+    def _answer(self, found: list[Solution], fixed: Fixed) -> Fused:
+        """The best solution with its code."""
+        best = found[0]
+        result = self._result(found)
+        touched = [(r, p) for r, p in zip(self.readings, best.pressed, strict=True) if p is not None]
+        told = Fused(
+            result,
+            fixed=fixed,
+            stiffness=math.exp(best.x[STIFFNESS]),
+            std_stiffness=math.exp(best.x[STIFFNESS]) * math.sqrt(best.cov[STIFFNESS, STIFFNESS]),
+            chi2=best.chi2,
+            dof=self._dof,
+            rms=self.rms(best.linear, self.unknowns),
+            rms_without={source: self.rms(best.linear, self.unknowns.without(source)) for source in _SOURCES},
+            iterations=best.iterations,
+        )
+        if result != "ok":
+            return told
+        offset = best.x[OFFSET]
+        by_unknowns = np.mean([_contact_by_unknowns(r, p) for r, p in touched], axis=0)
+        return replace(
+            told,
+            p_contact_world=_mean(r.to_world(p.p_contact + offset) for r, p in touched),
+            p_surface_world=_mean(r.to_world(p.p_surface + offset) for r, p in touched),
+            cov_contact_world=by_unknowns @ best.cov @ by_unknowns.T,
+            cov_fixed_world=best.cov[POINT, POINT],
+            s_contact=np.array([np.nan if p is None else p.push.s for p in best.pressed]),
+            force_base=np.array([np.zeros(3) if p is None else p.push.force for p in best.pressed]),
+            rms_with=self._gains(best),
+        )
+
+    def _result(self, found: list[Solution]) -> Result:
+        best = found[0]
+        if best.chi2 > self._most or any(p is not None and p.push.magnitude < 0.0 for p in best.pressed):
+            return "inconsistent"
+        rms = math.sqrt(float(np.trace(best.cov[POINT, POINT])))
+        if not rms < self.model.rod.length / math.sqrt(12.0):
+            return "unobservable" if self._moments_only else "too_light"
+        apart = [np.linalg.norm(other.x[POINT] - best.x[POINT]) for other in found[1:]
+                 if other.chi2 < best.chi2 + RIVAL]  # fmt: skip
+        return "ambiguous" if any(distance > 3.0 * rms for distance in apart) else "ok"
+
+    def _gains(self, best: Solution) -> dict[str, float]:
+        """What more readings or a better stiffness would bring."""
+        halved = replace(self.unknowns, stiffness=0.5 * self.unknowns.stiffness)
+        gains = {"stiffness": self.rms(best.linear, halved)}
+        touched = [(r, p) for r, p in zip(self.readings, best.pressed, strict=True) if p is not None]
+        last, p = touched[-1]
+        more = replace(self, readings=(last,)).linear((p,), best.x)
+        gains["one more touch"] = self.rms(best.linear.repeated(more), self.unknowns)
+        if len(touched) > 1:
+            way = last.T_world_base[:3, 3] - touched[-2][0].T_world_base[:3, 3]
+            on = replace(last, T_world_base=pose(last.T_world_base[:3, :3], last.T_world_base[:3, 3] + way))
+            target = on.to_base(best.x[POINT]) - best.x[OFFSET]
+            rod = self._rod(float(best.x[STIFFNESS]))
+            further = settle(rod, on.gravity, p.push, p.fixed, target, 1e-6)
+            if further is not None:
+                pressed_on = replace(self, readings=(on,)).linear((further,), best.x)
+                gains["further press"] = self.rms(best.linear.repeated(pressed_on), self.unknowns)
+        return gains
+
+
+def _pushes(found: Solution) -> tuple[Push | None, ...]:
+    return tuple(None if p is None else p.push for p in found.pressed)
+
+
+def _contact_by_unknowns(reading: Reading, pressed: Pressed) -> Array:
+    """Of the centreline's point in the world by the unknowns, (3, 7)."""
+    R = reading.T_world_base[:3, :3]
+    by_point, by_stiffness = pressed.contact_by_fixed()
+    found = np.zeros((3, _UNKNOWN))
+    found[:, POINT] = R @ by_point @ R.T
+    found[:, STIFFNESS] = R @ by_stiffness
+    found[:, OFFSET] = R @ (np.eye(3) - by_point)
+    return found
+
+
+def _mean(points: Iterable[Array]) -> Array:
+    mean: Array = np.mean(list(points), axis=0)
+    return mean
+
+
+def _distinct(found: Iterable[Solution | None]) -> list[Solution]:
+    """Best first, each place once."""
+    listed = sorted((solution for solution in found if solution is not None), key=lambda s: s.chi2)
+    kept: list[Solution] = []
+    for solution in listed:
+        if all(np.linalg.norm(solution.x[POINT] - other.x[POINT]) > 1e-5 for other in kept):
+            kept.append(solution)
+    return kept
+
+
+def _inverted(information: Array, prior: Array) -> Array:
+    """Covariance of the unknowns from the readings' information and the priors; huge where neither tells."""
+    total = information.copy()
+    total[range(STIFFNESS, _UNKNOWN), range(STIFFNESS, _UNKNOWN)] += 1.0 / prior**2
+    scale = np.sqrt(np.diag(total))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
+    values = np.maximum(values, 1e-13)
+    scaled: Array = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return scaled

@@ -1,0 +1,208 @@
+"""A probe pressed against something at one pose of its base: what it reads and where it is touched, to first order."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from probedesign.frames import Array
+from probedesign.rod import kernels
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+
+Fixed = Literal["surface", "contact"]
+"""What of the touch stays at one point of the world: the touched point of the surface, as on a tip or an edge; or the
+point of the centreline, where the force's line meets it."""
+
+_E, _G = kernels.PARAMETERS.index("log_E"), kernels.PARAMETERS.index("log_G")
+_GRAVITY = slice(kernels.PARAMETERS.index("gravity_x"), kernels.PARAMETERS.index("gravity_z") + 1)
+STIFFNESS = 3
+"""Column of the derivatives by the common factor on E and G, after those by place, angle and magnitude."""
+_LEAST = 0.02
+"""Nearest to the base that a contact is looked for, over the length: nearer, nothing bends."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A guess of one touch.
+
+    Attributes:
+        s: arclength of the contact [m].
+        angle: of the push about the tangent, from the section's x axis [rad].
+        magnitude: of the force [N]; negative where the object would have to pull.
+        force: base axes [N], (3,); normal to the surface once the guess has settled.
+        tip: the tip's section, for the rod to start from, (6,).
+    """
+
+    s: float
+    angle: float
+    magnitude: float
+    force: Array
+    tip: Array
+
+    @classmethod
+    def under(cls, rod: Rod, eq: Equilibrium) -> "Push":
+        """As the force of an equilibrium pushes."""
+        force, R = eq.load[0:3].copy(), eq.R_at(eq.s_contact)
+        x, y, _ = force @ R
+        return cls(eq.s_contact, math.atan2(y, x), float(np.linalg.norm(force)), force, eq.tip)
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """One touch solved and linearised about a guess, the force made normal to first order.
+
+    With θ = (s, angle, magnitude, log stiffness); where the point of the centreline is fixed, the second is not the
+    angle but the tangential force magnitude·δangle, which is well-behaved where there is no force.
+
+    Attributes:
+        push: the guess.
+        length: of the rod [m].
+        fixed: which point stands still.
+        wrench: at the base [N, N·m], (6,); d_wrench: by θ, (6, 4).
+        p_contact, p_surface: [m], (3,).
+        d_contact, d_surface: of these by θ, (3, 4).
+        d_force: of the force by θ, (3, 4).
+        towards_normal: what makes the force normal [N], (3,).
+        tip: the tip's section, (6,).
+    """
+
+    push: Push
+    length: float
+    fixed: Fixed
+    wrench: Array
+    d_wrench: Array
+    p_contact: Array
+    p_surface: Array
+    d_contact: Array
+    d_surface: Array
+    d_force: Array
+    towards_normal: Array
+    tip: Array
+
+    @property
+    def p_fixed(self) -> Array:
+        """The point that stands still [m], (3,)."""
+        return self.p_surface if self.fixed == "surface" else self.p_contact
+
+    @property
+    def d_fixed(self) -> Array:
+        """Of the point that stands still, by θ, (3, 4)."""
+        return self.d_surface if self.fixed == "surface" else self.d_contact
+
+    @cached_property
+    def by_point(self) -> Array:
+        """Of θ's first three by the fixed point, (3, 3)."""
+        scale = np.linalg.norm(self.d_fixed[:, :3], axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        inverse: Array = np.linalg.pinv(self.d_fixed[:, :3] / scale, rcond=1e-9) / scale[:, None]
+        return inverse
+
+    @property
+    def stiffness(self) -> Array:
+        """Of the wrench by the fixed point, (6, 3)."""
+        return self.d_wrench[:, :3] @ self.by_point
+
+    @property
+    def by_stiffness(self) -> Array:
+        """Of the wrench by log stiffness with the point held, (6,)."""
+        held: Array = self.d_wrench[:, STIFFNESS] - self.stiffness @ self.d_fixed[:, STIFFNESS]
+        return held
+
+    def contact_by_fixed(self) -> tuple[Array, Array]:
+        """Of the centreline's point by the fixed one, (3, 3), and by log stiffness with that held, (3,)."""
+        by_point = self.d_contact[:, :3] @ self.by_point
+        return by_point, self.d_contact[:, STIFFNESS] - by_point @ self.d_fixed[:, STIFFNESS]
+
+    def wrench_at(self, point: Array) -> Array:
+        """What would be read if the fixed point were there, to first order, (6,)."""
+        linear: Array = self.wrench + self.stiffness @ (point - self.p_fixed)
+        return linear
+
+    def moved(self, point: Array, log_stiffness: float, most: float) -> Push:
+        """The next guess: the fixed point there and the stiffness so much more, no further than `most` [m] along s."""
+        step = np.append(
+            self.by_point @ (point - self.p_fixed - self.d_fixed[:, 3] * log_stiffness), log_stiffness
+        )
+        share = min(1.0, most / max(abs(step[0]), 1e-300))
+        if self.fixed == "surface":
+            share = min(share, 0.5 / max(abs(step[1]), 1e-300))
+        step = share * step
+        s = min(max(self.push.s + step[0], _LEAST * self.length), self.length)
+        force = self.push.force + self.towards_normal + self.d_force @ step
+        angle, magnitude = self.push.angle + step[1], self.push.magnitude + step[2]
+        if self.fixed == "contact":
+            along, aside = self.push.magnitude + step[2], step[1]
+            angle, magnitude = self.push.angle + math.atan2(aside, along), math.hypot(along, aside)
+        return Push(s, angle, magnitude, force, self.tip)
+
+
+def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed) -> Pressed | None:
+    """Solve and linearise a guess; None where there is no equilibrium.
+
+    Args:
+        rod: the rod.
+        gravity: base axes [m/s²], (3,).
+        push: the guess.
+        fixed: which point stands still.
+    """
+    eq = rod.solve(gravity, push.force, push.s, guess=push.tip, columns="all")
+    if not eq.ok or eq.sensitivity is None:
+        return None
+    d, frame = eq.sensitivity.d_contact, eq.sensitivity.frame
+    tan = rod.taper_at(push.s)
+    cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
+    co, si = math.cos(push.angle), math.sin(push.angle)
+
+    def lean(columns: Array) -> Array:
+        leaning: Array = cos * (co * columns[3:6] + si * columns[9:12]) - sin * columns[0:3]
+        return leaning
+
+    n, dn = lean(frame), lean(d)
+    turned = cos * (co * frame[9:12] - si * frame[3:6])
+    f = push.magnitude
+    around = turned if fixed == "contact" else f * turned
+    by_stiffness = d[:, _E] + d[:, _G]
+    direct = np.stack([f * dn[:, 3], around, n, f * lean(by_stiffness)], axis=1)
+    loosened = np.linalg.inv(np.eye(3) - f * dn[:, :3])
+    d_force, towards = loosened @ direct, loosened @ (f * n - push.force)
+    dw, dp = eq.sensitivity.d_wrench, eq.sensitivity.d_position
+    d_wrench, d_p, d_n = (_total(x, d_force) for x in (dw, dp, dn))
+    d_n[:, 1] += turned if fixed == "surface" else turned / f if f else 0.0
+    radius = float(np.interp(push.s, rod.s, rod.radius)) * cos
+    p, lean_now = eq.p_contact_base + dp[:, :3] @ towards, n + dn[:, :3] @ towards
+    d_surface = d_p - radius * d_n
+    d_surface[:, 0] += sin * lean_now
+    return Pressed(
+        push, rod.length, fixed, eq.wrench_base + dw[:, :3] @ towards, d_wrench, p, p - radius * lean_now, d_p,
+        d_surface, d_force, towards, eq.tip,
+    )  # fmt: skip
+
+
+def _total(columns: Array, d_force: Array) -> Array:
+    """By (s, around, magnitude, log stiffness), from columns by all parameters."""
+    total: Array = columns[:, :3] @ d_force
+    total[:, 0] += columns[:, 3]
+    total[:, STIFFNESS] += columns[:, _E] + columns[:, _G]
+    return total
+
+
+def settle(rod: Rod, gravity: Array, push: Push, fixed: Fixed, point: Array, close: float) -> Pressed | None:
+    """The touch whose fixed point is there, within `close` [m]; None if it is not found."""
+    for _ in range(25):
+        pressed = press(rod, gravity, push, fixed)
+        if pressed is None:
+            return None
+        normal = float(np.linalg.norm(pressed.towards_normal)) <= 1e-6 * abs(push.magnitude) + 1e-12
+        if np.linalg.norm(pressed.p_fixed - point) <= close and normal:
+            return pressed
+        push = pressed.moved(point, 0.0, 0.1 * rod.length)
+    return None
+
+
+def stiffer(rod: Rod, log_stiffness: float) -> Rod:
+    """The rod with E and G so much greater."""
+    factor = math.exp(log_stiffness)
+    return replace(rod, youngs_modulus=factor * rod.youngs_modulus, shear_modulus=factor * rod.shear_modulus)
