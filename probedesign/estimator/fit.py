@@ -282,3 +282,36 @@ def fit_contact(
             return (LOST if not margin > 0.0 else AT_END if held else FITTED), square, iteration
         _go(state, before, share, step, change, way)
     return (STALLED if math.isfinite(least) else LOST), least, MAX_ITERATIONS
+
+
+@kernel
+def displaced(
+    body, gravity, whiten, wrench, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives, work, state,
+    step, there,
+):  # fmt: skip
+    """The equilibrium as force and arclength take a step, from one sweep.
+
+    Args:
+        state: fitted; step: of force and arclength, (4,).
+        fitted_turns: turns of the tip by these, as the fit left them, (3, 4).
+        there: the unknowns after the step, (STATE,), filled.
+        The others as in `fit_contact`.
+
+    Returns:
+        Whether there is an equilibrium.
+    """
+    way, change = work[0:3], work[3:6]
+    turns = work[6 : 6 + 3 * UNKNOWNS].reshape((3, UNKNOWNS))
+    for q in range(3):
+        change[q] = 0.0
+        load[GRAVITY + q] = gravity[q]
+    tips_turn(state[TIP:PUSH], fitted_turns, step, way)
+    _go(there, state, 1.0, step, change, way)
+    for q in range(3):
+        load[FORCE + q] = there[PUSH + q]
+    load[S_CONTACT] = there[PLACE]
+    status, lack, _margin, _size = linear_equilibrium(
+        there[TIP:PUSH], load, body, tolerance(wrench, whiten), 1.0, sweep_work, nodes, blocks, y, contact, turns,
+        derivatives, change,
+    )  # fmt: skip
+    return status == OK and lack < MOST_LACK

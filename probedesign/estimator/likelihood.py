@@ -19,12 +19,17 @@ from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
-from probedesign.rod.workspace import Workspace, workspace
+from probedesign.rod.workspace import workspace
 
 DOF = 3
 """Six channels, three unknowns: arclength, angle around the section, normal force."""
 UNLIKELY = 1e-3
 """Chance of a true contact's misfit beyond which it is looked for elsewhere too."""
+NUMERICAL = 0.25e-6
+"""Largest error of a fast rod's points [m] (tests/rod/test_accuracy.py): none is known better."""
+ASIDE = math.sqrt(3.0)
+BOWED = 3.0
+"""The mean of (δ²)² for a standard normal δ: of the square of what a curve leaves its tangent by."""
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
 
@@ -65,6 +70,7 @@ class _Fitter:
     rod: Rod
     seen: Observation
     stalled: list[Candidate] = field(default_factory=list)
+    _turns: Array = field(default_factory=lambda: np.empty((3, fit.UNKNOWNS)))
 
     def explains(self, place: Candidate) -> bool:
         """Whether a contact there may well have made the reading."""
@@ -82,20 +88,90 @@ class _Fitter:
     def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
         """The fit from one guess; None if there is no least misfit near."""
         state = np.concatenate([tip, force, [s]])
-        derivatives, seen, room = np.empty((15, fit.UNKNOWNS + 1)), self.seen, self._room
+        derivatives, seen, scratch = np.empty((15, fit.UNKNOWNS + 1)), self.seen, self._scratch
         status, chi2, _iterations = fit.fit_contact(
             self.rod.body, seen.gravity, seen.weight, seen.wrench, self._whiten, 0.0, self.rod.length,
-            np.zeros(kernels.LOAD), room.scratch, room.nodes, room.blocks, room.y, room.contact, room.turns,
-            derivatives, np.empty(fit.WORK), state,
+            *scratch[:-1], derivatives, scratch[-1], state,
         )  # fmt: skip
         if status == fit.LOST:
             return None
-        place = _candidate(self.rod, seen, self._whiten, state, derivatives, chi2)
+        self._turns = scratch[-2].copy()
+        place = self._candidate(state, derivatives, chi2)
         if status != fit.STALLED:
             return place
         if not self.explains(place):
             self.stalled.append(place)
         return None
+
+    def _candidate(self, state: Array, derivatives: Array, chi2: float) -> Candidate:
+        rod, seen = self.rod, self.seen
+        s, force = float(state[fit.PLACE]), state[fit.PUSH : fit.PLACE]
+        tan = rod.taper_at(s)
+        cov = covariance(derivatives, force, tan / math.hypot(1.0, tan), self._whiten)
+        p, by_load, size = derivatives[9:12, -1], derivatives[9:12, :-1], float(np.linalg.norm(force))
+        reach = float(np.interp(s, rod.s, rod.radius)) / math.hypot(1.0, tan)
+        tip = state[: fit.PUSH].copy()
+
+        def shape() -> Equilibrium:
+            return rod.solve(seen.gravity, force, s, guess=tip)
+
+        return Candidate(
+            s_contact=s,
+            std_s=math.sqrt(cov[3, 3]),
+            p_contact_base=p,
+            p_surface_base=p - reach / max(size, 1e-300) * force,
+            force_base=force,
+            cov_contact_base=self._curved(state, cov, p, by_load),
+            chi2=chi2,
+            dof=DOF,
+            lever=float(np.linalg.norm(derivatives[0:3, 3])) / max(size, 1e-300),
+            tip=tip,
+            shape=shape,
+        )
+
+    def _curved(self, state: Array, cov: Array, p: Array, by_load: Array) -> Array:
+        """Covariance of the contact point, (3, 3), to second order in how far s may be off.
+
+        The places that explain a reading lie on a curve, far narrower than it is bowed, and s is known less well where
+        the force would be less. Both are looked at √3 standard deviations to either side, Gauss and Hermite's places,
+        which know means up to the fourth power. Where s goes as one over a force known to a share σ, its variance is
+        1 + 6 σ² greater than at the estimate, the mean fourth power, on which bows depend, about 1 + 30 σ².
+        """
+        linear: Array = by_load @ cov @ by_load.T + NUMERICAL**2 * np.eye(3)
+        std = math.sqrt(cov[3, 3])
+        if not std < self.rod.length / 4.0:  # nothing is told of such a place anyhow
+            return linear
+        way, shares, points, variances = cov[:, 3] / std, [], [], []
+        for share in (-ASIDE, ASIDE):
+            found = self._displaced(state, share, way)
+            if found is not None:
+                shares.append(share)
+                points.append(found[0])
+                variances.append(found[1])
+        if not shares:
+            return linear
+        bows = [(q - p - by_load @ (share * way)) / share**2 for q, share in zip(points, shares, strict=True)]
+        bow, wider = np.mean(bows, axis=0), 2.0 / 3.0 + np.mean(variances) / 3.0 / cov[3, 3]
+        along = by_load @ way
+        widened: Array = (
+            linear + (wider - 1.0) * np.outer(along, along) + BOWED * wider**5 * np.outer(bow, bow)
+        )
+        return widened
+
+    def _displaced(self, state: Array, share: float, way: Array) -> tuple[Array, float] | None:
+        """The contact's point and the variance of s as force and arclength go so far aside; None off the probe."""
+        if not 0.0 < state[fit.PLACE] + share * way[3] <= self.rod.length:
+            return None
+        derivatives, there = np.empty((15, fit.UNKNOWNS + 1)), np.empty(fit.STATE)
+        found = fit.displaced(
+            self.rod.body, self.seen.gravity, self._whiten, self.seen.wrench, *self._scratch[:-2], self._turns,
+            derivatives, np.empty(fit.WORK), state, share * way, there,
+        )  # fmt: skip
+        if not found:
+            return None
+        tan = self.rod.taper_at(float(there[fit.PLACE]))
+        cov = covariance(derivatives, there[fit.PUSH : fit.PLACE], tan / math.hypot(1.0, tan), self._whiten)
+        return derivatives[9:12, -1], float(cov[3, 3])
 
     def _same(self, a: Candidate, b: Candidate) -> bool:
         return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + 1e-2 * min(a.std_s, b.std_s)
@@ -105,38 +181,11 @@ class _Fitter:
         return self.seen.whiten
 
     @cached_property
-    def _room(self) -> Workspace:
-        return workspace(kernels.LOAD_COLUMNS, 0)
-
-
-def _candidate(
-    rod: Rod, seen: Observation, whiten: Array, state: Array, derivatives: Array, chi2: float
-) -> Candidate:
-    s, force = float(state[fit.PLACE]), state[fit.PUSH : fit.PLACE]
-    tan = rod.taper_at(s)
-    sine = tan / math.hypot(1.0, tan)
-    p, size = derivatives[9:12, -1], float(np.linalg.norm(force))
-    cov = covariance(derivatives, force, sine, whiten)
-    by_load = derivatives[9:12, :-1]
-    reach = float(np.interp(s, rod.s, rod.radius)) / math.hypot(1.0, tan)
-    tip = state[: fit.PUSH].copy()
-
-    def shape() -> Equilibrium:
-        return rod.solve(seen.gravity, force, s, guess=tip)
-
-    return Candidate(
-        s_contact=s,
-        std_s=math.sqrt(cov[3, 3]),
-        p_contact_base=p,
-        p_surface_base=p - reach / max(size, 1e-300) * force,
-        force_base=force,
-        cov_contact_base=by_load @ cov @ by_load.T,
-        chi2=chi2,
-        dof=DOF,
-        lever=float(np.linalg.norm(derivatives[0:3, 3])) / max(size, 1e-300),
-        tip=tip,
-        shape=shape,
-    )
+    def _scratch(self) -> tuple[Array, ...]:
+        """What the kernels work in: load, sweep, nodes, columns, base, contact, turns, fit."""
+        room = workspace(kernels.LOAD_COLUMNS, 0)
+        return (np.zeros(kernels.LOAD), room.scratch, room.nodes, room.blocks, room.y, room.contact, room.turns,
+                np.empty(fit.WORK))  # fmt: skip
 
 
 def normality_gradient(derivatives: Array, force: Array, sine: float) -> Array:

@@ -1,0 +1,173 @@
+"""Synthetic readings for estimators: touches of random probes and of Table I, solved by the rod's reference mode."""
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from probedesign.design import load_design
+from probedesign.estimator.bound import Bound, contact_bound
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.model import ProbeModel
+from probedesign.frames import Array, pose
+from probedesign.probe import build_probe
+from probedesign.rod.contact import FrictionlessContact, solve_frictionless
+from probedesign.rod.rod import Rod
+
+ROOT = Path(__file__).parents[1]
+TABLE_I = ROOT / "tests/data/table1.csv"
+DECADES = {"1-10 mN": (1e-3, 1e-2), "10-100 mN": (1e-2, 1e-1), "0.1-1.5 N": (1e-1, 1.5)}
+LENGTH, BASE, TAPER = (0.05, 0.18), (0.006, 0.014), (0.15, 0.6)
+"""Length and base diameter [m], tip over base, of random probes, least and most."""
+PLACE = (0.15, 0.97)
+"""Of contacts, over the length."""
+MOST_BENT = 2.0
+"""F s²/(E I(0) r(s)/r(0)): the paper's hardest touches have 1.5."""
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One true touch.
+
+    Attributes:
+        model: of the probe.
+        gravity: base axes [m/s²], (3,).
+        s, angle, force: [m], [rad], [N].
+        solved: in reference mode.
+        bound: for one reading.
+    """
+
+    model: ProbeModel
+    gravity: Array
+    s: float
+    angle: float
+    force: float
+    solved: FrictionlessContact
+    bound: Bound
+
+    @property
+    def wrench(self) -> Array:
+        """Without noise, (6,)."""
+        return self.solved.equilibrium.wrench_base
+
+    @property
+    def point(self) -> Array:
+        """Of the centreline [m], (3,)."""
+        return self.solved.equilibrium.p_contact_base
+
+    @property
+    def rms(self) -> float:
+        """Of the point by the bound [m]."""
+        return float(np.sqrt(np.trace(self.bound.cov_p)))
+
+
+@cache
+def paper_models() -> dict[str, ProbeModel]:
+    """The paper's probes."""
+    return {name: build_probe(load_design(ROOT / f"designs/{name}.toml")).model
+            for name in ("large", "medium", "small")}  # fmt: skip
+
+
+def touch(model: ProbeModel, gravity: Array, s: float, angle: float, force: float) -> Touch | None:
+    """A touch solved in reference mode; None if the probe gives way."""
+    solved = solve_frictionless(model.rod, gravity, s, angle, force, "reference")
+    if solved.result != "ok":
+        return None
+    bound = contact_bound(solved, Estimator(model).cov_wrench)
+    return Touch(model, gravity, s, angle, force, solved, bound)
+
+
+def random_touches(decade: tuple[float, float], rng: np.random.Generator) -> Iterator[Touch]:
+    """Endless touches of random probes under random gravity, forces even in their logarithm."""
+    while True:
+        model, gravity = random_model(rng), 9.81 * direction(rng)
+        rod, s = model.rod, float(rng.uniform(*PLACE)) * model.rod.length
+        force = float(np.exp(rng.uniform(*np.log(decade))))
+        stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * np.interp(s, rod.s, rod.radius)
+        if force * s * s > MOST_BENT * stiffness:
+            continue
+        found = touch(model, gravity, s, float(rng.uniform(-np.pi, np.pi)), force)
+        if found is not None:
+            yield found
+
+
+def random_model(rng: np.random.Generator) -> ProbeModel:
+    """A cone of the paper's resin on the paper's sensor."""
+    large = paper_models()["large"]
+    length, radius, taper = rng.uniform(*LENGTH), rng.uniform(*BASE) / 2.0, rng.uniform(*TAPER)
+    rod = replace(large.rod, s=np.array([0.0, length]), radius=np.array([radius, taper * radius]),
+                  rigid_length=large.rod.rigid_length / large.rod.radius[0] * radius)  # fmt: skip
+    return replace(large, name="random", rod=rod)
+
+
+def table_one() -> list[Touch]:
+    """The paper's 23 conditions, pushed sideways to gravity."""
+    with TABLE_I.open() as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    gravity, found = np.array([9.81, 0.0, 0.0]), []
+    for row in rows:
+        model = paper_models()[row["probe"]]
+        s = float(row["contact_fraction"]) * model.rod.length
+        one = touch(model, gravity, s, np.pi / 2.0, float(row["force_N"]))
+        assert one is not None, "the paper's touches are held"
+        found.append(one)
+    return found
+
+
+@dataclass(frozen=True)
+class Presses:
+    """Touches of one point, the world's origin, as the base presses on.
+
+    Attributes:
+        model: of the probe.
+        gravity: base axes and world's [m/s²], (3,).
+        touches: one a pose.
+        Ts: poses, (k, 4, 4).
+    """
+
+    model: ProbeModel
+    gravity: Array
+    touches: tuple[Touch, ...]
+    Ts: Array
+
+    @property
+    def wrenches(self) -> Array:
+        """Without noise, (k, 6)."""
+        return np.array([one.wrench for one in self.touches])
+
+
+def surface_point(one: Touch) -> Array:
+    """The touched point [m], (3,)."""
+    rod = one.model.rod
+    tan = rod.taper_at(one.s)
+    radius = float(np.interp(one.s, rod.s, rod.radius)) / np.hypot(1.0, tan)
+    return one.point - radius * one.solved.force_base / one.force
+
+
+def presses(model: ProbeModel, gravity: Array, s: float, angle: float, forces: Array) -> Presses | None:
+    """The probe pressed on against a sharp point, which stays where it is on the probe; None if that gives way."""
+    touches = [touch(model, gravity, s, angle, float(force)) for force in forces]
+    held = tuple(one for one in touches if one is not None)
+    if len(held) < len(touches):
+        return None
+    return Presses(model, gravity, held, np.array([pose(np.eye(3), -surface_point(one)) for one in held]))
+
+
+def read(wrenches: Array, model: ProbeModel, rng: np.random.Generator) -> Array:
+    """With the sensor's noise, told at the base, (k, 6)."""
+    return wrenches + rng.multivariate_normal(np.zeros(6), model.noise_base(), len(wrenches))
+
+
+def direction(rng: np.random.Generator) -> Array:
+    """Of any, (3,)."""
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def rod_of(model: ProbeModel, stiffness: float) -> Rod:
+    """The probe's rod with E and G that many times as great."""
+    rod = model.rod
+    return replace(rod, youngs_modulus=stiffness * rod.youngs_modulus, shear_modulus=stiffness * rod.shear_modulus)
