@@ -170,4 +170,6 @@ def direction(rng: np.random.Generator) -> Array:
 def rod_of(model: ProbeModel, stiffness: float) -> Rod:
     """The probe's rod with E and G that many times as great."""
     rod = model.rod
-    return replace(rod, youngs_modulus=stiffness * rod.youngs_modulus, shear_modulus=stiffness * rod.shear_modulus)
+    return replace(
+        rod, youngs_modulus=stiffness * rod.youngs_modulus, shear_modulus=stiffness * rod.shear_modulus
+    )

@@ -35,17 +35,19 @@ def prediction(large):
     ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.8, 0.01, "-x"), (1.0, 0.005, "+x")]
 )
 def test_it_is_the_estimators_own_covariance(large, fraction, force, direction):
-    estimator = large.estimator()
+    noise = large.model.noise
+    estimator = large.estimator().with_noise(0.01 * noise.force, 0.01 * noise.moment)
     found = predict_touch(estimator, fraction, force, direction)
     touch = solve_frictionless(
         large.rod, large.model.gravity_base, fraction * large.length, DIRECTIONS[direction], force
     )
     c = estimator.estimate(touch.equilibrium.wrench_base)
     assert found.result == c.result == "ok"
-    # The estimate solves once more: two fast answers, 1e-6 of the moment.
-    assert found.predicted_error_mm == pytest.approx(1e3 * np.sqrt(np.trace(c.cov_contact_base)), rel=1e-4)
-    assert found.predicted_error_95_mm == pytest.approx(1e3 * radius_95(c.cov_contact_base), rel=1e-4)
-    assert found.std_s_mm == pytest.approx(1e3 * c.std_s, rel=1e-4)
+    # A hundredth of the noise, where what the estimator counts to second order is small; but then it also counts the
+    # fast rod's error, 0.25 µm beside 3.5 µm. The estimate solves once more: two fast answers, 1e-6 of the moment.
+    assert found.predicted_error_mm == pytest.approx(1e3 * np.sqrt(np.trace(c.cov_contact_base)), rel=1e-2)
+    assert found.predicted_error_95_mm == pytest.approx(1e3 * radius_95(c.cov_contact_base), rel=1e-2)
+    assert found.std_s_mm == pytest.approx(1e3 * c.std_s, rel=1e-3)  # sweeps as fine as the noise needs
 
 
 def test_noisy_readings_err_as_predicted(large):

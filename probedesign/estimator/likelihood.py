@@ -151,7 +151,9 @@ class _Fitter:
         if not shares:
             return linear
         bows = [(q - p - by_load @ (share * way)) / share**2 for q, share in zip(points, shares, strict=True)]
-        bow, wider = np.mean(bows, axis=0), 2.0 / 3.0 + np.mean(variances) / 3.0 / cov[3, 3]
+        bow, wider = np.mean(bows, axis=0), 1.0
+        if len(shares) == 2:
+            wider = 2.0 / 3.0 + float(np.mean(variances)) / 3.0 / cov[3, 3]
         along = by_load @ way
         widened: Array = (
             linear + (wider - 1.0) * np.outer(along, along) + BOWED * wider**5 * np.outer(bow, bow)

@@ -54,9 +54,13 @@ def test_a_well_posed_touch_is_always_located(drawn):
 def test_errors_scatter_as_the_covariance_says(drawn):
     exact, estimates = drawn
     errors = np.array([c.candidates[0].p_contact_base for c in estimates]) - exact.p_contact_base
-    white = np.linalg.solve(np.linalg.cholesky(exact.cov_contact_base), errors.T)
+    variances, axes = np.linalg.eigh(exact.cov_contact_base)
+    felt = (
+        variances > (10 * 0.25e-6) ** 2
+    )  # elsewhere the covariance allows for the fast rod's own error instead
+    white = (errors @ axes[:, felt] / np.sqrt(variances[felt])).T
     # White errors are independent standard normals: their squares sum to chi-square.
-    low, high = between(stats.chi2(3 * READINGS))
+    low, high = between(stats.chi2(len(white) * READINGS))
     assert low <= (white**2).sum() <= high
     for row in white:  # each direction for itself
         low, high = between(stats.chi2(READINGS))
@@ -64,9 +68,9 @@ def test_errors_scatter_as_the_covariance_says(drawn):
     # Two independent directions: the sum of products is normal with variance n.
     products = white @ white.T
     limit = np.sqrt(READINGS) * stats.norm.ppf(1.0 - RARE)
-    assert np.abs(products[np.triu_indices(3, 1)]).max() <= limit
-    # No bias: n times the mean squared is chi-square of three.
-    assert READINGS * (white.mean(axis=1) ** 2).sum() <= stats.chi2(3).ppf(1.0 - RARE)
+    assert np.abs(products[np.triu_indices(len(white), 1)]).max(initial=0.0) <= limit
+    # No bias: n times the mean squared is chi-square of as many as there are directions.
+    assert READINGS * (white.mean(axis=1) ** 2).sum() <= stats.chi2(len(white)).ppf(1.0 - RARE)
 
 
 def test_the_arclength_scatters_as_its_deviation_says(drawn):
