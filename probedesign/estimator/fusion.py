@@ -151,17 +151,19 @@ class Fusion:
 
     def solve(self) -> Fused:
         """The answer; see `Estimator.fuse`."""
+        solved = self.solved()
+        return solved if isinstance(solved, Fused) else self.answer(*solved)
+
+    def solved(self) -> tuple[list[Solution], Fixed] | Fused:
+        """Every place that explains the readings, best first, and which point stands still; or why there is none."""
         if not self._enough():
             return Fused("unobservable")
         starts = self._starts()
-        if not starts:
-            return Fused("not_converged")
         centre = _distinct(self._run(pushes, "contact") for pushes in starts)
         if not centre:
             return Fused("not_converged")
         surface = _distinct(self._run(_pushes(found), "surface") for found in centre)
-        found, fixed = self._choose(centre, surface)
-        return self._answer(found, fixed)
+        return self._choose(centre, surface)
 
     def _enough(self) -> bool:
         """Whether the poses can tell a point at all: moments alone need two that differ."""
@@ -194,7 +196,7 @@ class Fusion:
 
     def _run(self, pushes: tuple[Push | None, ...], fixed: Fixed) -> Solution | None:
         """Gauss and Newton from one guess."""
-        x, x_prior, most = np.zeros(_UNKNOWN), self._prior(), 0.1 * self.model.rod.length
+        x, most = np.zeros(_UNKNOWN), 0.1 * self.model.rod.length
         pressed = self._press(pushes, 0.0, fixed)
         if pressed is None:
             return None
@@ -202,10 +204,9 @@ class Fusion:
         x[POINT] = np.mean(there, axis=0)
         for iteration in range(_MAX_ITERATIONS):
             linear = self.linear(pressed, x)
-            cov, step, chi2 = self._normal(linear, x, x_prior)
+            cov, step, chi2 = self.normal(linear, x)
             if not np.isfinite(step).all():
                 return None
-            far = float(np.linalg.norm(step[POINT]))
             small = (np.abs(step) <= _CLOSE * np.sqrt(np.diag(cov)) + _EXACT).all()
             settled = all(
                 np.linalg.norm(p.towards_normal) <= 1e-3 * abs(p.push.magnitude) + 1e-9
@@ -216,8 +217,7 @@ class Fusion:
             )
             if small and settled:
                 return Solution(x, cov, chi2, pressed, linear, iteration)
-            share = min(1.0, most / max(far, 1e-300), 0.2 / max(abs(step[STIFFNESS]), 1e-300))
-            x_new = x + share * step
+            x_new = x + share_of(step, most) * step
             moved = self._moved(pressed, x, x_new, most)
             pressed_new = self._press(moved, float(x_new[STIFFNESS]), fixed)
             if pressed_new is None:
@@ -314,8 +314,9 @@ class Fusion:
             V += creep**2 * np.outer(grown, grown)
         return V
 
-    def _normal(self, linear: Linear, x: Array, prior: Array) -> tuple[Array, Array, float]:
+    def normal(self, linear: Linear, x: Array) -> tuple[Array, Array, float]:
         """Covariance of the unknowns, the step that the normal equations ask for, and the misfit."""
+        prior = self._prior()
         V = cho_factor(self.covariance(linear, self.unknowns), lower=True)
         weighted = cho_solve(V, np.column_stack([linear.design, linear.misfit]))
         cov = _inverted(linear.design.T @ weighted[:, :-1], prior)
@@ -339,8 +340,8 @@ class Fusion:
     def _dof(self) -> int:
         return max(len(self.readings) * len(self.channels) - 3, 1)
 
-    def _answer(self, found: list[Solution], fixed: Fixed) -> Fused:
-        """The best solution with its code."""
+    def answer(self, found: list[Solution], fixed: Fixed, brief: bool = False) -> Fused:
+        """The best solution with its code; brief: without what it would be if something were otherwise."""
         best = found[0]
         result = self._result(found)
         touched = [(r, p) for r, p in zip(self.readings, best.pressed, strict=True) if p is not None]
@@ -351,8 +352,10 @@ class Fusion:
             std_stiffness=math.exp(best.x[STIFFNESS]) * math.sqrt(best.cov[STIFFNESS, STIFFNESS]),
             chi2=best.chi2,
             dof=self._dof,
-            rms=self.rms(best.linear, self.unknowns),
-            rms_without={source: self.rms(best.linear, self.unknowns.without(source)) for source in _SOURCES},
+            rms=math.sqrt(float(np.trace(best.cov[POINT, POINT]))),
+            rms_without={}
+            if brief
+            else {source: self.rms(best.linear, self.unknowns.without(source)) for source in _SOURCES},
             iterations=best.iterations,
         )
         if result != "ok":
@@ -367,7 +370,7 @@ class Fusion:
             cov_fixed_world=best.cov[POINT, POINT],
             s_contact=np.array([np.nan if p is None else p.push.s for p in best.pressed]),
             force_base=np.array([np.zeros(3) if p is None else p.push.force for p in best.pressed]),
-            rms_with=self._gains(best),
+            rms_with={} if brief else self._gains(best),
         )
 
     def _result(self, found: list[Solution]) -> Result:
@@ -403,6 +406,12 @@ class Fusion:
 
 def _pushes(found: Solution) -> tuple[Push | None, ...]:
     return tuple(None if p is None else p.push for p in found.pressed)
+
+
+def share_of(step: Array, most: float) -> float:
+    """The share of a step that moves the point no further than that [m], nor the stiffness by more than a fifth."""
+    far = float(np.linalg.norm(step[POINT]))
+    return min(1.0, most / max(far, 1e-300), 0.2 / max(abs(float(step[STIFFNESS])), 1e-300))
 
 
 def _contact_by_unknowns(reading: Reading, pressed: Pressed) -> Array:

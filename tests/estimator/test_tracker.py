@@ -1,0 +1,114 @@
+"""The fusion as readings come: agrees with the batch, keeps to its bounds, forgets, and refuses what cannot be."""
+
+import numpy as np
+import pytest
+
+from probedesign.errors import InputError
+from probedesign.estimator.tracker import Tracker
+from probedesign.estimator.unknowns import Unknowns
+from tests.estimator.presses import presses
+
+RATE = 7000.0
+SAMPLES = 36
+
+
+class Feed:
+    """Gives a tracker noisy samples, one after another."""
+
+    def __init__(self, tracker, model, seed=0):
+        self.tracker, self.model, self.time = tracker, model, 0.0
+        self.rng, self.cov = np.random.default_rng(seed), model.noise_base() * model.averaging_samples
+
+    def __call__(self, wrench, T, samples):
+        """Samples of one wrench at one pose; the answers and the samples' mean."""
+        read = wrench + self.rng.multivariate_normal(np.zeros(6), self.cov, samples)
+        said = []
+        for sample in read:
+            self.time += 1.0 / RATE
+            said.append(self.tracker.update(sample, T, self.time))
+        return said, read.mean(axis=0)
+
+
+@pytest.fixture
+def pressed(large, gravity):
+    """Wrenches, poses and the contact's mean point of five touches."""
+    return presses(large, gravity, 0.7 * large.length, 1.57, np.linspace(2e-3, 1e-2, 5))
+
+
+@pytest.fixture
+def free(large, gravity):
+    return large.solve(gravity).wrench_base
+
+
+@pytest.mark.parametrize("moments_only", [False, True])
+@pytest.mark.parametrize("unknowns", [Unknowns.none(), Unknowns()])
+def test_it_agrees_with_the_batch(moments_only, unknowns, large, gravity, pressed, free):
+    wrenches, Ts, _ = pressed
+    estimator = large.estimator()
+    feed = Feed(Tracker(estimator, unknowns, gravity, moments_only=moments_only), large.model)
+    said, _ = feed(free, Ts[0], 50)
+    assert {c.result for c in said} == {"no_contact"}
+    means = []
+    for wrench, T in zip(wrenches, Ts, strict=True):
+        said, mean = feed(wrench, T, SAMPLES)
+        means.append(mean)
+    # Each sample is counted alike by both, so the batch is of the very means that the tracker keeps.
+    batch = estimator.fuse(
+        means, Ts, gravity, moments_only=moments_only, moments_about="sensor", unknowns=unknowns
+    )
+    assert said[-1].result == batch.result == "ok"
+    # Nodes are linearised in turn, a few readings ago each: within a fifth of a standard deviation.
+    assert np.linalg.norm(said[-1].p_contact_world - batch.p_contact_world) <= 0.2 * batch.rms
+    assert said[-1].rms == pytest.approx(batch.rms, rel=0.03)
+
+
+def test_it_forgets_when_the_touch_is_lost(large, gravity, pressed, free):
+    wrenches, Ts, _ = pressed
+    feed = Feed(Tracker(large.estimator(), Unknowns(), gravity), large.model)
+    feed(wrenches[4], Ts[4], 60)
+    assert feed.tracker.kept == 1
+    said, _ = feed(free, Ts[4], 60)
+    assert {c.result for c in said[-20:]} == {"no_contact"}
+    assert feed.tracker.kept == 0
+
+
+def test_memory_is_bounded_while_the_base_moves_on(large, gravity, pressed):
+    wrenches, Ts, _ = pressed
+    feed = Feed(Tracker(large.estimator(), Unknowns(), gravity, nodes=4), large.model)
+    for share in np.linspace(0.0, 1.0, 40):
+        T = Ts[3].copy()
+        T[:3, 3] = (1.0 - share) * Ts[3][:3, 3] + share * Ts[4][:3, 3]
+        feed((1.0 - share) * wrenches[3] + share * wrenches[4], T, 2)
+        assert feed.tracker.kept <= 4
+
+
+def test_what_cannot_be_changes_nothing(large, gravity, pressed):
+    wrenches, Ts, _ = pressed
+    feed = Feed(Tracker(large.estimator(), Unknowns(), gravity), large.model)
+    feed(wrenches[4], Ts[4], 10)
+    tracker, now = feed.tracker, feed.time + 1.0
+    bad_T = Ts[4].copy()
+    bad_T[0, 0] = 3.0
+    saturated = wrenches[4].copy()
+    saturated[0] = 1e3
+    for wrench, T, time in (
+        (np.full(6, np.nan), Ts[4], now), (wrenches[4], bad_T, now), (wrenches[4], Ts[4], feed.time),
+        (wrenches[4], Ts[4], np.nan), (saturated, Ts[4], now), (np.zeros(5), Ts[4], now),
+    ):  # fmt: skip
+        c = tracker.update(wrench, T, time)
+        assert c.result == "out_of_range" and np.isnan(c.p_contact_world).all()
+    assert tracker.kept == 1
+    assert tracker.update(wrenches[4], Ts[4], now).result != "out_of_range"
+
+
+def test_one_pose_with_moments_alone_stays_unobservable(large, gravity, pressed):
+    wrenches, Ts, _ = pressed
+    feed = Feed(Tracker(large.estimator(), Unknowns(), gravity, moments_only=True), large.model)
+    said, _ = feed(wrenches[4], Ts[4], 40)
+    assert {c.result for c in said} == {"unobservable"}
+
+
+@pytest.mark.parametrize("wrong", [{"gravity_world": (0.0, 0.0)}, {"nodes": 1}])
+def test_arguments_that_make_no_sense_are_refused(wrong, large):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        Tracker(large.estimator(), **wrong)
