@@ -1,11 +1,11 @@
-"""`python -m benchmarks [rod|peak|start|estimate ...]`: every part, or those named, in one run."""
+"""`python -m benchmarks [rod|peak|start|estimation ...]`: every part, or those named, in one run."""
 
 import sys
 
-from benchmarks import estimate, peak, rod, start
+from benchmarks import estimation, peak, rod, start
 from benchmarks.timing import print_machine
 
-PARTS = {"rod": rod.report, "peak": peak.report, "start": start.report, "estimate": estimate.report}
+PARTS = {"rod": rod.report, "peak": peak.report, "start": start.report, "estimation": estimation.report}
 
 
 def main(names: list[str]) -> int:

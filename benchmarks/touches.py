@@ -15,7 +15,6 @@ from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, pose
 from probedesign.probe import build_probe
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
-from probedesign.rod.rod import Rod
 
 ROOT = Path(__file__).parents[1]
 TABLE_I = ROOT / "tests/data/table1.csv"
@@ -156,6 +155,23 @@ def presses(model: ProbeModel, gravity: Array, s: float, angle: float, forces: A
     return Presses(model, gravity, held, np.array([pose(np.eye(3), -surface_point(one)) for one in held]))
 
 
+def random_presses(decade: tuple[float, float], rng: np.random.Generator) -> Iterator[Presses]:
+    """Endless presses of random probes under random gravity; the decade is of the strongest touch."""
+    for one in random_touches(decade, rng):
+        pressed = presses(one.model, one.gravity, one.s, one.angle, one.force * np.linspace(0.2, 1.0, 5))
+        if pressed is not None:
+            yield pressed
+
+
+def stiffened(pressed: Presses, stiffness: float) -> tuple[Touch, ...]:
+    """The same forces at the same places of a probe that is so many times as stiff as its model says."""
+    model, rod = pressed.model, pressed.model.rod
+    stiff = replace(model, rod=replace(rod, youngs_modulus=stiffness * rod.youngs_modulus,
+                                       shear_modulus=stiffness * rod.shear_modulus))  # fmt: skip
+    touches = [touch(stiff, one.gravity, one.s, one.angle, one.force) for one in pressed.touches]
+    return tuple(one for one in touches if one is not None)
+
+
 def read(wrenches: Array, model: ProbeModel, rng: np.random.Generator) -> Array:
     """With the sensor's noise, told at the base, (k, 6)."""
     return wrenches + rng.multivariate_normal(np.zeros(6), model.noise_base(), len(wrenches))
@@ -165,11 +181,3 @@ def direction(rng: np.random.Generator) -> Array:
     """Of any, (3,)."""
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
-
-
-def rod_of(model: ProbeModel, stiffness: float) -> Rod:
-    """The probe's rod with E and G that many times as great."""
-    rod = model.rod
-    return replace(
-        rod, youngs_modulus=stiffness * rod.youngs_modulus, shear_modulus=stiffness * rod.shear_modulus
-    )

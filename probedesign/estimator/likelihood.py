@@ -25,11 +25,9 @@ DOF = 3
 """Six channels, three unknowns: arclength, angle around the section, normal force."""
 UNLIKELY = 1e-3
 """Chance of a true contact's misfit beyond which it is looked for elsewhere too."""
-NUMERICAL = 0.25e-6
-"""Largest error of a fast rod's points [m] (tests/rod/test_accuracy.py): none is known better."""
+NUMERICAL = 0.08e-6
+"""Error that a fast rod leaves at a contact of the envelope in a thousand touches at most [m]: none is known better."""
 ASIDE = math.sqrt(3.0)
-BOWED = 3.0
-"""The mean of (δ²)² for a standard normal δ: of the square of what a curve leaves its tangent by."""
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
 
@@ -130,12 +128,13 @@ class _Fitter:
         )
 
     def _curved(self, state: Array, cov: Array, p: Array, by_load: Array) -> Array:
-        """Covariance of the contact point, (3, 3), to second order in how far s may be off.
+        """Covariance of the contact point, (3, 3), to third order in how far s may be off.
 
-        The places that explain a reading lie on a curve, far narrower than it is bowed, and s is known less well where
-        the force would be less. Both are looked at √3 standard deviations to either side, Gauss and Hermite's places,
-        which know means up to the fourth power. Where s goes as one over a force known to a share σ, its variance is
-        1 + 6 σ² greater than at the estimate, the mean fourth power, on which bows depend, about 1 + 30 σ².
+        The places that explain a reading lie on a curve far narrower than it is bowed and twisted,
+        p + a δ + b δ² + c δ³ for a standard normal δ, with the mean square aaᵀ + 3 (acᵀ + caᵀ) + 3 bbᵀ + 15 ccᵀ
+        about p. It is looked at √3 standard deviations to either side, Gauss and Hermite's places. And s is known less well where the force would
+        be less: where it goes as one over a force known to a share σ, its variance is 1 + 6 σ² greater than at the
+        estimate, and the mean fourth power, on which bows depend, about 1 + 30 σ².
         """
         linear: Array = by_load @ cov @ by_load.T + NUMERICAL**2 * np.eye(3)
         std = math.sqrt(cov[3, 3])
@@ -148,16 +147,15 @@ class _Fitter:
                 shares.append(share)
                 points.append(found[0])
                 variances.append(found[1])
-        if not shares:
-            return linear
-        bows = [(q - p - by_load @ (share * way)) / share**2 for q, share in zip(points, shares, strict=True)]
-        bow, wider = np.mean(bows, axis=0), 1.0
-        if len(shares) == 2:
-            wider = 2.0 / 3.0 + float(np.mean(variances)) / 3.0 / cov[3, 3]
-        along = by_load @ way
-        widened: Array = (
-            linear + (wider - 1.0) * np.outer(along, along) + BOWED * wider**5 * np.outer(bow, bow)
-        )
+        if len(shares) < 2:  # close to the tip there is one side only
+            bow = (points[0] - p) / shares[0] ** 2 - by_load @ way / shares[0] if shares else np.zeros(3)
+            return linear + 3.0 * np.outer(bow, bow)
+        wider = 2.0 / 3.0 + float(np.mean(variances)) / 3.0 / cov[3, 3]
+        along, bow = by_load @ way, (points[0] + points[1] - 2.0 * p) / 6.0
+        twist = ((points[1] - points[0]) / (2.0 * ASIDE) - along) / 3.0
+        turned = along + 3.0 * twist
+        widened: Array = linear + wider * np.outer(turned, turned) - np.outer(along, along)
+        widened += wider**5 * (3.0 * np.outer(bow, bow) + 6.0 * np.outer(twist, twist))
         return widened
 
     def _displaced(self, state: Array, share: float, way: Array) -> tuple[Array, float] | None:
@@ -171,9 +169,12 @@ class _Fitter:
         )  # fmt: skip
         if not found:
             return None
-        tan = self.rod.taper_at(float(there[fit.PLACE]))
-        cov = covariance(derivatives, there[fit.PUSH : fit.PLACE], tan / math.hypot(1.0, tan), self._whiten)
-        return derivatives[9:12, -1], float(cov[3, 3])
+        force, tan = there[fit.PUSH : fit.PLACE], self.rod.taper_at(float(there[fit.PLACE]))
+        sine = tan / math.hypot(1.0, tan)
+        wrench = np.concatenate([force + self.seen.weight, derivatives[0:3, -1]])
+        refit = refitted(derivatives, force, sine, self._whiten, wrench - self.seen.wrench)
+        cov = covariance(derivatives, force, sine, self._whiten)
+        return derivatives[9:12, -1] + derivatives[9:12, :3] @ refit, float(cov[3, 3])
 
     def _same(self, a: Candidate, b: Candidate) -> bool:
         return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + 1e-2 * min(a.std_s, b.std_s)
@@ -229,3 +230,24 @@ def covariance(derivatives: Array, force: Array, sine: float, whiten: Array) -> 
     root = N / scale @ np.linalg.inv(R)
     cov: Array = root @ root.T
     return cov
+
+
+def refitted(derivatives: Array, force: Array, sine: float, whiten: Array, misfit: Array) -> Array:
+    """The change of a force, kept where it is and normal, that brings the wrench nearest to the reading [N], (3,).
+
+    Args:
+        derivatives, force, sine, whiten: as in `covariance`.
+        misfit: of the wrench, (6,).
+    """
+    H = whiten @ np.vstack([np.eye(3), derivatives[0:3, :3]])
+    gradient = normality_gradient(derivatives, force, sine)[:3]
+    off = float(force @ derivatives[3:6, -1]) + sine * float(np.linalg.norm(force))
+    out = int(np.argmax(np.abs(gradient)))
+    rest = [j for j in range(3) if j != out]
+    N, change = np.zeros((3, 2)), np.zeros(3)
+    N[rest, range(2)] = 1.0
+    N[out] = -gradient[rest] / gradient[out]
+    change[out] = -off / gradient[out]
+    kept = np.linalg.lstsq(H @ N, -(whiten @ misfit + H @ change), rcond=None)[0]
+    changed: Array = change + N @ kept
+    return changed

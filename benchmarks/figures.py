@@ -1,0 +1,61 @@
+"""What the estimators reach, drawn for the documentation."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PICTURES = Path(__file__).parents[1] / "docs/pictures"
+BLUE, ORANGE, GREY = "#1f5fa8", "#d9730d", "#777777"
+
+
+def draw_table_one(rows: Sequence[tuple[str, float, float, float, float, float]]) -> None:
+    """RMS errors on Table I's conditions: (probe, force [N], place over L, bound, ml, paper [m]) each."""
+    ordered = sorted(rows, key=lambda row: row[3])
+    figure, ax = _figure(7.6, 5.6)
+    y = np.arange(len(ordered))
+    bound, ml, paper = (1e3 * np.array([row[i] for row in ordered]) for i in (3, 4, 5))
+    for at, low, high in zip(y, bound, np.maximum(ml, paper), strict=True):
+        ax.plot([low, high], [at, at], color="#cccccc", lw=1.0, zorder=1)
+    ax.plot(bound, y, "|", color=GREY, ms=11, mew=2, label="bound")
+    ax.plot(paper, y, "s", color=ORANGE, ms=5, label="paper's method")
+    ax.plot(ml, y, "o", color=BLUE, ms=5, label="maximum likelihood")
+    ax.set_yticks(
+        y, [f"{name} {force * 1e3:g} mN at {place:.2g} L" for name, force, place, *_ in ordered], fontsize=8
+    )
+    ax.set(xscale="log", xlabel="RMS error of one touch, sensor noise alone [mm]")
+    ax.grid(True, axis="x", which="major", color="#dddddd", lw=0.6)
+    ax.legend(frameon=False, loc="lower right")
+    figure.savefig(PICTURES / "table1.png", dpi=150)
+
+
+def draw_fusion(drawn: dict[tuple[str, float], tuple[list[float], list[float]]]) -> None:
+    """Errors and bounds [mm] at 0.5 ... 0.9 L, by what is not known and the strongest force [N]."""
+    kinds = list(dict.fromkeys(kind for kind, _ in drawn))
+    figure, axes = _figure(9.6, 3.4, len(kinds))
+    for ax, kind in zip(axes, kinds, strict=True):
+        for (of, force), color in zip(
+            [key for key in drawn if key[0] == kind], ("#9cc3e8", BLUE, "#0c2f57"), strict=False
+        ):
+            errors, bounds = drawn[of, force]
+            places = np.linspace(0.5, 0.9, 5)[: len(errors)]
+            ax.plot(places, bounds, "-", color=color, lw=1.5)
+            ax.plot(places, errors, "o", color=color, ms=5, label=f"to {force * 1e3:g} mN")
+        ax.set(xlabel="contact over length", ylim=(0.0, None))
+        ax.set_title(kind, fontsize=9)
+        ax.grid(True, color="#dddddd", lw=0.6)
+    axes[0].set_ylabel("RMS error, five touches,\nmoments alone [mm]")
+    axes[0].plot([], [], "-", color=GREY, label="bound")
+    axes[0].legend(frameon=False, fontsize=8)
+    figure.savefig(PICTURES / "fusion.png", dpi=150)
+
+
+def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, panels, squeeze=False)[0]
+    return figure, axes[0] if panels == 1 else axes
