@@ -103,7 +103,10 @@ def random_model(rng: np.random.Generator) -> ProbeModel:
 
 
 def table_one() -> list[Touch]:
-    """The paper's 23 conditions, pushed sideways to gravity."""
+    """The paper's 23 conditions, pushed sideways to gravity without friction, as far as the probe holds them.
+
+    The medium one, of the paper's E, gives way under 0.26 N at 0.7 L: without friction it holds no more than 0.12 N.
+    """
     with TABLE_I.open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     gravity, found = np.array([9.81, 0.0, 0.0]), []
@@ -111,8 +114,8 @@ def table_one() -> list[Touch]:
         model = paper_models()[row["probe"]]
         s = float(row["contact_fraction"]) * model.rod.length
         one = touch(model, gravity, s, np.pi / 2.0, float(row["force_N"]))
-        assert one is not None, "the paper's touches are held"
-        found.append(one)
+        if one is not None:
+            found.append(one)
     return found
 
 

@@ -1,5 +1,6 @@
 """The estimator's door: gravity, detection, one of the methods, and what the answer is worth."""
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -24,6 +25,7 @@ Method = Literal["ml", "paper"]
 
 FALSE_ALARM = 1.4e-6
 """Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
+ALARM_CHI2 = float(chdtri(6, FALSE_ALARM))
 LEAST_FORCE = 5.0
 """Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
 normal where F is known to less than a fifth (tests/estimator/test_statistics.py)."""
@@ -124,7 +126,7 @@ class Estimator:
         """Whether the sensor can have read all of these base wrenches (n, 6)."""
         if not np.isfinite(window).all():
             return False
-        return all(self.model.reads(reading) for reading in self.model.to_sensor(window, gravity))
+        return bool((np.abs(self.model.to_sensor(window, gravity)) <= self.model.wrench_range).all())
 
     def fuse(
         self,
@@ -202,13 +204,13 @@ class Estimator:
         if the force is so uncertain that a covariance of first order no longer holds.
         """
         return bool(
-            std_s < self.model.rod.length / np.sqrt(12.0)
-            and np.linalg.norm(force) > LEAST_FORCE * self.model.noise.force / np.sqrt(readings)
+            std_s < self.model.rod.length / math.sqrt(12.0)
+            and math.sqrt(force @ force) > LEAST_FORCE * self.model.noise.force / math.sqrt(readings)
         )
 
     @staticmethod
     def _exceeds(chi2: float) -> bool:
-        return bool(chi2 >= chdtri(6, FALSE_ALARM))
+        return chi2 >= ALARM_CHI2
 
     def detectable(self, wrench_by_force: Array) -> float:
         """Smallest force [N] that is told from a free probe every other time.
@@ -216,9 +218,7 @@ class Estimator:
         Args:
             wrench_by_force: change of the base wrench per newton of contact, (6,).
         """
-        return float(
-            np.sqrt(chdtri(6, FALSE_ALARM) / (wrench_by_force @ self._information @ wrench_by_force))
-        )
+        return float(np.sqrt(ALARM_CHI2 / (wrench_by_force @ self._information @ wrench_by_force)))
 
     @cached_property
     def cov_wrench(self) -> Array:
@@ -230,8 +230,8 @@ class Estimator:
         return np.linalg.inv(self.cov_wrench).astype(float, copy=False)
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
-        d = wrench - free.wrench_base
-        return float(d @ self._information @ d)
+        off = self.model.whiten @ (wrench - free.wrench_base)
+        return float(off @ off)
 
     def _decide(self, found: list[Candidate], detection_chi2: float, readings: int) -> Estimate:
         """Turn the candidates into one answer with its code."""

@@ -124,7 +124,7 @@ def made_normal(J, r, gradient, off):
 
 
 @inner
-def _reduced(J, r, gradient, out, H, b):
+def reduced(J, r, gradient, out, H, b):
     """Normal equations of the three unknowns left beside the one that keeps the force normal."""
     for q in range(9):
         H[q] = 0.0
@@ -266,7 +266,7 @@ def fit_contact(
             _go(state, before, share, step, change, way)
             continue
         least = merit
-        _reduced(J, r, gradient, out, H, b)
+        reduced(J, r, gradient, out, H, b)
         held = _step(state, H, b, gradient, off, out, low, high, x, step)
         if held < 0:
             return LOST, square, iteration
@@ -284,8 +284,8 @@ def fit_contact(
     return (STALLED if math.isfinite(least) else LOST), least, MAX_ITERATIONS
 
 
-@kernel
-def displaced(
+@inner
+def bent_aside(
     body, gravity, whiten, wrench, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives, work, state,
     step, there,
 ):  # fmt: skip

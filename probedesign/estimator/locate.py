@@ -5,6 +5,7 @@ moment is zero by itself, and is matched to the measured moment at the base: the
 the side on which errors die out instead of growing through the thin tip (docs/decisions/0002).
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,6 +18,8 @@ from probedesign.rod.workspace import workspace
 
 STATIONS = 33
 """Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimator)."""
+LIGHT = ((0.5, 9), (1.5, 17))
+"""Forces up to which fewer will do, as F L² r(0)/(E I(0) r(L)): a probe that hardly bends makes no waves."""
 SCAN_TOLERANCE = 1e-5
 """Error a step [rad] while scanning."""
 ACROSS = 0.5
@@ -42,13 +45,14 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
     Returns:
         Arclengths [m] (j,), squared misfit [N²·m²] (j,) and the tips' sections (j, 6), as far as equilibria exist.
     """
-    stations = np.linspace(0.0, rod.length, STATIONS)
-    loads = np.tile(rod.load(gravity, force, 0.0), (STATIONS, 1))
+    count = _stations(rod, force)
+    stations = np.linspace(0.0, rod.length, count)
+    loads = np.tile(rod.load(gravity, force, 0.0), (count, 1))
     loads[:, -1] = stations
-    found = np.empty((STATIONS, kernels.FOUND))
+    found = np.empty((count, kernels.FOUND))
     reached = kernels.solve_cases(
-        0, STATIONS, rod.stacked, np.zeros(STATIONS, dtype=np.int64), loads, rod.directed, kernels.COLD, True,
-        SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *workspace(0, 0), found, np.empty((STATIONS, 15, 1)),
+        0, count, rod.stacked, np.zeros(count, dtype=np.int64), loads, rod.directed, kernels.COLD, True,
+        SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *workspace(0, 0), found, np.empty((count, 15, 1)),
     )  # fmt: skip
     if found[reached - 1, kernels.STATUS] != kernels.OK:
         reached -= 1
@@ -58,6 +62,13 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
     moments = found[:reached, kernels.MOMENT : kernels.MOMENT + 3]
     misfit = ((moments - moment) ** 2).sum(axis=1)
     return stations[:reached], misfit, tips[:reached]
+
+
+def _stations(rod: Rod, force: Array) -> int:
+    """How many arclengths to scan."""
+    stiffness = rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * float(rod.radius.min())
+    bend = math.sqrt(force @ force) * rod.length**2 / stiffness
+    return next((count for most, count in LIGHT if bend < most), STATIONS)
 
 
 def _pushed(force: Array, free: Array, tangents: Array) -> int:

@@ -1,6 +1,7 @@
 """All that estimation knows of a probe: the rod, what hangs on the sensor, the sensor itself. No design, no CAD."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,18 +57,35 @@ class ProbeModel:
 
     def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
         """What the rigid things between sensor face and s = 0 weigh on the sensor, in its frame, (6,)."""
-        return self.hanging.wrench(self.T_sensor_base[:3, :3] @ np.asarray(gravity_base, dtype=float))
+        weight: Array = self._hanging_by_gravity @ np.asarray(gravity_base, dtype=float)
+        return weight
+
+    @cached_property
+    def _hanging_by_gravity(self) -> Array:
+        """Of that wrench by gravity in base axes, (6, 3)."""
+        R = self.T_sensor_base[:3, :3]
+        return np.stack([self.hanging.wrench(R[:, i]) for i in range(3)], axis=1)
+
+    @cached_property
+    def _sensor_from_base(self) -> Array:
+        """Carries wrenches from the base's origin to the sensor's, (6, 6)."""
+        return wrench_map(self.T_sensor_base)
+
+    @cached_property
+    def _base_from_sensor(self) -> Array:
+        return wrench_map(inverse(self.T_sensor_base))
 
     def to_sensor(self, wrench_base: ArrayLike, gravity_base: ArrayLike) -> Array:
         """What the sensor reads, free of bias: (6,) or (n, 6) of base wrenches told in the sensor frame,
         with the weight of what hangs between."""
-        carried = np.asarray(wrench_base, dtype=float) @ wrench_map(self.T_sensor_base).T
+        carried = np.asarray(wrench_base, dtype=float) @ self._sensor_from_base.T
         return carried + self.gravity_wrench_sensor(gravity_base)
 
     def to_base(self, wrench_sensor: ArrayLike, gravity_base: ArrayLike) -> Array:
         """The wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
         own = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
-        return own @ wrench_map(inverse(self.T_sensor_base)).T
+        carried: Array = own @ self._base_from_sensor.T
+        return carried
 
     def reads(self, wrench_sensor: Array) -> bool:
         """Whether the sensor can have read this (6,): finite and within every channel's range."""
@@ -75,8 +93,17 @@ class ProbeModel:
 
     def noise_base(self) -> Array:
         """Covariance of a reading told at the base origin, (6, 6)."""
-        X = wrench_map(inverse(self.T_sensor_base))
-        return X @ self.noise.covariance() @ X.T
+        return self._noise_base.copy()
+
+    @cached_property
+    def _noise_base(self) -> Array:
+        X = self._base_from_sensor
+        return np.asarray(X @ self.noise.covariance() @ X.T, dtype=float)
+
+    @cached_property
+    def whiten(self) -> Array:
+        """Lower triangular, with whitenᵀ whiten = noise_base⁻¹, (6, 6)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self._noise_base)), dtype=float)
 
     def with_noise(self, noise: Noise) -> "ProbeModel":
         """The same probe with another noise."""
