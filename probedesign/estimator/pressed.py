@@ -7,17 +7,17 @@ from typing import Literal
 
 import numpy as np
 
+from probedesign.estimator import press_kernel as kernel
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
+from probedesign.rod.workspace import workspace
 
 Fixed = Literal["surface", "contact"]
 """What of the touch stays at one point of the world: the touched point of the surface, as on a tip or an edge; or the
 point of the centreline, where the force's line meets it."""
 
-_E, _G = kernels.PARAMETERS.index("log_E"), kernels.PARAMETERS.index("log_G")
-_GRAVITY = slice(kernels.PARAMETERS.index("gravity_x"), kernels.PARAMETERS.index("gravity_z") + 1)
 STIFFNESS = 3
 """Column of the derivatives by the common factor on E and G, after those by place, angle and magnitude."""
 _LEAST = 0.02
@@ -95,17 +95,16 @@ class Pressed:
     @cached_property
     def by_point(self) -> Array:
         """Of θ's first three by the fixed point, (3, 3)."""
-        scale = np.linalg.norm(self.d_fixed[:, :3], axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        inverse: Array = np.linalg.pinv(self.d_fixed[:, :3] / scale, rcond=1e-9) / scale[:, None]
+        scale = np.sqrt((self.d_fixed[:, :3] ** 2).sum(axis=0)) + 1e-300
+        inverse: Array = np.linalg.inv(self.d_fixed[:, :3] / scale) / scale[:, None]
         return inverse
 
-    @property
+    @cached_property
     def stiffness(self) -> Array:
         """Of the wrench by the fixed point, (6, 3)."""
         return self.d_wrench[:, :3] @ self.by_point
 
-    @property
+    @cached_property
     def by_stiffness(self) -> Array:
         """Of the wrench by log stiffness with the point held, (6,)."""
         held: Array = self.d_wrench[:, STIFFNESS] - self.stiffness @ self.d_fixed[:, STIFFNESS]
@@ -148,45 +147,26 @@ def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed) -> Pressed | None:
         push: the guess.
         fixed: which point stands still.
     """
-    eq = rod.solve(gravity, push.force, push.s, guess=push.tip, columns="all")
-    if not eq.ok or eq.sensitivity is None:
-        return None
-    d, frame = eq.sensitivity.d_contact, eq.sensitivity.frame
-    tan = rod.taper_at(push.s)
-    cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
-    co, si = math.cos(push.angle), math.sin(push.angle)
-
-    def lean(columns: Array) -> Array:
-        leaning: Array = cos * (co * columns[3:6] + si * columns[9:12]) - sin * columns[0:3]
-        return leaning
-
-    n, dn = lean(frame), lean(d)
-    turned = cos * (co * frame[9:12] - si * frame[3:6])
-    f = push.magnitude
-    around = turned if fixed == "contact" else f * turned
-    by_stiffness = d[:, _E] + d[:, _G]
-    direct = np.stack([f * dn[:, 3], around, n, f * lean(by_stiffness)], axis=1)
-    loosened = np.linalg.inv(np.eye(3) - f * dn[:, :3])
-    d_force, towards = loosened @ direct, loosened @ (f * n - push.force)
-    dw, dp = eq.sensitivity.d_wrench, eq.sensitivity.d_position
-    d_wrench, d_p, d_n = (_total(x, d_force) for x in (dw, dp, dn))
-    d_n[:, 1] += turned if fixed == "surface" else turned / f if f else 0.0
-    radius = float(np.interp(push.s, rod.s, rod.radius)) * cos
-    p, lean_now = eq.p_contact_base + dp[:, :3] @ towards, n + dn[:, :3] @ towards
-    d_surface = d_p - radius * d_n
-    d_surface[:, 0] += sin * lean_now
-    return Pressed(
-        push, rod.length, fixed, eq.wrench_base + dw[:, :3] @ towards, d_wrench, p, p - radius * lean_now, d_p,
-        d_surface, d_force, towards, eq.tip,
+    room = workspace(kernel.COLUMNS, 0)
+    tip, answer, load = push.tip.copy(), np.empty(kernel.ANSWER), np.zeros(kernels.LOAD)
+    found = kernel.press_at(
+        rod.body, gravity, push.s, push.angle, push.magnitude, push.force, fixed == "contact", load, room.scratch,
+        room.nodes, room.blocks, room.y, room.contact, room.turns, np.empty((15, kernel.COLUMNS + 1)), np.empty(27),
+        tip, answer,
     )  # fmt: skip
-
-
-def _total(columns: Array, d_force: Array) -> Array:
-    """By (s, around, magnitude, log stiffness), from columns by all parameters."""
-    total: Array = columns[:, :3] @ d_force
-    total[:, 0] += columns[:, 3]
-    total[:, STIFFNESS] += columns[:, _E] + columns[:, _G]
-    return total
+    if not found:
+        return None
+    d_force, towards = answer[kernel.D_FORCE : kernel.TOWARDS].reshape(3, 4), answer[kernel.TOWARDS :]
+    wrench, d_wrench = np.empty(6), np.empty((6, 4))
+    wrench[:3] = push.force + towards + rod.mass * gravity
+    wrench[3:] = answer[: kernel.D_MOMENT]
+    d_wrench[:3] = d_force
+    d_wrench[3:] = answer[kernel.D_MOMENT : kernel.POINT].reshape(3, 4)
+    return Pressed(
+        push, rod.length, fixed, wrench, d_wrench, answer[kernel.POINT : kernel.D_POINT],
+        answer[kernel.SURFACE : kernel.D_SURFACE], answer[kernel.D_POINT : kernel.SURFACE].reshape(3, 4),
+        answer[kernel.D_SURFACE : kernel.D_FORCE].reshape(3, 4), d_force, towards, tip,
+    )  # fmt: skip
 
 
 def settle(rod: Rod, gravity: Array, push: Push, fixed: Fixed, point: Array, close: float) -> Pressed | None:
