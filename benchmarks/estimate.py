@@ -1,31 +1,54 @@
-"""One contact from one reading."""
+"""What an estimate costs."""
 
+from collections.abc import Callable
 from functools import partial
+from itertools import count
 
 import numpy as np
 
-from benchmarks.cases import GRAVITY, LARGE, TABLE_I
+from benchmarks.cases import GRAVITY, TABLE_I
 from benchmarks.timing import interleaved, print_table, shown
-from probedesign.design import load_design
-from probedesign.probe import build_probe
+from benchmarks.touches import paper_models, presses, touch
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tracker import Tracker
+from probedesign.frames import Array
 
 ROUNDS = 9
 
 
 def report() -> None:
     """Print the table."""
-    probe = build_probe(load_design(LARGE))
-    estimator = probe.estimator()
-    wrenches = {"free probe": probe.solve(GRAVITY).wrench_base}
-    for force, fraction in TABLE_I:
-        touched = probe.solve(GRAVITY, fraction * probe.length, (0.0, force, 0.0))
-        wrenches[f"{force:g} N at {fraction:g} L"] = touched.wrench_base
-    calls = {
-        name: partial(estimator.estimate, wrench, np.array(GRAVITY)) for name, wrench in wrenches.items()
+    model = paper_models()["large"]
+    estimator = Estimator(model)
+    calls: dict[str, Callable[[], object]] = {
+        "free probe": partial(estimator.estimate, estimator.free(GRAVITY).wrench_base, GRAVITY)
     }
+    for force, fraction in TABLE_I:
+        one = touch(model, GRAVITY, fraction * model.rod.length, np.pi / 2, force)
+        assert one is not None, "the paper's touches of the large probe are held"
+        name, wrench = f"{force:g} N at {fraction:g} L", one.wrench
+        near = estimator.estimate(wrench, GRAVITY)
+        calls[f"{name}, ml, cold"] = partial(estimator.estimate, wrench, GRAVITY)
+        calls[f"{name}, ml, from a neighbour"] = partial(
+            estimator.estimate, 1.0001 * wrench, GRAVITY, near=near
+        )
+        calls[f"{name}, paper"] = partial(estimator.estimate, wrench, GRAVITY, method="paper")
+    pressed = presses(model, GRAVITY, 0.7 * model.rod.length, np.pi / 2, np.linspace(2e-3, 1e-2, 5))
+    assert pressed is not None, "so light a press is held"
+    calls["fuse, five touches"] = partial(estimator.fuse, pressed.wrenches, pressed.Ts, GRAVITY)
+    calls["tracker, one reading more of five touches"] = _tracking(estimator, pressed.wrenches, pressed.Ts)
     seconds = interleaved(calls, ROUNDS)
     print_table(
-        f"Estimator.estimate, large probe. Median of {ROUNDS} interleaved rounds",
-        ["reading", "result", "time", "a second"],
-        [[name, calls[name]().result, shown(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
+        f"What an answer costs, large probe, a call from Python. Median of {ROUNDS} interleaved rounds",
+        ["reading", "time", "a second"],
+        [[name, shown(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
     )
+
+
+def _tracking(estimator: Estimator, wrenches: Array, Ts: Array) -> Callable[[], object]:
+    """An update of a tracker that has seen five touches."""
+    tracker, ticks = Tracker(estimator, gravity_world=GRAVITY), count(1)
+    for wrench, T in zip(wrenches, Ts, strict=True):
+        for _ in range(36):
+            tracker.update(wrench, T, next(ticks) / 7000.0)
+    return lambda: tracker.update(wrenches[-1], Ts[-1], next(ticks) / 7000.0)

@@ -24,10 +24,9 @@ from probedesign.estimator.curves import curve, meetings
 from probedesign.estimator.estimate import Result
 from probedesign.estimator.fused import Fused
 from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.pressed import Fixed, Pressed, Push, press, settle, stiffer
+from probedesign.estimator.pressed import Fixed, Pressed, Push, press, settle
 from probedesign.estimator.unknowns import Source, Unknowns
 from probedesign.frames import Array, pose, wrench_map
-from probedesign.rod.rod import Rod
 
 UNLIKELY = 1e-3
 """Chance that true touches of one fixed point are called inconsistent."""
@@ -242,16 +241,13 @@ class Fusion:
         self, pushes: tuple[Push | None, ...], log_stiffness: float, fixed: Fixed
     ) -> tuple[Pressed | None, ...] | None:
         """Every touch solved and linearised; None if one of them has no equilibrium."""
-        rod = self._rod(log_stiffness)
+        rod = self.model.rod
         pressed = tuple(
-            None if push is None else press(rod, reading.gravity, push, fixed)
+            None if push is None else press(rod, reading.gravity, push, fixed, log_stiffness)
             for reading, push in zip(self.readings, pushes, strict=True)
         )
         lost = any(p is None and push is not None for p, push in zip(pressed, pushes, strict=True))
         return None if lost else pressed
-
-    def _rod(self, log_stiffness: float) -> Rod:
-        return stiffer(self.model.rod, log_stiffness) if log_stiffness else self.model.rod
 
     @property
     def _moments_only(self) -> bool:
@@ -396,8 +392,8 @@ class Fusion:
             way = last.T_world_base[:3, 3] - touched[-2][0].T_world_base[:3, 3]
             on = replace(last, T_world_base=pose(last.T_world_base[:3, :3], last.T_world_base[:3, 3] + way))
             target = on.to_base(best.x[POINT]) - best.x[OFFSET]
-            rod = self._rod(float(best.x[STIFFNESS]))
-            further = settle(rod, on.gravity, p.push, p.fixed, target, 1e-6)
+            log_stiffness = float(best.x[STIFFNESS])
+            further = settle(self.model.rod, on.gravity, p.push, p.fixed, target, 1e-6, log_stiffness)
             if further is not None:
                 pressed_on = replace(self, readings=(on,)).linear((further,), best.x)
                 gains["further press"] = self.rms(best.linear.repeated(pressed_on), self.unknowns)

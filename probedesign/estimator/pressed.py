@@ -1,7 +1,7 @@
 """A probe pressed against something at one pose of its base: what it reads and where it is touched, to first order."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -18,6 +18,7 @@ Fixed = Literal["surface", "contact"]
 """What of the touch stays at one point of the world: the touched point of the surface, as on a tip or an edge; or the
 point of the centreline, where the force's line meets it."""
 
+_COMPLIANCES = [kernels.BEND_X, kernels.BEND_Y, kernels.TWIST, kernels.SHEAR, kernels.STRETCH]
 STIFFNESS = 3
 """Column of the derivatives by the common factor on E and G, after those by place, angle and magnitude."""
 _LEAST = 0.02
@@ -138,7 +139,7 @@ class Pressed:
         return Push(s, angle, magnitude, force, self.tip)
 
 
-def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed) -> Pressed | None:
+def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed, log_stiffness: float = 0.0) -> Pressed | None:
     """Solve and linearise a guess; None where there is no equilibrium.
 
     Args:
@@ -146,11 +147,17 @@ def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed) -> Pressed | None:
         gravity: base axes [m/s²], (3,).
         push: the guess.
         fixed: which point stands still.
+        log_stiffness: by which E and G are greater than the rod's.
     """
+    body = rod.body
+    if log_stiffness:
+        constants = body.constants.copy()
+        constants[_COMPLIANCES] *= math.exp(-log_stiffness)
+        body = body._replace(constants=constants)
     room = workspace(kernel.COLUMNS, 0)
     tip, answer, load = push.tip.copy(), np.empty(kernel.ANSWER), np.zeros(kernels.LOAD)
     found = kernel.press_at(
-        rod.body, gravity, push.s, push.angle, push.magnitude, push.force, fixed == "contact", load, room.scratch,
+        body, gravity, push.s, push.angle, push.magnitude, push.force, fixed == "contact", load, room.scratch,
         room.nodes, room.blocks, room.y, room.contact, room.turns, np.empty((15, kernel.COLUMNS + 1)), np.empty(27),
         tip, answer,
     )  # fmt: skip
@@ -169,10 +176,12 @@ def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed) -> Pressed | None:
     )  # fmt: skip
 
 
-def settle(rod: Rod, gravity: Array, push: Push, fixed: Fixed, point: Array, close: float) -> Pressed | None:
+def settle(
+    rod: Rod, gravity: Array, push: Push, fixed: Fixed, point: Array, close: float, log_stiffness: float = 0.0
+) -> Pressed | None:
     """The touch whose fixed point is there, within `close` [m]; None if it is not found."""
     for _ in range(25):
-        pressed = press(rod, gravity, push, fixed)
+        pressed = press(rod, gravity, push, fixed, log_stiffness)
         if pressed is None:
             return None
         normal = float(np.linalg.norm(pressed.towards_normal)) <= 1e-6 * abs(push.magnitude) + 1e-12
@@ -180,9 +189,3 @@ def settle(rod: Rod, gravity: Array, push: Push, fixed: Fixed, point: Array, clo
             return pressed
         push = pressed.moved(point, 0.0, 0.1 * rod.length)
     return None
-
-
-def stiffer(rod: Rod, log_stiffness: float) -> Rod:
-    """The rod with E and G so much greater."""
-    factor = math.exp(log_stiffness)
-    return replace(rod, youngs_modulus=factor * rod.youngs_modulus, shear_modulus=factor * rod.shear_modulus)

@@ -27,7 +27,7 @@ from probedesign.estimator.fusion import (
     channels_of,
     share_of,
 )
-from probedesign.estimator.pressed import Fixed, Pressed, press, stiffer
+from probedesign.estimator.pressed import Fixed, Pressed, press
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array, is_pose
 
@@ -226,10 +226,10 @@ class Tracker:
         """About where the unknowns put the fixed point; whether there is an equilibrium."""
         assert self._x is not None
         assert node.pressed is not None
-        rod = stiffer(self.estimator.model.rod, float(self._x[STIFFNESS]))
+        rod = self.estimator.model.rod
         point = node.T[:3, :3].T @ (self._x[POINT] - node.T[:3, 3]) - self._x[OFFSET]
         push = node.pressed.moved(point, 0.0, 0.1 * rod.length)
-        found = press(rod, node.gravity, push, self._fixed)
+        found = press(rod, node.gravity, push, self._fixed, float(self._x[STIFFNESS]))
         if found is not None:
             node.pressed = found
         return found is not None

@@ -77,10 +77,7 @@ def test_errors_scatter_as_the_covariance_says_with_everything_unknown(moments_o
 
 def disturbed(estimator, wrenches, Ts, gravity, stiff, unknowns, rng):
     """What is read of these touches if stiffness, base and bias are off by draws from their priors."""
-    from probedesign.estimator.pressed import stiffer
-
-    model = estimator.model
-    rod, read = stiffer(model.rod, np.log(stiff)), []
+    model, read = estimator.model, []
     offset = rng.normal(0.0, unknowns.base_offset, 3)
     step = model.noise_base() * model.averaging_samples
     bias = np.zeros(6)
@@ -89,7 +86,7 @@ def disturbed(estimator, wrenches, Ts, gravity, stiff, unknowns, rng):
         point = T[:3, :3].T @ -T[:3, 3] - offset - rng.normal(0.0, unknowns.base_repeat, 3)
         c = estimator.estimate(wrench, gravity)
         eq = c.candidates[0].shape()
-        found = settle(rod, gravity, Push.under(model.rod, eq), "surface", point, 1e-9)
+        found = settle(model.rod, gravity, Push.under(model.rod, eq), "surface", point, 1e-9, np.log(stiff))
         read.append(found.wrench + bias + rng.multivariate_normal(np.zeros(6), model.noise_base()))
     return np.array(read)
 

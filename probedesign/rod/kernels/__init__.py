@@ -23,6 +23,8 @@ from probedesign.rod.kernels.batch import (
 )
 from probedesign.rod.kernels.body import (
     ALL_COLUMNS,
+    BEND_X,
+    BEND_Y,
     CONE,
     CONSTANTS,
     CONTACT_COLUMNS,
@@ -33,7 +35,10 @@ from probedesign.rod.kernels.body import (
     NOT_CONVERGED,
     OK,
     PARAMETERS,
+    SHEAR,
     STEP_LIMIT,
+    STRETCH,
+    TWIST,
     UNSTABLE,
     Body,
 )
@@ -45,6 +50,8 @@ from probedesign.rod.kernels.sweep import lane_of
 
 __all__ = [
     "ALL_COLUMNS",
+    "BEND_X",
+    "BEND_Y",
     "BLOCK",
     "CASE",
     "COLD",
@@ -66,10 +73,13 @@ __all__ = [
     "OK",
     "PARAMETERS",
     "RESIDUAL",
+    "SHEAR",
     "STATE",
     "STATUS",
     "STEP_LIMIT",
+    "STRETCH",
     "TIP",
+    "TWIST",
     "UNSTABLE",
     "WARM",
     "WARM_ONLY",
