@@ -77,7 +77,7 @@ def _fused(pressed: Presses, wrenches: Array, Ts: Array, rng: np.random.Generato
     model = pressed.model
     estimator = Estimator(model)
     seen = read(wrenches, model, rng)
-    c = estimator.fuse(seen, Ts, pressed.gravity)
+    c = estimator.fuse(seen, Ts, pressed.gravity, unknowns=Unknowns())
     readings = tuple(
         Reading(w, model.noise_base(), T, pressed.gravity, True) for w, T in zip(seen, Ts, strict=True)
     )

@@ -61,6 +61,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
             f"{name}_{_UNITS[name]}": {"value": q.value, "provenance": q.provenance, "source": q.source}
             for name, q in model.material.items()
         },
+        "spread": {"stiffness": model.stiffness_spread, "creep": model.creep_spread},
         "sections": _sections(rod),
         "flexible_mass_kg": model.mass,
         "hanging": {
@@ -191,6 +192,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         material=material,
         assumptions=tuple(data["assumptions"]),
         cross_section=section,
+        **_spread(data.get("spread", {})),
     )
     geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
     if geometry.fingerprint != model.fingerprint:
@@ -208,6 +210,15 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
     ):
         raise InputError("sensor: ranges and noise must be positive")
     return model
+
+
+def _spread(data: dict[str, Any]) -> dict[str, Any]:
+    """Priors of the material; files written before there were any have none."""
+    stiffness, creep = data.get("stiffness"), float(data.get("creep", 0.0))
+    spreads = [creep] if stiffness is None else [float(stiffness), creep]
+    if not all(0.0 <= spread <= 0.5 for spread in spreads):
+        raise InputError(f"spread: {spreads} must lie in 0 ... 0.5")
+    return {"stiffness_spread": None if stiffness is None else float(stiffness), "creep_spread": creep}
 
 
 def _section(data: dict[str, Any]) -> CrossSection:

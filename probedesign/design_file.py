@@ -27,6 +27,8 @@ COMMENTS = {
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
+    "material.stiffness_spread": "standard deviation of a common factor on E and G, for fusing touches",
+    "material.creep_spread": "likewise of how far it relaxes while touches are fused; 0 leaves creep out",
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",

@@ -150,6 +150,8 @@ class MaterialTable(Table):
     shear_modulus_mpa: Annotated[float, Field(ge=0.003, le=1e5)] | None = None
     density_kg_m3: Annotated[float, Field(ge=100.0, le=20000.0)] | None = None
     shear_coefficient: Annotated[float, Field(ge=0.1, le=1.2)] = 1.0
+    stiffness_spread: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    creep_spread: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     provenance: ProvenanceTable = ProvenanceTable()
 
 

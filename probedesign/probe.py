@@ -100,6 +100,8 @@ class Probe:
                 "density": d.density,
             },
             assumptions=d.assumptions,
+            stiffness_spread=d.material.stiffness_spread,
+            creep_spread=d.material.creep_spread,
         )
 
     def solve(

@@ -84,7 +84,16 @@ def test_a_probe_reads_back_to_the_last_bit(name, path):
     model = build_probe(load_design(DESIGNS / f"{name}.toml")).model
     write_frozen(model, path)
     back = load_model(path)
-    for attribute in ("name", "fingerprint", "noise", "material", "assumptions", "mass"):
+    for attribute in (
+        "name",
+        "fingerprint",
+        "noise",
+        "material",
+        "assumptions",
+        "mass",
+        "stiffness_spread",
+        "creep_spread",
+    ):
         assert getattr(back, attribute) == getattr(model, attribute)
     for attribute in ("gravity_base", "T_sensor_base", "wrench_range"):
         np.testing.assert_array_equal(getattr(back, attribute), getattr(model, attribute))

@@ -6,13 +6,18 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-MECHANICS = Path(__file__).parent.parent / "docs/mechanics.md"
+import pytest
+
+ROOT = Path(__file__).parent.parent
 
 
-def test_the_examples_of_the_mechanics_print_what_they_say():
-    code = "".join(re.findall(r"```python\n(.*?)```", MECHANICS.read_text(encoding="utf-8"), re.DOTALL))
-    said = re.findall(r"^print\(.*?\)  +# (.*)$", code, re.MULTILINE)
-    assert len(said) == code.count("print(") > 10
+@pytest.mark.parametrize("page", ["mechanics", "estimation"])
+def test_the_examples_print_what_they_say(page, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
+    code = "".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    said = re.findall(r"^print\(.*\) +# (.*)$", code, re.MULTILINE)
+    assert len(said) == code.count("print(") > 5
     printed, names = StringIO(), dict[str, Any]()
     with redirect_stdout(printed):
         exec(code, names)

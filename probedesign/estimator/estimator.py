@@ -151,7 +151,7 @@ class Estimator:
                 times its lever shows, or those that the sensor reads itself, which need all six numbers to be got
                 back and are then free of it.
             touched: where there was contact, (k,), all if None; readings without it tie the bias down.
-            unknowns: what is not known and how well it is; `Unknowns()` if None.
+            unknowns: what is not known and how well it is; as the design's material has it if None.
 
         Returns:
             The answer with its bound; anything that goes wrong is its result code, never an exception.
@@ -174,7 +174,7 @@ class Estimator:
         if not all(self.free(reading.gravity).ok for reading in readings):
             return Fused("not_converged")
         channels = channels_of(self.model, moments_about if moments_only else None)
-        fusion = Fusion(self.model, readings, unknowns or Unknowns(), channels)
+        fusion = Fusion(self.model, readings, unknowns or Unknowns.of(self.model), channels)
         return fusion.solve()
 
     def _believable(self, reading: Reading, moments_only: bool) -> bool:

@@ -34,6 +34,8 @@ class ProbeModel:
         material: E, G and density with where they come from.
         assumptions: what of the design is assumed, for every report.
         cross_section: which the fingerprint counts; the rod has its factors.
+        stiffness_spread: standard deviation of a common factor on E and G; None: by where E comes from.
+        creep_spread: likewise of how far it relaxes while touches are fused.
     """
 
     name: str
@@ -49,6 +51,8 @@ class ProbeModel:
     material: dict[str, Quantity] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
     cross_section: CrossSection = FULL_ROUND
+    stiffness_spread: float | None = None
+    creep_spread: float = 0.0
 
     @property
     def mass(self) -> float:

@@ -7,7 +7,7 @@ that of the batch over the nodes' means.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,7 +80,7 @@ class Tracker:
 
     Attributes:
         estimator: of the probe.
-        unknowns: what is not known.
+        unknowns: what is not known; as the design's material has it if None.
         gravity_world: [m/s²], (3,).
         moments_only, moments_about: as in `Estimator.fuse`.
         rate: of readings [Hz], each one sample of the sensor, not averaged.
@@ -88,7 +88,7 @@ class Tracker:
     """
 
     estimator: Estimator
-    unknowns: Unknowns = field(default_factory=Unknowns)
+    unknowns: Unknowns | None = None
     gravity_world: ArrayLike = (0.0, 0.0, -9.81)
     moments_only: bool = False
     moments_about: MomentsAbout = "sensor"
@@ -103,6 +103,7 @@ class Tracker:
         if self.nodes < 2:
             raise InputError(f"nodes = {self.nodes} must be 2 or more")
         model = self.estimator.model
+        self._unknowns = self.unknowns or Unknowns.of(model)
         self._detector = Detector(model, self.rate)
         self._channels = channels_of(model, self.moments_about if self.moments_only else None)
         self._cov = model.noise_base() * model.averaging_samples
@@ -177,12 +178,12 @@ class Tracker:
         return self._nodes[-1]
 
     def _fusion(self) -> Fusion:
-        anchor = [self._free] if self._free is not None and self.unknowns.bias_steps > 0.0 else []
+        anchor = [self._free] if self._free is not None and self._unknowns.bias_steps > 0.0 else []
         readings = tuple(
             Reading(node.wrench, self._cov / node.count, node.T, node.gravity, node.touched)
             for node in [*anchor, *self._nodes]
         )
-        return Fusion(self.estimator.model, readings, self.unknowns, self._channels)
+        return Fusion(self.estimator.model, readings, self._unknowns, self._channels)
 
     def _solve(self, node: Node) -> Fused:
         """The answer over all nodes: a whole batch at first, then one step from the last one."""

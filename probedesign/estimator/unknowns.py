@@ -4,7 +4,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 from probedesign.errors import InputError
+from probedesign.estimator.model import ProbeModel
 
+IDENTIFIED = 0.005
+"""What an identification on the bench leaves of the stiffness, relative. Assumed."""
 Source = Literal["stiffness", "bias", "robot"]
 
 
@@ -37,6 +40,15 @@ class Unknowns:
             value = getattr(self, entry.name)
             if not 0.0 <= value < float("inf"):
                 raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
+
+    @classmethod
+    def of(cls, model: ProbeModel) -> "Unknowns":
+        """As the design's material has it; E that was identified on the bench is known six times as well."""
+        stiffness = model.stiffness_spread
+        if stiffness is None:
+            E = model.material.get("youngs_modulus")
+            stiffness = IDENTIFIED if E is not None and E.provenance == "identified" else cls.stiffness
+        return cls(stiffness=stiffness, creep=model.creep_spread)
 
     @classmethod
     def none(cls) -> "Unknowns":

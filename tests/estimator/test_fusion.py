@@ -132,6 +132,17 @@ def test_creep_is_counted_where_it_is_said(large, gravity):
     assert creeping.ok and creeping.rms > without.rms
 
 
+def test_the_designs_material_says_how_well_its_stiffness_is_known(large):
+    from dataclasses import replace
+
+    model = large.model  # the paper identified its prints
+    assert Unknowns.of(model) == Unknowns(stiffness=0.005)
+    E = replace(model.material["youngs_modulus"], provenance="assumed")
+    assert Unknowns.of(replace(model, material={**model.material, "youngs_modulus": E})) == Unknowns()
+    said = Unknowns.of(replace(model, stiffness_spread=0.1, creep_spread=0.02))
+    assert (said.stiffness, said.creep) == (0.1, 0.02)
+
+
 # What it does not answer
 
 
