@@ -1,11 +1,17 @@
-"""`python -m benchmarks [rod|peak|start|estimation ...]`: every part, or those named, in one run."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection ...]`: every part, or those named, in one run."""
 
 import sys
 
-from benchmarks import estimation, peak, rod, start
+from benchmarks import detection, estimation, peak, rod, start
 from benchmarks.timing import print_machine
 
-PARTS = {"rod": rod.report, "peak": peak.report, "start": start.report, "estimation": estimation.report}
+PARTS = {
+    "rod": rod.report,
+    "peak": peak.report,
+    "start": start.report,
+    "estimation": estimation.report,
+    "detection": detection.report,
+}
 
 
 def main(names: list[str]) -> int:

@@ -1,0 +1,41 @@
+"""The sequential contact test: false alarms over hours of a free probe, and how light a touch it tells how soon."""
+
+import time
+
+import numpy as np
+
+from benchmarks.cases import GRAVITY
+from benchmarks.timing import print_table, shown
+from benchmarks.touches import paper_models
+from probedesign.estimator.detector import Detector
+
+HOURS, MINUTE = 4, 7000 * 60
+
+
+def report() -> None:
+    """Print the table."""
+    model = paper_models()["large"]
+    detector, rng = Detector(model, 7000.0, 1.0), np.random.default_rng(6)
+    root = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
+    alarms, spent = 0, 0.0
+    for _ in range(60 * HOURS):
+        samples = rng.normal(size=(MINUTE, 6)) @ root.T
+        start = time.perf_counter()
+        said = np.array(detector.run(samples))
+        spent += time.perf_counter() - start
+        alarms += int(((said[1:] == "contact") & (said[:-1] != "contact")).sum() + (said[0] == "contact"))
+    by_force = {
+        place: model.rod.solve(GRAVITY, (0.0, 0.0, 0.0), place * model.rod.length, columns="load")
+        for place in (0.2, 0.5, 0.9)
+    }
+    rows = []
+    for length in detector.lengths:
+        told = []
+        for eq in by_force.values():
+            assert eq.sensitivity is not None
+            told.append(f"{1e3 * detector.detectable(eq.sensitivity.d_wrench[:, 1], length):.2g} mN")
+        rows.append([f"{length} samples, {1e3 * length / 7000.0:.3g} ms", *told])
+    print_table("Contact test at 7 kHz, large probe: told every other time, by place over L",
+                ["within", *(f"at {place:g}" for place in by_force)], rows)  # fmt: skip
+    print(f"  false alarms: {alarms} in {HOURS} simulated hours, one an hour stated; "
+          f"{shown(spent / (HOURS * 60 * MINUTE))} a sample, names included")  # fmt: skip
