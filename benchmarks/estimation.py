@@ -35,7 +35,7 @@ from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.units import MM
 
-SINGLES, FUSIONS, ON_TABLE, NEGATIVES, CASES = 2000, 150, 200, 60, 30
+SINGLES, FUSIONS, ON_TABLE, NEGATIVES, CASES = 2000, 100, 200, 60, 20
 """How many draws each table rests on."""
 LIMIT = 5.0 * MM
 """Largest bound that counts."""

@@ -68,6 +68,8 @@ def _under_moment(rod: Rod, gravity: Array, moment: Array, s: float) -> Equilibr
 
 def meetings(curves: list[Curve]) -> list[tuple[int, ...]]:
     """Where curves come nearest to each other: a station of each, for every local minimum, nearest first."""
+    if len(curves) < 2:
+        return []
     first = curves[0].points
     stations, total = [np.arange(STATIONS)], np.zeros(STATIONS)
     for other in curves[1:]:

@@ -14,13 +14,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
-from probedesign.estimator.curves import curve, meetings
+from probedesign.estimator.curves import Curve, curve, meetings
 from probedesign.estimator.estimate import Result
 from probedesign.estimator.fused import Fused
 from probedesign.estimator.model import ProbeModel
@@ -36,6 +36,7 @@ POINT, STIFFNESS, OFFSET = slice(0, 3), 3, slice(4, 7)
 """Of the unknowns: where the fixed point is, the logarithm of the stiffness, the base's offset in its own axes."""
 _UNKNOWN = 7
 _STARTS = 3
+_ANYWHERE = (4, 10, 16, 22)  # stations to start from where no meeting of the curves leads anywhere
 _MAX_ITERATIONS = 30
 _CLOSE = 1e-3  # of a standard deviation
 _NEAR = 1e-9  # [m]
@@ -67,6 +68,11 @@ class Reading:
         seen: Array = self.T_world_base[:3, :3].T @ (p_world - self.T_world_base[:3, 3])
         return seen
 
+    def turned(self, v_base: Array) -> Array:
+        """A vector of the base's in the world's axes, (3,)."""
+        v_world: Array = self.T_world_base[:3, :3] @ v_base
+        return v_world
+
     def to_world(self, p_base: Array) -> Array:
         """A point of the base's in the world [m], (3,)."""
         there: Array = self.T_world_base[:3, :3] @ p_base + self.T_world_base[:3, 3]
@@ -93,6 +99,22 @@ class Linear:
         """These readings and others after them."""
         return Linear(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in
                         ("misfit", "design", "by_place", "noise")))  # fmt: skip
+
+
+class Normal(NamedTuple):
+    """What the normal equations tell of one guess.
+
+    Attributes:
+        cov: of the unknowns, (7, 7).
+        step: to where the misfit is least, (7,).
+        chi2: the misfit at the guess, priors included.
+        shifts: how far each base was likely off for itself, in base axes [m], (k, 3).
+    """
+
+    cov: Array
+    step: Array
+    chi2: float
+    shifts: Array
 
 
 @dataclass(frozen=True)
@@ -157,8 +179,12 @@ class Fusion:
         """Every place that explains the readings, best first, and which point stands still; or why there is none."""
         if not self._enough():
             return Fused("unobservable")
-        starts = self._starts()
-        centre = _distinct(self._run(pushes, "contact") for pushes in starts)
+        curves = self._curves()
+        centre: list[Solution] = []
+        for places in (meetings(curves)[:_STARTS], [(j,) * len(curves) for j in _ANYWHERE]):
+            centre = centre or _distinct(
+                self._run(self._pushes(curves, place), "contact") for place in places
+            )
         if not centre:
             return Fused("not_converged")
         surface = _distinct(self._run(_pushes(found), "surface") for found in centre)
@@ -172,20 +198,18 @@ class Fusion:
         differ = any(not np.allclose(touched[0], T, atol=_NEAR) for T in touched[1:])
         return differ or not self._moments_only
 
-    def _starts(self) -> list[tuple[Push | None, ...]]:
-        """Pushes to start from, where the curves of the readings meet."""
-        touched = [reading for reading in self.readings if reading.touched]
-        curves = [
+    def _curves(self) -> list[Curve]:
+        """What each touch's moment leaves open; the point lies where they meet."""
+        return [
             curve(self.model.rod, reading.gravity, reading.wrench[3:6], reading.T_world_base)
-            for reading in touched
+            for reading in self.readings
+            if reading.touched
         ]
-        starts = []
-        for stations in meetings(curves)[:_STARTS] if len(curves) > 1 else [(j,) for j in range(3, 24, 5)]:
-            pushes = iter([of.pushes[j] for of, j in zip(curves, stations, strict=True)])
-            listed = tuple(next(pushes) if reading.touched else None for reading in self.readings)
-            if all(push is not None for push, r in zip(listed, self.readings, strict=True) if r.touched):
-                starts.append(listed)
-        return starts
+
+    def _pushes(self, curves: list[Curve], stations: tuple[int, ...]) -> tuple[Push | None, ...]:
+        """The pushes at a station of each curve, None for readings without contact."""
+        pushes = iter([of.pushes[j] for of, j in zip(curves, stations, strict=True)])
+        return tuple(next(pushes) if reading.touched else None for reading in self.readings)
 
     def _choose(self, centre: list[Solution], surface: list[Solution]) -> tuple[list[Solution], Fixed]:
         """The touched point stands still, unless the readings speak for the centreline's."""
@@ -194,7 +218,9 @@ class Fusion:
         return centre, "contact"
 
     def _run(self, pushes: tuple[Push | None, ...], fixed: Fixed) -> Solution | None:
-        """Gauss and Newton from one guess."""
+        """Gauss and Newton from one guess; None if a touch has no push to start from."""
+        if any(push is None and reading.touched for push, reading in zip(pushes, self.readings, strict=True)):
+            return None
         x, most = np.zeros(_UNKNOWN), 0.1 * self.model.rod.length
         pressed = self._press(pushes, 0.0, fixed)
         if pressed is None:
@@ -203,21 +229,13 @@ class Fusion:
         x[POINT] = np.mean(there, axis=0)
         for iteration in range(_MAX_ITERATIONS):
             linear = self.linear(pressed, x)
-            cov, step, chi2 = self.normal(linear, x)
-            if not np.isfinite(step).all():
+            normal = self.normal(linear, x)
+            if not np.isfinite(normal.step).all():
                 return None
-            small = (np.abs(step) <= _CLOSE * np.sqrt(np.diag(cov)) + _EXACT).all()
-            settled = all(
-                np.linalg.norm(p.towards_normal) <= 1e-3 * abs(p.push.magnitude) + 1e-9
-                and np.linalg.norm(r.to_base(x[POINT]) - x[OFFSET] - p.p_fixed)
-                <= 1e-6 + 1e-3 * math.sqrt(cov[0, 0])
-                for r, p in zip(self.readings, pressed, strict=True)
-                if p is not None
-            )
-            if small and settled:
-                return Solution(x, cov, chi2, pressed, linear, iteration)
-            x_new = x + share_of(step, most) * step
-            moved = self._moved(pressed, x, x_new, most)
+            if self._ended(pressed, x, normal):
+                return Solution(x, normal.cov, normal.chi2, pressed, linear, iteration)
+            x_new = x + share_of(normal.step, most) * normal.step
+            moved = self._moved(pressed, x_new, normal.shifts, most)
             pressed_new = self._press(moved, float(x_new[STIFFNESS]), fixed)
             if pressed_new is None:
                 most *= 0.25
@@ -227,14 +245,25 @@ class Fusion:
             x, pressed = x_new, pressed_new
         return None
 
+    def _ended(self, pressed: tuple[Pressed | None, ...], x: Array, normal: Normal) -> bool:
+        """Whether the next step is nothing beside what is not known, and every touch is where it belongs."""
+        if (np.abs(normal.step) > _CLOSE * np.sqrt(np.diag(normal.cov)) + _EXACT).any():
+            return False
+        near = 1e-6 + _CLOSE * math.sqrt(float(np.trace(normal.cov[POINT, POINT])))
+        return all(
+            np.linalg.norm(p.towards_normal) <= _CLOSE * abs(p.push.magnitude) + 1e-9
+            and np.linalg.norm(target(r, x, shift) - p.p_fixed) <= near
+            for r, p, shift in zip(self.readings, pressed, normal.shifts, strict=True)
+            if p is not None
+        )
+
     def _moved(
-        self, pressed: tuple[Pressed | None, ...], x: Array, x_new: Array, most: float
+        self, pressed: tuple[Pressed | None, ...], x: Array, shifts: Array, most: float
     ) -> tuple[Push | None, ...]:
         """The pushes that put each fixed point where the unknowns say."""
-        stiffer_by = float(x_new[STIFFNESS] - x[STIFFNESS])
         return tuple(
-            None if p is None else p.moved(r.to_base(x_new[POINT]) - x_new[OFFSET], stiffer_by, most)
-            for r, p in zip(self.readings, pressed, strict=True)
+            None if p is None else p.moved(target(r, x, shift), float(x[STIFFNESS]), most)
+            for r, p, shift in zip(self.readings, pressed, shifts, strict=True)
         )
 
     def _press(
@@ -275,7 +304,7 @@ class Fusion:
                 free, by_stiffness = self._free_wrenches[k]
                 modelled = free + by_stiffness * x[STIFFNESS]
             else:
-                modelled = p.wrench_at(reading.to_base(x[POINT]) - x[OFFSET])
+                modelled = p.wrench_at(reading.to_base(x[POINT]) - x[OFFSET], float(x[STIFFNESS]))
                 by_place, by_stiffness = p.stiffness, p.by_stiffness
                 design[:, POINT] = by_place @ reading.T_world_base[:3, :3].T
                 design[:, OFFSET] = -by_place
@@ -310,8 +339,8 @@ class Fusion:
             V += creep**2 * np.outer(grown, grown)
         return V
 
-    def normal(self, linear: Linear, x: Array) -> tuple[Array, Array, float]:
-        """Covariance of the unknowns, the step that the normal equations ask for, and the misfit."""
+    def normal(self, linear: Linear, x: Array) -> Normal:
+        """The normal equations of the readings as they are linearised, at the unknowns x."""
         prior = self._prior()
         V = cho_factor(self.covariance(linear, self.unknowns), lower=True)
         weighted = cho_solve(V, np.column_stack([linear.design, linear.misfit]))
@@ -319,7 +348,10 @@ class Fusion:
         lack = linear.design.T @ weighted[:, -1]
         lack[STIFFNESS:] -= x[STIFFNESS:] / prior**2
         chi2 = float(linear.misfit @ weighted[:, -1] + ((x[STIFFNESS:] / prior) ** 2).sum())
-        return cov, cov @ lack, chi2
+        step = cov @ lack
+        left = (weighted[:, -1] - weighted[:, :-1] @ step).reshape(len(linear.by_place), -1)
+        shifts = self.unknowns.base_repeat**2 * np.einsum("kmi,km->ki", linear.by_place, left)
+        return Normal(cov, step, chi2, shifts)
 
     def rms(self, linear: Linear, unknowns: Unknowns) -> float:
         """Of the fixed point [m], by the bound."""
@@ -356,12 +388,11 @@ class Fusion:
         )
         if result != "ok":
             return told
-        offset = best.x[OFFSET]
         by_unknowns = np.mean([_contact_by_unknowns(r, p) for r, p in touched], axis=0)
         return replace(
             told,
-            p_contact_world=_mean(r.to_world(p.p_contact + offset) for r, p in touched),
-            p_surface_world=_mean(r.to_world(p.p_surface + offset) for r, p in touched),
+            p_contact_world=best.x[POINT] + _mean(r.turned(p.p_contact - p.p_fixed) for r, p in touched),
+            p_surface_world=best.x[POINT] + _mean(r.turned(p.p_surface - p.p_fixed) for r, p in touched),
             cov_contact_world=by_unknowns @ best.cov @ by_unknowns.T,
             cov_fixed_world=best.cov[POINT, POINT],
             s_contact=np.array([np.nan if p is None else p.push.s for p in best.pressed]),
@@ -391,9 +422,8 @@ class Fusion:
         if len(touched) > 1:
             way = last.T_world_base[:3, 3] - touched[-2][0].T_world_base[:3, 3]
             on = replace(last, T_world_base=pose(last.T_world_base[:3, :3], last.T_world_base[:3, 3] + way))
-            target = on.to_base(best.x[POINT]) - best.x[OFFSET]
-            log_stiffness = float(best.x[STIFFNESS])
-            further = settle(self.model.rod, on.gravity, p.push, p.fixed, target, 1e-6, log_stiffness)
+            point, log_stiffness = target(on, best.x, np.zeros(3)), float(best.x[STIFFNESS])
+            further = settle(self.model.rod, on.gravity, p.push, p.fixed, point, 1e-6, log_stiffness)
             if further is not None:
                 pressed_on = replace(self, readings=(on,)).linear((further,), best.x)
                 gains["further press"] = self.rms(best.linear.repeated(pressed_on), self.unknowns)
@@ -402,6 +432,11 @@ class Fusion:
 
 def _pushes(found: Solution) -> tuple[Push | None, ...]:
     return tuple(None if p is None else p.push for p in found.pressed)
+
+
+def target(reading: Reading, x: Array, shift: Array) -> Array:
+    """Where the fixed point is seen from the base, that being off by `shift` for itself [m], (3,)."""
+    return reading.to_base(x[POINT]) - x[OFFSET] + shift
 
 
 def share_of(step: Array, most: float) -> float:

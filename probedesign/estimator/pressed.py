@@ -68,6 +68,7 @@ class Pressed:
         d_force: of the force by θ, (3, 4).
         towards_normal: what makes the force normal [N], (3,).
         tip: the tip's section, (6,).
+        log_stiffness: by which E and G were greater than the rod's.
     """
 
     push: Push
@@ -82,6 +83,7 @@ class Pressed:
     d_force: Array
     towards_normal: Array
     tip: Array
+    log_stiffness: float
 
     @property
     def p_fixed(self) -> Array:
@@ -116,16 +118,16 @@ class Pressed:
         by_point = self.d_contact[:, :3] @ self.by_point
         return by_point, self.d_contact[:, STIFFNESS] - by_point @ self.d_fixed[:, STIFFNESS]
 
-    def wrench_at(self, point: Array) -> Array:
-        """What would be read if the fixed point were there, to first order, (6,)."""
-        linear: Array = self.wrench + self.stiffness @ (point - self.p_fixed)
+    def wrench_at(self, point: Array, log_stiffness: float) -> Array:
+        """What would be read if the fixed point were there, with such a stiffness, to first order, (6,)."""
+        stiffer = self.by_stiffness * (log_stiffness - self.log_stiffness)
+        linear: Array = self.wrench + self.stiffness @ (point - self.p_fixed) + stiffer
         return linear
 
     def moved(self, point: Array, log_stiffness: float, most: float) -> Push:
-        """The next guess: the fixed point there and the stiffness so much more, no further than `most` [m] along s."""
-        step = np.append(
-            self.by_point @ (point - self.p_fixed - self.d_fixed[:, 3] * log_stiffness), log_stiffness
-        )
+        """The next guess: the fixed point there, with such a stiffness, no further than `most` [m] along s."""
+        more = log_stiffness - self.log_stiffness
+        step = np.append(self.by_point @ (point - self.p_fixed - self.d_fixed[:, STIFFNESS] * more), more)
         share = min(1.0, most / max(abs(step[0]), 1e-300))
         if self.fixed == "surface":
             share = min(share, 0.5 / max(abs(step[1]), 1e-300))
@@ -172,7 +174,7 @@ def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed, log_stiffness: flo
     return Pressed(
         push, rod.length, fixed, wrench, d_wrench, answer[kernel.POINT : kernel.D_POINT],
         answer[kernel.SURFACE : kernel.D_SURFACE], answer[kernel.D_POINT : kernel.SURFACE].reshape(3, 4),
-        answer[kernel.D_SURFACE : kernel.D_FORCE].reshape(3, 4), d_force, towards, tip,
+        answer[kernel.D_SURFACE : kernel.D_FORCE].reshape(3, 4), d_force, towards, tip, log_stiffness,
     )  # fmt: skip
 
 
@@ -187,5 +189,5 @@ def settle(
         normal = float(np.linalg.norm(pressed.towards_normal)) <= 1e-6 * abs(push.magnitude) + 1e-12
         if np.linalg.norm(pressed.p_fixed - point) <= close and normal:
             return pressed
-        push = pressed.moved(point, 0.0, 0.1 * rod.length)
+        push = pressed.moved(point, log_stiffness, 0.1 * rod.length)
     return None

@@ -7,7 +7,7 @@ that of the batch over the nodes' means.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +45,7 @@ class Node:
     Attributes:
         wrench: (6,); T: of the base, (4, 4); gravity: in base axes (3,); count: of readings; touched: whether.
         pressed: as it was linearised last, None if not yet or free.
+        shift: how far the base was likely off there for itself [m], (3,).
     """
 
     wrench: Array
@@ -53,6 +54,7 @@ class Node:
     count: int
     touched: bool
     pressed: Pressed | None = None
+    shift: Array = field(default_factory=lambda: np.zeros(3))
 
     def take(self, wrench: Array, most: float = math.inf) -> None:
         """One more reading."""
@@ -198,9 +200,12 @@ class Tracker:
                 return Fused("not_converged")
         pressed = (*[None] * anchors, *[one.pressed for one in self._nodes])
         linear = fusion.linear(pressed, self._x)
-        cov, step, chi2 = fusion.normal(linear, self._x)
-        x = self._x + share_of(step, 0.1 * self.estimator.model.rod.length) * step
-        told = fusion.answer([Solution(x, cov, chi2, pressed, linear, 1)], self._fixed, brief=True)
+        normal = fusion.normal(linear, self._x)
+        for one, shift in zip(self._nodes, normal.shifts[anchors:], strict=True):
+            one.shift = shift
+        x = self._x + share_of(normal.step, 0.1 * self.estimator.model.rod.length) * normal.step
+        solution = Solution(x, normal.cov, normal.chi2, pressed, linear, 1)
+        told = fusion.answer([solution], self._fixed, brief=True)
         # What fits no more may have run away, so a batch looks again; what no batch can fit stays so.
         self._x = None if told.result == "inconsistent" or not np.isfinite(x).all() else x
         return told
@@ -228,8 +233,8 @@ class Tracker:
         assert self._x is not None
         assert node.pressed is not None
         rod = self.estimator.model.rod
-        point = node.T[:3, :3].T @ (self._x[POINT] - node.T[:3, 3]) - self._x[OFFSET]
-        push = node.pressed.moved(point, 0.0, 0.1 * rod.length)
+        point = node.T[:3, :3].T @ (self._x[POINT] - node.T[:3, 3]) - self._x[OFFSET] + node.shift
+        push = node.pressed.moved(point, float(self._x[STIFFNESS]), 0.1 * rod.length)
         found = press(rod, node.gravity, push, self._fixed, float(self._x[STIFFNESS]))
         if found is not None:
             node.pressed = found
