@@ -6,18 +6,17 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from probedesign.errors import InputError
 from probedesign.estimator import likelihood, paper
 from probedesign.estimator.estimate import Candidate, Estimate, Result
-from probedesign.estimator.fused import Fused
-from probedesign.estimator.fusion import Fusion, MomentsAbout, Reading, channels_of
+from probedesign.estimator.fused import Fused, MomentsAbout
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.observation import Observation
 from probedesign.estimator.unknowns import Unknowns
-from probedesign.frames import Array, is_pose
+from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.sensor import Noise
 
@@ -159,29 +158,10 @@ class Estimator:
         Raises:
             InputError: an argument has the wrong shape.
         """
-        fused_from = _checked_readings(wrenches_base, Ts_world_base, gravity_world, touched)
-        wrenches, poses, gravity, contact = fused_from
-        needed = wrenches[:, 3:] if moments_only and moments_about == "base" else wrenches
-        good_poses = all(is_pose(T) for T in poses)
-        if not (np.isfinite(needed).all() and good_poses and np.isfinite(gravity).all()):
-            return Fused("out_of_range")
-        readings = tuple(
-            Reading(np.nan_to_num(w), Observation.of(self.model, np.nan_to_num(w), g).cov, T, g, bool(c))
-            for w, T, g, c in zip(wrenches, poses, gravity @ poses[:, :3, :3], contact, strict=True)
-        )
-        if not all(self._believable(reading, moments_only) for reading in readings):
-            return Fused("out_of_range")
-        if not all(self.free(reading.gravity).ok for reading in readings):
-            return Fused("not_converged")
-        channels = channels_of(self.model, moments_about if moments_only else None)
-        fusion = Fusion(self.model, readings, unknowns or Unknowns.of(self.model), channels)
-        return fusion.solve()
+        from probedesign.estimator.fuse import fuse  # only who fuses waits for it
 
-    def _believable(self, reading: Reading, moments_only: bool) -> bool:
-        """Whether the sensor can have read this."""
-        read = self.model.to_sensor(reading.wrench, reading.gravity)
-        of = slice(3, 6) if moments_only else slice(0, 6)
-        return bool((np.abs(read[of]) <= self.model.wrench_range[of]).all())
+        return fuse(self.model, wrenches_base, Ts_world_base, gravity_world, touched, unknowns,
+                    moments_about if moments_only else None)  # fmt: skip
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
         """The untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
@@ -258,22 +238,3 @@ class Estimator:
         if any(abs(c.s_contact - best.s_contact) > 3.0 * (c.std_s + best.std_s) for c in rivals):
             return "ambiguous"
         return "ok"
-
-
-def _checked_readings(
-    wrenches_base: ArrayLike, Ts_world_base: ArrayLike, gravity_world: ArrayLike, touched: ArrayLike | None
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """The arguments of a fusion as arrays.
-
-    Raises:
-        InputError: a shape is wrong.
-    """
-    wrenches, poses = np.asarray(wrenches_base, dtype=float), np.asarray(Ts_world_base, dtype=float)
-    gravity, k = np.asarray(gravity_world, dtype=float), len(wrenches)
-    contact = np.ones(k, dtype=bool) if touched is None else np.asarray(touched, dtype=bool)
-    shapes = {"wrenches_base": (wrenches, (k, 6)), "Ts_world_base": (poses, (k, 4, 4)),
-              "gravity_world": (gravity, (3,)), "touched": (contact, (k,))}  # fmt: skip
-    for name, (array, shape) in shapes.items():
-        if array.shape != shape or k == 0:
-            raise InputError(f"{name} has shape {array.shape}; it must be {shape}, one or more readings k")
-    return wrenches, poses, gravity, contact

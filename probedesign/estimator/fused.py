@@ -1,12 +1,18 @@
 """What a fusion answers."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from probedesign.estimator.estimate import Result
-from probedesign.estimator.pressed import Fixed
 from probedesign.frames import Array
+
+Fixed = Literal["surface", "contact"]
+"""What of the touch stays at one point of the world: the touched point of the surface, as on a tip or an edge; or the
+point of the centreline, where the force's line meets it."""
+MomentsAbout = Literal["base", "sensor"]
+"""Where the moments are told about that count alone: the base's origin, or the sensor's own."""
 
 
 def _nan(*shape: int) -> Array:

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -22,9 +22,9 @@ from scipy.special import chdtri
 
 from probedesign.estimator.curves import Curve, curve, meetings
 from probedesign.estimator.estimate import Result
-from probedesign.estimator.fused import Fused
+from probedesign.estimator.fused import Fixed, Fused, MomentsAbout
 from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.pressed import Fixed, Pressed, Push, press, settle
+from probedesign.estimator.pressed import Pressed, Push, press, settle
 from probedesign.estimator.unknowns import Source, Unknowns
 from probedesign.frames import Array, pose, wrench_map
 
@@ -41,7 +41,6 @@ _MAX_ITERATIONS = 30
 _CLOSE = 1e-3  # of a standard deviation
 _NEAR = 1e-9  # [m]
 _EXACT = 1e-12  # a prior that is none, relative and in metres
-MomentsAbout = Literal["base", "sensor"]
 _SOURCES: tuple[Source, ...] = ("stiffness", "bias", "robot")
 
 

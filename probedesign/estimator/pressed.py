@@ -3,20 +3,16 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from probedesign.estimator import press_kernel as kernel
+from probedesign.estimator.fused import Fixed
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 from probedesign.rod.workspace import workspace
-
-Fixed = Literal["surface", "contact"]
-"""What of the touch stays at one point of the world: the touched point of the surface, as on a tip or an edge; or the
-point of the centreline, where the force's line meets it."""
 
 _COMPLIANCES = [kernels.BEND_X, kernels.BEND_Y, kernels.TWIST, kernels.SHEAR, kernels.STRETCH]
 STIFFNESS = 3

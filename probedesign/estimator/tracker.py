@@ -15,19 +15,18 @@ from numpy.typing import ArrayLike
 from probedesign.errors import InputError
 from probedesign.estimator.detector import Detector
 from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fused import Fused
+from probedesign.estimator.fused import Fixed, Fused, MomentsAbout
 from probedesign.estimator.fusion import (
     OFFSET,
     POINT,
     STIFFNESS,
     Fusion,
-    MomentsAbout,
     Reading,
     Solution,
     channels_of,
     share_of,
 )
-from probedesign.estimator.pressed import Fixed, Pressed, press
+from probedesign.estimator.pressed import Pressed, press
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array, is_pose
 
