@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
 from probedesign.estimator.curves import Curve, curve, meetings
@@ -296,26 +295,34 @@ class Fusion:
 
     def linear(self, pressed: tuple[Pressed | None, ...], x: Array) -> Linear:
         """All readings to first order, each touch's fixed point put where the unknowns say."""
-        rows = []
-        for k, (reading, p) in enumerate(zip(self.readings, pressed, strict=True)):
-            design, by_place = np.zeros((6, _UNKNOWN)), np.zeros((6, 3))
+        k = len(self.readings)
+        modelled, by_place, design = np.empty((k, 6)), np.zeros((k, 6, 3)), np.empty((k, 6, _UNKNOWN))
+        made_at, stiffness_at = np.zeros((k, 3)), np.zeros(k)
+        for i, p in enumerate(pressed):
             if p is None:
-                free, by_stiffness = self._free_wrenches[k]
-                modelled = free + by_stiffness * x[STIFFNESS]
+                modelled[i], design[i, :, STIFFNESS] = self._free_wrenches[i]
             else:
-                modelled = p.wrench_at(reading.to_base(x[POINT]) - x[OFFSET], float(x[STIFFNESS]))
-                by_place, by_stiffness = p.stiffness, p.by_stiffness
-                design[:, POINT] = by_place @ reading.T_world_base[:3, :3].T
-                design[:, OFFSET] = -by_place
-            design[:, STIFFNESS] = by_stiffness
-            rows.append((reading.wrench - modelled, design, by_place, reading.cov))
+                modelled[i], design[i, :, STIFFNESS] = p.wrench, p.by_stiffness
+                by_place[i], made_at[i], stiffness_at[i] = p.stiffness, p.p_fixed, p.log_stiffness
+        R, origins = self._poses[:, :3, :3], self._poses[:, :3, 3]
+        points = ((x[POINT] - origins)[:, None] @ R)[:, 0] - x[OFFSET]
+        modelled += (by_place @ (points - made_at)[:, :, None])[:, :, 0]
+        modelled += design[:, :, STIFFNESS] * (x[STIFFNESS] - stiffness_at)[:, None]
+        design[:, :, POINT] = by_place @ R.transpose(0, 2, 1)
+        design[:, :, OFFSET] = -by_place
         of = self.channels
-        return Linear(
-            np.concatenate([of @ row[0] for row in rows]),
-            np.concatenate([of @ row[1] for row in rows]),
-            np.array([of @ row[2] for row in rows]),
-            np.array([of @ row[3] @ of.T for row in rows]),
-        )
+        misfit = (np.array([reading.wrench for reading in self.readings]) - modelled) @ of.T
+        return Linear(misfit.ravel(), (of @ design).reshape(-1, _UNKNOWN), of @ by_place, self._noise)
+
+    @cached_property
+    def _poses(self) -> Array:
+        return np.array([reading.T_world_base for reading in self.readings])
+
+    @cached_property
+    def _noise(self) -> Array:
+        """Of the channels that count, (k, m, m)."""
+        noise: Array = self.channels @ np.array([reading.cov for reading in self.readings]) @ self.channels.T
+        return noise
 
     def _prior(self) -> Array:
         """Standard deviations of the unknowns but the point, (4,)."""
@@ -330,9 +337,9 @@ class Fusion:
         bias = unknowns.bias_steps**2 + unknowns.bias_walk_steps**2 * walked
         V = np.asarray(np.kron(bias, step), dtype=float)
         creep = unknowns.creep
-        for i in range(k):
-            o = slice(m * i, m * (i + 1))
-            V[o, o] += linear.noise[i] + unknowns.base_repeat**2 * linear.by_place[i] @ linear.by_place[i].T
+        i = np.arange(k)
+        scatter = unknowns.base_repeat**2 * linear.by_place @ linear.by_place.transpose(0, 2, 1)
+        V.reshape(k, m, k, m)[i, :, i] += linear.noise + scatter
         if creep:
             grown = linear.design[:, STIFFNESS] * np.repeat(np.arange(k) / max(k - 1, 1), m)
             V += creep**2 * np.outer(grown, grown)
@@ -341,8 +348,8 @@ class Fusion:
     def normal(self, linear: Linear, x: Array) -> Normal:
         """The normal equations of the readings as they are linearised, at the unknowns x."""
         prior = self._prior()
-        V = cho_factor(self.covariance(linear, self.unknowns), lower=True)
-        weighted = cho_solve(V, np.column_stack([linear.design, linear.misfit]))
+        V = self.covariance(linear, self.unknowns)
+        weighted = np.linalg.solve(V, np.column_stack([linear.design, linear.misfit]))
         cov = _inverted(linear.design.T @ weighted[:, :-1], prior)
         lack = linear.design.T @ weighted[:, -1]
         lack[STIFFNESS:] -= x[STIFFNESS:] / prior**2
@@ -354,8 +361,7 @@ class Fusion:
 
     def rms(self, linear: Linear, unknowns: Unknowns) -> float:
         """Of the fixed point [m], by the bound."""
-        V = cho_factor(self.covariance(linear, unknowns), lower=True)
-        information = linear.design.T @ cho_solve(V, linear.design)
+        information = linear.design.T @ np.linalg.solve(self.covariance(linear, unknowns), linear.design)
         prior = replace(self, unknowns=unknowns)._prior()
         return math.sqrt(max(float(np.trace(_inverted(information, prior)[POINT, POINT])), 0.0))
 
@@ -387,7 +393,9 @@ class Fusion:
         )
         if result != "ok":
             return told
-        by_unknowns = np.mean([_contact_by_unknowns(r, p) for r, p in touched], axis=0)
+        by_unknowns = _contact_by_unknowns(
+            np.array([r.T_world_base[:3, :3] for r, _ in touched]), [p for _, p in touched]
+        )
         return replace(
             told,
             p_contact_world=best.x[POINT] + _mean(r.turned(p.p_contact - p.p_fixed) for r, p in touched),
@@ -444,14 +452,14 @@ def share_of(step: Array, most: float) -> float:
     return min(1.0, most / max(far, 1e-300), 0.2 / max(abs(float(step[STIFFNESS])), 1e-300))
 
 
-def _contact_by_unknowns(reading: Reading, pressed: Pressed) -> Array:
-    """Of the centreline's point in the world by the unknowns, (3, 7)."""
-    R = reading.T_world_base[:3, :3]
-    by_point, by_stiffness = pressed.contact_by_fixed()
-    found = np.zeros((3, _UNKNOWN))
-    found[:, POINT] = R @ by_point @ R.T
-    found[:, STIFFNESS] = R @ by_stiffness
-    found[:, OFFSET] = R @ (np.eye(3) - by_point)
+def _contact_by_unknowns(R: Array, pressed: list[Pressed]) -> Array:
+    """Of the centreline's mean point in the world by the unknowns, (3, 7); R: the bases' turns, (k, 3, 3)."""
+    by_point = R @ np.array([p.contact_by_fixed[0] for p in pressed])
+    by_stiffness = np.array([p.contact_by_fixed[1] for p in pressed])
+    found = np.empty((3, _UNKNOWN))
+    found[:, POINT] = (by_point @ R.transpose(0, 2, 1)).mean(axis=0)
+    found[:, STIFFNESS] = (R @ by_stiffness[:, :, None])[:, :, 0].mean(axis=0)
+    found[:, OFFSET] = (R - by_point).mean(axis=0)
     return found
 
 

@@ -109,16 +109,11 @@ class Pressed:
         held: Array = self.d_wrench[:, STIFFNESS] - self.stiffness @ self.d_fixed[:, STIFFNESS]
         return held
 
+    @cached_property
     def contact_by_fixed(self) -> tuple[Array, Array]:
         """Of the centreline's point by the fixed one, (3, 3), and by log stiffness with that held, (3,)."""
         by_point = self.d_contact[:, :3] @ self.by_point
         return by_point, self.d_contact[:, STIFFNESS] - by_point @ self.d_fixed[:, STIFFNESS]
-
-    def wrench_at(self, point: Array, log_stiffness: float) -> Array:
-        """What would be read if the fixed point were there, with such a stiffness, to first order, (6,)."""
-        stiffer = self.by_stiffness * (log_stiffness - self.log_stiffness)
-        linear: Array = self.wrench + self.stiffness @ (point - self.p_fixed) + stiffer
-        return linear
 
     def moved(self, point: Array, log_stiffness: float, most: float) -> Push:
         """The next guess: the fixed point there, with such a stiffness, no further than `most` [m] along s."""

@@ -1,9 +1,9 @@
 """The fusion of `fusion.py` as readings come: bounded time and memory, forgetting when the touch is lost.
 
 Readings from nearly one pose are kept as their mean, a node; no more than so many nodes are kept, and the two that lie
-closest become one where there is one too many. Each update puts its reading into a node, linearises that node anew and
-one other in turn, and takes one step of Gauss and Newton over all nodes as they were linearised last. So the answer is
-that of the batch over the nodes' means.
+closest become one where there is one too many. Each update puts its reading into a node, linearises that node anew,
+now and then one of the others in turn, and takes one step of Gauss and Newton over all nodes as they were linearised
+last. So the answer is that of the batch over the nodes' means.
 """
 
 import math
@@ -31,6 +31,8 @@ from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array, is_pose
 
 MOST_NODES = 8
+IN_TURN = 4
+"""Readings after which one of the older nodes is linearised anew too."""
 _APART = 5e-6
 """Poses nearer than this [m], and their rotations [rad] likewise over a tenth of a metre, are one."""
 _ANCHOR = 7000
@@ -192,8 +194,9 @@ class Tracker:
         if self._x is None:
             return self._begin(fusion)
         anchors = len(fusion.readings) - len(self._nodes)
-        self._turn = (self._turn + 1) % len(self._nodes)
-        for one in (node, self._nodes[self._turn]):
+        self._turn += 1
+        older = self._nodes[self._turn // IN_TURN % len(self._nodes)]
+        for one in (node, older) if self._turn % IN_TURN == 0 and older is not node else (node,):
             if not self._linearise(one):
                 self._x = None
                 return Fused("not_converged")
