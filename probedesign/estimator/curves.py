@@ -3,6 +3,7 @@
 The point that was touched from several poses lies where their curves meet; that is where a fusion starts.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from probedesign.rod.rod import Rod
 STATIONS = 24
 NEAREST = 0.04
 """Of the stations to the base, over the length."""
+MOST_BENT = 6.0
+"""F s² r(0)/(E I(0) r(s)) of a push beyond which no probe holds it; looking for its equilibrium would take long."""
 _ITERATIONS = 3
 
 
@@ -54,7 +57,11 @@ def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve
 def _under_moment(rod: Rod, gravity: Array, moment: Array, s: float) -> Equilibrium | None:
     """The equilibrium under the force across the section at s whose base moment comes nearest to the one read."""
     force, best = np.zeros(3), None
+    radius = float(np.interp(s, rod.s, rod.radius))
+    most = MOST_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
     for _ in range(_ITERATIONS):
+        if math.sqrt(force @ force) > most:
+            return None
         eq = rod.solve(gravity, force, s, columns="load")
         if not eq.ok or eq.sensitivity is None:
             break
