@@ -25,7 +25,7 @@ RESULTS: dict[Result, str] = {
     "no_contact": "the reading is that of the free probe under gravity",
     "too_light": "something touches, but the reading does not tell where",
     "ambiguous": "several places explain the reading; see candidates",
-    "inconsistent": "no single contact explains the reading",
+    "inconsistent": "no single contact without friction explains the reading",
     "unobservable": "the force does not bend the probe, so its place leaves no trace",
     "out_of_range": "the reading is not finite, beyond the sensor, or asks for a contact off the probe",
     "not_converged": "no equilibrium was found",

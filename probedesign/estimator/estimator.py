@@ -109,11 +109,14 @@ class Estimator:
         if not self._exceeds(chi2):
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
         if method == "paper":
-            found = paper.locate(self.model.rod, seen)
-        else:
-            start = near.candidates[0] if near is not None and near.candidates else None
-            found = likelihood.locate(self.model.rod, seen, start) or paper.locate(self.model.rod, seen)
-        return self._decide(found, chi2, len(window))
+            return self._decide(paper.locate(self.model.rod, seen), chi2, len(window))
+        start = near.candidates[0] if near is not None and near.candidates else None
+        found = likelihood.locate(self.model.rod, seen, start)
+        if found:
+            return self._decide(found, chi2, len(window))
+        # Why there is none the paper's method may tell, but its place is not the one that was asked for.
+        why = self._decide(paper.locate(self.model.rod, seen), chi2, len(window))
+        return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
 
     def _gravity(self, gravity_base: ArrayLike | None) -> Array:
         gravity = self.model.gravity_base if gravity_base is None else np.asarray(gravity_base, dtype=float)
@@ -198,16 +201,12 @@ class Estimator:
         Args:
             wrench_by_force: change of the base wrench per newton of contact, (6,).
         """
-        return float(np.sqrt(ALARM_CHI2 / (wrench_by_force @ self._information @ wrench_by_force)))
+        return math.sqrt(ALARM_CHI2) / float(np.linalg.norm(self.model.whiten @ wrench_by_force))
 
     @cached_property
     def cov_wrench(self) -> Array:
         """Covariance of a base wrench reading, (6, 6)."""
         return self.model.noise_base()
-
-    @cached_property
-    def _information(self) -> Array:
-        return np.linalg.inv(self.cov_wrench).astype(float, copy=False)
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
         off = self.model.whiten @ (wrench - free.wrench_base)

@@ -29,8 +29,10 @@ def fuse(
         The others as there.
 
     Raises:
-        InputError: an argument has the wrong shape.
+        InputError: an argument has the wrong shape, or there are no such moments.
     """
+    if moments not in (None, "base", "sensor"):
+        raise InputError(f"moments_about = {moments!r} is not known; known: base, sensor")
     wrenches, poses, gravity, contact = _checked(wrenches_base, Ts_world_base, gravity_world, touched)
     needed = wrenches[:, 3:] if moments == "base" else wrenches
     if not (np.isfinite(needed).all() and np.isfinite(gravity).all() and all(is_pose(T) for T in poses)):
@@ -64,7 +66,7 @@ def _checked(
         InputError: a shape is wrong.
     """
     wrenches, poses = np.asarray(wrenches_base, dtype=float), np.asarray(Ts_world_base, dtype=float)
-    gravity, k = np.asarray(gravity_world, dtype=float), len(wrenches)
+    gravity, k = np.asarray(gravity_world, dtype=float), len(wrenches) if wrenches.ndim else 0
     contact = np.ones(k, dtype=bool) if touched is None else np.asarray(touched, dtype=bool)
     shapes = {"wrenches_base": (wrenches, (k, 6)), "Ts_world_base": (poses, (k, 4, 4)),
               "gravity_world": (gravity, (3,)), "touched": (contact, (k,))}  # fmt: skip

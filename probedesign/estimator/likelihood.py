@@ -46,9 +46,8 @@ def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[C
             return [found]
     scanned = starts(rod, seen.gravity, seen.force, seen.wrench[3:6])
     places = fitter.places((tip, seen.force, s) for s, tip in scanned)
-    if not any(
-        fitter.explains(place) for place in places
-    ):  # the scan may be too coarse where the probe gives way
+    if not any(fitter.explains(place) for place in places):
+        # The scan may be too coarse where the probe gives way.
         exact = candidates(rod, seen.gravity, seen.force, seen.wrench[3:6])
         places += fitter.places((eq.tip, seen.force, eq.s_contact) for eq in exact)
     return places or fitter.stalled

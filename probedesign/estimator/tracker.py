@@ -198,22 +198,26 @@ class Tracker:
         older = self._nodes[self._turn // IN_TURN % len(self._nodes)]
         for one in (node, older) if self._turn % IN_TURN == 0 and older is not node else (node,):
             if not self._linearise(one):
-                self._x = None
-                return Fused("not_converged")
+                self._x, self._said = None, Fused("not_converged")
+                return self._said
         pressed = (*[None] * anchors, *[one.pressed for one in self._nodes])
         linear = fusion.linear(pressed, self._x)
         normal = fusion.normal(linear, self._x)
         for one, shift in zip(self._nodes, normal.shifts[anchors:], strict=True):
             one.shift = shift
         x = self._x + share_of(normal.step, 0.1 * self.estimator.model.rod.length) * normal.step
+        if not np.isfinite(x).all():
+            self._x, self._said = None, Fused("not_converged")
+            return self._said
         solution = Solution(x, normal.cov, normal.chi2, pressed, linear, 1)
         told = fusion.answer([solution], self._fixed, brief=True)
         # What fits no more may have run away, so a batch looks again; what no batch can fit stays so.
-        self._x = None if told.result == "inconsistent" or not np.isfinite(x).all() else x
+        self._x = None if told.result == "inconsistent" else x
+        self._said = told
         return told
 
     def _begin(self, fusion: Fusion) -> Fused:
-        """Start from a whole batch, but not at every reading."""
+        """Start from a whole batch, but not at every reading; between, what was said last holds, never "ok"."""
         last = self._nodes[-1]
         if last.count & (last.count - 1) and last.count % 256:  # at 1, 2, 4, 8 ... readings of a pose
             return self._said

@@ -202,11 +202,18 @@ def test_moments_alone_about_the_base_need_no_forces(large, gravity):
 
 @pytest.mark.parametrize(
     ("wrenches", "Ts"), [(np.zeros((2, 5)), np.zeros((2, 4, 4))), (np.zeros((2, 6)), np.zeros((1, 4, 4))),
-                         (np.zeros((0, 6)), np.zeros((0, 4, 4))), (np.zeros(6), np.zeros((4, 4)))]
+                         (np.zeros((0, 6)), np.zeros((0, 4, 4))), (np.zeros(6), np.zeros((4, 4))), (0.0, np.eye(4))]
 )  # fmt: skip
 def test_wrong_shapes_are_refused(wrenches, Ts, large):
     with pytest.raises(InputError, match="shape"):
         large.estimator().fuse(wrenches, Ts)
+
+
+def test_moments_about_nowhere_are_refused(large):
+    with pytest.raises(InputError, match="moments_about"):
+        large.estimator().fuse(
+            np.zeros((2, 6)), np.tile(np.eye(4), (2, 1, 1)), moments_only=True, moments_about="tip"
+        )
 
 
 @pytest.mark.parametrize("wrong", [{"stiffness": -0.1}, {"creep": np.nan}, {"base_offset": np.inf}])
