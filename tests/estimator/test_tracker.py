@@ -73,16 +73,18 @@ def test_it_forgets_when_the_touch_is_lost(large, gravity, pressed, free):
 
 
 def test_nothing_said_before_outlives_a_reading_that_does_not_fit(large, gravity, pressed):
-    """The bias jumps by a hundred steps in the middle of a touch: from then on there is no place."""
+    """The bias jumps by a hundred steps while the probe rests at a pose: once that shows there is no place any more."""
     wrenches, Ts, _ = pressed
     feed = Feed(Tracker(large.estimator(), Unknowns.none(), gravity), large.model)
     for k in range(3):
         said, _ = feed(wrenches[k], Ts[k], SAMPLES)
     assert said[-1].ok
     jump = 100.0 * np.sqrt(np.diag(feed.cov))
-    said, _ = feed(wrenches[3] + jump, Ts[3], SAMPLES)
-    assert not any(c.ok for c in said)
-    assert all(np.isnan(c.p_contact_world).all() for c in said)
+    said, _ = feed(wrenches[2] + jump, Ts[2], SAMPLES)
+    first = [c.ok for c in said].index(False)
+    assert first <= 5  # a twelfth of the mean by then
+    assert not any(c.ok for c in said[first:])
+    assert all(np.isnan(c.p_contact_world).all() for c in said[first:])
 
 
 def test_memory_is_bounded_while_the_base_moves_on(large, gravity, pressed):
