@@ -30,6 +30,7 @@ LEAST_FORCE = 5.0
 normal where F is known to less than a fifth (tests/estimator/test_statistics.py)."""
 INCONSISTENT = 1e-3
 """Chance that a true single contact is called inconsistent."""
+MOST_CHI2 = {dof: float(chdtri(dof, INCONSISTENT)) for dof in (paper.DOF, likelihood.DOF)}
 LEAST_LEVER = 0.1
 """Change of the base moment with s, over the force, below which a force leaves no trace of its place."""
 AMBIGUOUS = 9.0
@@ -49,7 +50,7 @@ class Estimator:
     """
 
     model: ProbeModel
-    _last_free: dict[tuple[float, ...], Equilibrium] = field(default_factory=dict, compare=False, repr=False)
+    _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
 
     def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
         """The same estimator for readings with these standard deviations of each channel.
@@ -98,37 +99,33 @@ class Estimator:
             raise InputError(
                 f"wrench_base has shape {wrenches.shape}; it must be (6,), force and moment, or (n, 6) of them"
             )
-        window = np.atleast_2d(wrenches)
-        if not self._read(window, gravity):
+        window = np.ascontiguousarray(wrenches.reshape(-1, 6))
+        free = self._free(gravity)
+        seen = Observation.of(self.model, window, gravity, free.wrench_base)
+        if seen is None:
             return Estimate("out_of_range")
-        free = self.free(gravity)
         if not free.ok:
             return Estimate("not_converged")
-        seen = Observation.of(self.model, window.mean(axis=0), gravity, len(window))
-        chi2 = self._detection_chi2(seen.wrench, free) * len(window)
-        if not self._exceeds(chi2):
-            return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
+        if not self._exceeds(seen.chi2):
+            return Estimate("no_contact", detection_chi2=seen.chi2, solve_shape=lambda: free)
+        chi2, readings = seen.chi2, len(window)
         if method == "paper":
-            return self._decide(paper.locate(self.model.rod, seen), chi2, len(window))
+            return self._decide(paper.locate(self.model.rod, seen), chi2, readings)
         start = near.candidates[0] if near is not None and near.candidates else None
         found = likelihood.locate(self.model.rod, seen, start)
         if found:
-            return self._decide(found, chi2, len(window))
+            return self._decide(found, chi2, readings)
         # Why there is none the paper's method may tell, but its place is not the one that was asked for.
-        why = self._decide(paper.locate(self.model.rod, seen), chi2, len(window))
+        why = self._decide(paper.locate(self.model.rod, seen), chi2, readings)
         return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
 
     def _gravity(self, gravity_base: ArrayLike | None) -> Array:
-        gravity = self.model.gravity_base if gravity_base is None else np.asarray(gravity_base, dtype=float)
-        if gravity.shape != (3,) or not np.isfinite(gravity).all():
+        if gravity_base is None:
+            return self.model.gravity_base
+        gravity = np.asarray(gravity_base, dtype=float)
+        if gravity.shape != (3,) or not math.isfinite(gravity @ gravity):
             raise InputError(f"gravity_base = {gravity} must be three finite numbers in m/s²")
         return gravity
-
-    def _read(self, window: Array, gravity: Array) -> bool:
-        """Whether the sensor can have read all of these base wrenches (n, 6)."""
-        if not np.isfinite(window).all():
-            return False
-        return bool((np.abs(self.model.to_sensor(window, gravity)) <= self.model.wrench_range).all())
 
     def fuse(
         self,
@@ -168,12 +165,16 @@ class Estimator:
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
         """The untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
-        gravity = self._gravity(gravity_base)
-        key = tuple(gravity.tolist())
-        if key not in self._last_free:
+        return self._free(self._gravity(gravity_base))
+
+    def _free(self, gravity: Array) -> Equilibrium:
+        key = gravity.tobytes()
+        free = self._last_free.get(key)
+        if free is None:
+            free = self.model.rod.solve(gravity)
             self._last_free.clear()
-            self._last_free[key] = self.model.rod.solve(gravity)
-        return self._last_free[key]
+            self._last_free[key] = free
+        return free
 
     def detects(self, wrench_base: Array, gravity_base: ArrayLike | None = None) -> bool:
         """Whether a reading (6,) is told from the free probe's (equation 4 with the sensor's noise)."""
@@ -216,7 +217,7 @@ class Estimator:
         """Turn the candidates into one answer with its code."""
         if not found:
             return Estimate("not_converged", detection_chi2=detection_chi2)
-        listed = tuple(sorted(found, key=lambda candidate: candidate.chi2))
+        listed = tuple(sorted(found, key=_chi2)) if len(found) > 1 else tuple(found)
         best = listed[0]
         result = self._result(listed, readings)
         if result != "ok":
@@ -229,11 +230,16 @@ class Estimator:
     def _result(self, listed: tuple[Candidate, ...], readings: int) -> Result:
         """The code of the best candidate beside its rivals."""
         best = listed[0]
-        if best.chi2 > chdtri(best.dof, INCONSISTENT):
+        if best.chi2 > MOST_CHI2[best.dof]:
             return "out_of_range" if best.s_contact in (0.0, self.model.rod.length) else "inconsistent"
         if not self.locates(best.std_s, best.force_base, readings):
             return "unobservable" if best.lever < LEAST_LEVER else "too_light"
-        rivals = [c for c in listed[1:] if c.chi2 < best.chi2 + AMBIGUOUS]
-        if any(abs(c.s_contact - best.s_contact) > 3.0 * (c.std_s + best.std_s) for c in rivals):
-            return "ambiguous"
+        for rival in listed[1:]:
+            near = abs(rival.s_contact - best.s_contact) <= 3.0 * (rival.std_s + best.std_s)
+            if rival.chi2 < best.chi2 + AMBIGUOUS and not near:
+                return "ambiguous"
         return "ok"
+
+
+def _chi2(candidate: Candidate) -> float:
+    return candidate.chi2

@@ -34,22 +34,22 @@ FINEST, COARSEST, OF_NOISE = 5e-7, 1e-5, 3e-3
 standard deviations of the moment over the moment itself, up to the last."""
 CLOSE = 1e-7
 """Step of arclength over length, at which the fit ends."""
-FLAT = 1e-6
-"""What a step would still take off the whitened misfit squared, at which the fit ends too: a thousandth of a
-standard deviation."""
+FLAT = 1e-4
+"""What a step would still take off the whitened misfit squared, at which the fit ends too: a hundredth of a standard
+deviation. That last step is taken, to first order."""
 JITTER = 1e-3
 """What the sweeps' errors may add to the whitened misfit squared, beside a ten-thousandth of it."""
 SIDE = 1e-2
 """How much a force that is not normal yet counts beside the misfit."""
-CLAMPED = 1e-6
+CLAMPED = 1e-4
 """Misfit of the base [rad] up to which its linear answer is exact: an error of its square."""
 MAX_ITERATIONS = 30
 MAX_STEP, MAX_TURN = 0.06, 0.5
 """Of arclength over length, and of the tip [rad], in one iteration."""
 _SMALLEST = 1e-4
 """Share of a step below which it is not halved any more."""
-WORK = 72
-"""Numbers that a fit works in."""
+WORK, STEP = 72, 49
+"""Numbers that a fit works in, and where its last step stands among them."""
 
 
 @inner
@@ -60,6 +60,16 @@ def slope_at(body, s):
         i += 1
     tan = (body.radii[i] - body.radii[i + 1]) / (body.knots[i + 1] - body.knots[i])
     return tan / math.sqrt(1.0 + tan * tan)
+
+
+@inner
+def radius_at(body, s):
+    """Of the section [m]."""
+    i = 0
+    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
+        i += 1
+    share = (s - body.knots[i]) / (body.knots[i + 1] - body.knots[i])
+    return body.radii[i] + share * (body.radii[i + 1] - body.radii[i])
 
 
 @inner
@@ -218,7 +228,7 @@ def _go(state, before, share, step, change, way):
 
 @kernel
 def fit_contact(
-    body, gravity, weight, wrench, whiten, low, high, load, sweep_work, nodes, blocks, y, contact, turns,
+    body, gravity, weight, wrench, whiten, low, high, most, load, sweep_work, nodes, blocks, y, contact, turns,
     derivatives, work, state,
 ):  # fmt: skip
     """Least whitened misfit of the base wrench over contacts without friction, from a guess.
@@ -229,23 +239,26 @@ def fit_contact(
         wrench: read, at the base, (6,).
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
         low, high: where s_contact may lie [m].
+        most: iterations.
         load, sweep_work, nodes, blocks, y, contact, turns: scratch of the sweep (`linear_equilibrium`), for
             four columns.
-        derivatives: at the contact found, (15, 5).
-        work: scratch, (WORK,).
+        derivatives: at the contact found but for the last step, (15, 5).
+        work: scratch, (WORK,); the last step from STEP on, (4,).
         state: the unknowns, a guess and then the answer, (STATE,).
 
     Returns:
         What became of it (FITTED, ...), the whitened misfit squared, iterations.
     """
     J, r, gradient, H, b, x = work[0:24], work[24:30], work[30:34], work[34:43], work[43:46], work[46:49]
-    step, way, change, before = work[49:53], work[53:56], work[56:59], work[59:69]
+    step, way, change, before = work[STEP : STEP + UNKNOWNS], work[53:56], work[56:59], work[59:69]
     lacking = work[69:72]
     length, tol = body.knots[-1], tolerance(wrench, whiten)
     least, share, size, square = math.inf, 1.0, 1.0, math.inf
+    for q in range(UNKNOWNS):
+        step[q] = 0.0
     for q in range(3):
         load[GRAVITY + q] = gravity[q]
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(most):
         for q in range(3):
             load[FORCE + q] = state[PUSH + q]
         load[S_CONTACT] = state[PLACE]
@@ -279,9 +292,10 @@ def fit_contact(
         gain = b[0] * x[0] + b[1] * x[1] + b[2] * x[2]
         small = abs(step[3]) <= CLOSE * length or (held == 0 and gain <= FLAT * (1.0 + square))
         if share == 1.0 and small and lack <= CLAMPED:
+            _go(state, before, 1.0, step, change, way)
             return (LOST if not margin > 0.0 else AT_END if held else FITTED), square, iteration
         _go(state, before, share, step, change, way)
-    return (STALLED if math.isfinite(least) else LOST), least, MAX_ITERATIONS
+    return (STALLED if math.isfinite(least) else LOST), least, most
 
 
 @inner

@@ -7,7 +7,7 @@ from probedesign.errors import InputError
 from probedesign.estimator.fused import Fused, MomentsAbout
 from probedesign.estimator.fusion import Fusion, Reading, channels_of
 from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.observation import Observation
+from probedesign.estimator.observation import covariance
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array, is_pose
 
@@ -38,7 +38,7 @@ def fuse(
     if not (np.isfinite(needed).all() and np.isfinite(gravity).all() and all(is_pose(T) for T in poses)):
         return Fused("out_of_range")
     readings = tuple(
-        Reading(w, Observation.of(model, w, g).cov, T, g, bool(c))
+        Reading(w, covariance(model, w), T, g, bool(c))
         for w, T, g, c in zip(
             np.nan_to_num(wrenches), poses, gravity @ poses[:, :3, :3], contact, strict=True
         )

@@ -1,26 +1,22 @@
 """Maximum likelihood: the contact without friction whose base wrench lies nearest to the reading, in its noise.
 
-Every place that the scan of the paper's method finds is a start (`locate.py`); the fit itself is compiled (`fit.py`,
-`spread.py`).
+Where it may lie one integration tells (`trace.py`); where that leads nowhere, the scan of the paper's method does
+(`locate.py`). The fit itself is compiled (`fit.py`, `spread.py`, `everywhere.py`).
 """
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri
 
-from probedesign.estimator import fit, spread
+from probedesign.estimator import everywhere, fit, spread
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.locate import candidates, starts
 from probedesign.estimator.observation import Observation
 from probedesign.frames import Array
-from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
-from probedesign.rod.workspace import workspace
 
 DOF = 3
 """Six channels, three unknowns: arclength, angle around the section, normal force."""
@@ -29,6 +25,7 @@ UNLIKELY = 1e-3
 MOST_CHI2 = float(chdtri(DOF, UNLIKELY))
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
+_UNKNOWNS = slice(everywhere.FOUND, everywhere.TOLD)
 
 
 def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
@@ -44,6 +41,9 @@ def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[C
         found = fitter.fit(near.tip, near.force_base, near.s_contact)
         if found is not None and fitter.explains(found):
             return [found]
+    places = fitter.traced()
+    if any(fitter.explains(place) for place in places):
+        return places
     scanned = starts(rod, seen.gravity, seen.force, seen.wrench[3:6])
     places = fitter.places((tip, seen.force, s) for s, tip in scanned)
     if not any(fitter.explains(place) for place in places):
@@ -67,31 +67,40 @@ class _Fitter:
     seen: Observation
     stalled: list[Candidate] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        """The memory that the kernels work in."""
+        seen = self.seen
+        self._work = np.empty(everywhere.room_for(len(self.rod.s)))
+        self._reading = (self.rod.body, seen.gravity, seen.weight, seen.wrench, seen.whiten, self._work)
+
     def explains(self, place: Candidate) -> bool:
         """Whether a contact there may well have made the reading."""
         return place.chi2 <= MOST_CHI2
 
+    def traced(self) -> list[Candidate]:
+        """What is found from wherever the trace says."""
+        rows = np.empty((everywhere.MOST, everywhere.ROW))
+        count = everywhere.fit_everywhere(*self._reading, rows)
+        return self._distinct(self._place(rows[k]) for k in range(count))
+
     def places(self, guesses: Iterable[tuple[Array, Array, float]]) -> list[Candidate]:
         """What is found from each guess, each place once."""
-        found: list[Candidate] = []
-        for guess in guesses:
-            place = self.fit(*guess)
-            if place is not None and not any(self._same(place, other) for other in found):
-                found.append(place)
-        return found
+        return self._distinct(self.fit(*guess) for guess in guesses)
 
     def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
         """The fit from one guess; None if there is no least misfit near."""
-        state, answer, seen = np.empty(fit.STATE), np.empty(spread.ANSWER), self.seen
+        row = np.empty(everywhere.ROW)
+        state = row[_UNKNOWNS]
         state[: fit.PUSH], state[fit.PUSH : fit.PLACE], state[fit.PLACE] = tip, force, s
-        status = spread.locate_contact(
-            self.rod.body, seen.gravity, seen.weight, seen.wrench, seen.whiten, 0.0, self.rod.length,
-            *self._scratch, state, answer,
-        )  # fmt: skip
-        if status == fit.LOST:
+        everywhere.fit_near(*self._reading, row)
+        return self._place(row)
+
+    def _place(self, row: Array) -> Candidate | None:
+        """What a fit has found, if it is a least misfit."""
+        if row[everywhere.FITTED] == fit.LOST:
             return None
-        place = self._candidate(state, answer)
-        if status != fit.STALLED:
+        place = self._candidate(row[_UNKNOWNS], row[everywhere.TOLD :])
+        if row[everywhere.FITTED] != fit.STALLED:
             return place
         if not self.explains(place):
             self.stalled.append(place)
@@ -100,32 +109,32 @@ class _Fitter:
     def _candidate(self, state: Array, answer: Array) -> Candidate:
         rod, gravity = self.rod, self.seen.gravity
         s, force, tip = float(state[fit.PLACE]), state[fit.PUSH : fit.PLACE], state[: fit.PUSH]
-        p, size = answer[spread.POINT : spread.POINT + 3], math.sqrt(force @ force)
-        reach = float(np.interp(s, rod.s, rod.radius)) / math.hypot(1.0, rod.taper_at(s))
+        chi2, std, lever = answer[: spread.POINT].tolist()
 
         def shape() -> Equilibrium:
             return rod.solve(gravity, force, s, guess=tip)
 
         return Candidate(
             s_contact=s,
-            std_s=float(answer[spread.STD]),
-            p_contact_base=p,
-            p_surface_base=p - reach / max(size, 1e-300) * force,
+            std_s=std,
+            p_contact_base=answer[spread.POINT : spread.COV],
+            p_surface_base=answer[spread.SURFACE :],
             force_base=force,
-            cov_contact_base=answer[spread.COV : spread.COV + 9].reshape(3, 3),
-            chi2=float(answer[spread.CHI2]),
+            cov_contact_base=answer[spread.COV : spread.SURFACE].reshape(3, 3),
+            chi2=chi2,
             dof=DOF,
-            lever=float(answer[spread.LEVER]),
+            lever=lever,
             tip=tip,
             shape=shape,
         )
 
+    def _distinct(self, places: Iterable[Candidate | None]) -> list[Candidate]:
+        """Each place once."""
+        found: list[Candidate] = []
+        for place in places:
+            if place is not None and not any(self._same(place, other) for other in found):
+                found.append(place)
+        return found
+
     def _same(self, a: Candidate, b: Candidate) -> bool:
         return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + 1e-2 * min(a.std_s, b.std_s)
-
-    @cached_property
-    def _scratch(self) -> tuple[Array, ...]:
-        """What the kernel works in: load, sweep, nodes, columns, base, contact, turns, derivatives, the rest."""
-        room = workspace(kernels.LOAD_COLUMNS, 0)
-        return (np.zeros(kernels.LOAD), room.scratch, room.nodes, room.blocks, room.y, room.contact, room.turns,
-                np.empty((15, fit.UNKNOWNS + 1)), np.empty(spread.WORK))  # fmt: skip

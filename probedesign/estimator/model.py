@@ -54,7 +54,7 @@ class ProbeModel:
     stiffness_spread: float | None = None
     creep_spread: float = 0.0
 
-    @property
+    @cached_property
     def mass(self) -> float:
         """Of the flexible part [kg]."""
         return float(self.rod.density * self.rod.body.volume_beyond[0])
@@ -108,6 +108,14 @@ class ProbeModel:
     def whiten(self) -> Array:
         """Lower triangular, with whitenᵀ whiten = noise_base⁻¹, (6, 6)."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self._noise_base)), dtype=float)
+
+    @cached_property
+    def sight(self) -> tuple[Array, Array, Array, Array]:
+        """What `observe` needs: wrenches' way to the sensor (6, 6), what hangs there by gravity (6, 3), the range
+        (6,), and the whitening of one reading (6, 6)."""
+        contiguous = np.ascontiguousarray
+        return (contiguous(self._sensor_from_base), contiguous(self._hanging_by_gravity),
+                contiguous(self.wrench_range, dtype=float), contiguous(self.whiten))  # fmt: skip
 
     def with_noise(self, noise: Noise) -> "ProbeModel":
         """The same probe with another noise."""

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from probedesign.estimator.fit import slope_at
+from probedesign.estimator.fit import radius_at, slope_at
 from probedesign.rod.kernels.body import FORCE, GRAVITY, OK, S_CONTACT
 from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
 from probedesign.rod.kernels.linear import linear_equilibrium
@@ -122,11 +122,7 @@ def press_at(
         answer[TOWARDS + r] = towards
         for c in range(4):
             answer[D_FORCE + 4 * r + c] = total[c]
-    i = 0
-    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
-        i += 1
-    share = (s - body.knots[i]) / (body.knots[i + 1] - body.knots[i])
-    radius = cos * (body.radii[i] + share * (body.radii[i + 1] - body.radii[i]))
+    radius = cos * radius_at(body, s)
     for r in range(3):
         n = _leaning(derivatives, k, cos, sin, co, si, r)
         moment, point = derivatives[r, k], derivatives[9 + r, k]

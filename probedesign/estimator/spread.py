@@ -2,9 +2,10 @@
 
 The places that explain a reading lie on a curve far narrower than it is bowed and twisted, p + a δ + b δ² + c δ³ for a
 standard normal δ, with the mean square a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ about p. It is looked at √3 standard
-deviations to either side, Gauss and Hermite's places. And s is known less well where the force would be less: where it
-goes as one over a force known to a share σ, its variance is 1 + 6 σ² greater than at the estimate, and the mean fourth
-power, on which bows depend, about 1 + 30 σ².
+deviations to one side, one of Gauss and Hermite's places: where it is and where it goes there tell b and c. And s is
+known less well where the force would be less: as 1/(1 - σδ) where it goes as one over a force known to a share σ. Its
+variance is then 1 + 6 σ² greater than at the estimate, and the mean fourth power, on which bows depend, about
+1 + 30 σ².
 """
 
 import math
@@ -15,12 +16,14 @@ from probedesign.estimator.fit import (
     PLACE,
     PUSH,
     STATE,
+    STEP,
     UNKNOWNS,
     bent_aside,
     fit_contact,
     free,
     made_normal,
     normality,
+    radius_at,
     reduced,
     slope_at,
     whitened,
@@ -30,15 +33,17 @@ from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
 
 drop_stale(Path(__file__).parent)
 
-CHI2, STD, LEVER, POINT, COV = 0, 1, 2, 3, 6
+CHI2, STD, LEVER, POINT, COV, SURFACE = 0, 1, 2, 3, 6, 15
 """Where in an answer stand the misfit, the standard deviation of s [m], how much the base moment changes with s over
-the force, the contact's point [m], (3,), and its covariance [m²], (9,)."""
-ANSWER = 15
+the force, the contact's point [m], (3,), its covariance [m²], (9,), and the touched point [m], (3,)."""
+ANSWER = 18
 WORK = FIT_WORK + 28 + 111
 """Numbers that locating works in."""
 ASIDE = math.sqrt(3.0)
-NUMERICAL = 0.08e-6
-"""Error that a fast rod leaves at a contact [m], at most in 450 touches of random probes: none is known better."""
+NUMERICAL, NUMERICAL_SHARE = 5e-9, 3e-5
+"""Error that the fast rod leaves at a contact, each axis: [m], and over the standard deviation of s, since its steps
+are chosen by the reading's noise (`fit.tolerance`). RMS of 1500 touches of random probes: 3e-9 at forces of 0.1 N and
+more, 2e-5 to 4e-5 of the bound below."""
 KNOWN = 0.25
 """Of the length: where s is known no better, nothing is told of its place anyhow."""
 
@@ -94,10 +99,10 @@ def refitted(gradient, out, H, b, change, off):
 @inner
 def _look(
     body, gravity, weight, wrench, whiten, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives,
-    work, state, step, point,
+    work, state, step, point, tangent,
 ):  # fmt: skip
-    """The contact's point (3,) and the variance of s after a step of force and arclength, (4,), the force then fitted
-    anew; infinite where that is off the probe or has no equilibrium."""
+    """The contact's point (3,), how it goes on with s (3,) and the variance of s after a step of force and arclength,
+    (4,), the force then fitted anew; infinite where that is off the probe or has no equilibrium."""
     place = state[PLACE] + step[3]
     if not 0.0 < place <= body.knots[-1]:
         return math.inf
@@ -117,40 +122,47 @@ def _look(
         return math.inf
     refitted(gradient, out, H, b, change, off)
     for q in range(3):
-        point[q] = derivatives[9 + q, UNKNOWNS]
+        point[q], tangent[q] = derivatives[9 + q, UNKNOWNS], derivatives[9 + q, 3]
         for j in range(3):
             point[q] += derivatives[9 + q, j] * change[j]
+            tangent[q] += derivatives[9 + q, j] * cov[UNKNOWNS * j + 3] / cov[15]
     return cov[15]
 
 
 @inner
-def _curved(point, along, ahead, behind, wide_ahead, wide_behind, variance, cov_p):
-    """Add to the linear covariance of the point what its curve makes of it."""
-    both = math.isfinite(wide_ahead) and math.isfinite(wide_behind)
-    if both:
-        wider = 2.0 / 3.0 + (wide_ahead + wide_behind) / (6.0 * variance)
-        high = wider**5
-        for i in range(3):
-            bow_i = (ahead[i] + behind[i] - 2.0 * point[i]) / 6.0
-            twist_i = ((ahead[i] - behind[i]) / (2.0 * ASIDE) - along[i]) / 3.0
-            for j in range(3):
-                bow_j = (ahead[j] + behind[j] - 2.0 * point[j]) / 6.0
-                twist_j = ((ahead[j] - behind[j]) / (2.0 * ASIDE) - along[j]) / 3.0
-                turned = (along[i] + 3.0 * twist_i) * (along[j] + 3.0 * twist_j)
-                cov_p[3 * i + j] += wider * turned - along[i] * along[j]
-                cov_p[3 * i + j] += high * (3.0 * bow_i * bow_j + 6.0 * twist_i * twist_j)
-    elif math.isfinite(wide_ahead) or math.isfinite(wide_behind):  # close to the tip there is one side only
-        seen, side = (ahead, ASIDE) if math.isfinite(wide_ahead) else (behind, -ASIDE)
-        for i in range(3):
-            bow_i = (seen[i] - point[i]) / (side * side) - along[i] / side
-            for j in range(3):
-                bow_j = (seen[j] - point[j]) / (side * side) - along[j] / side
-                cov_p[3 * i + j] += 3.0 * bow_i * bow_j
+def _curved(point, along, seen, tangent, std, side, wide, cov_p):
+    """Add to the linear covariance of the point what its curve makes of it.
+
+    Args:
+        point, along: the estimate's and how it goes with δ, (3,).
+        seen, tangent: of the place `side` standard deviations on, how it goes there with s, (3,).
+        std: of s at the estimate [m]; wide: its variance there, over that at the estimate.
+        cov_p: (9,), added to.
+    """
+    share = (1.0 - 1.0 / math.sqrt(wide)) / side
+    # The mean of 1/(1 - share δ)² over Gauss and Hermite's three places.
+    wider = 2.0 / 3.0 + (wide + 1.0 / (1.0 + side * share) ** 2) / 6.0
+    high = wider**5
+    for i in range(3):
+        bow_i, twist_i = _bend(i, point, along, seen, tangent, std, side)
+        for j in range(3):
+            bow_j, twist_j = _bend(j, point, along, seen, tangent, std, side)
+            turned = (along[i] + 3.0 * twist_i) * (along[j] + 3.0 * twist_j)
+            cov_p[3 * i + j] += wider * turned - along[i] * along[j]
+            cov_p[3 * i + j] += high * (3.0 * bow_i * bow_j + 6.0 * twist_i * twist_j)
+
+
+@inner
+def _bend(i, point, along, seen, tangent, std, side):
+    """b and c of component i, from where the curve is and where it goes at the place seen."""
+    apart = ((seen[i] - point[i]) / side - along[i]) / side  # b + c side
+    turned = (std * tangent[i] - along[i]) / side  # 2 b + 3 c side
+    return 3.0 * apart - turned, (turned - 2.0 * apart) / side
 
 
 @kernel
 def locate_contact(
-    body, gravity, weight, wrench, whiten, low, high, load, sweep_work, nodes, blocks, y, contact, turns,
+    body, gravity, weight, wrench, whiten, low, high, most, load, sweep_work, nodes, blocks, y, contact, turns,
     derivatives, work, state, answer,
 ):  # fmt: skip
     """Fit a contact from a guess and tell how well it is known.
@@ -165,14 +177,17 @@ def locate_contact(
     """
     fitting, own = work[:FIT_WORK], work[FIT_WORK:]
     status, square, _iterations = fit_contact(
-        body, gravity, weight, wrench, whiten, low, high, load, sweep_work, nodes, blocks, y, contact, turns,
+        body, gravity, weight, wrench, whiten, low, high, most, load, sweep_work, nodes, blocks, y, contact, turns,
         derivatives, fitting, state,
     )  # fmt: skip
     if status == LOST:
         return status
     J, r, gradient, H, b = fitting[0:24], fitting[24:30], fitting[30:34], fitting[34:43], fitting[43:46]
     cov, cov_p, by_load, point = own[0:16], answer[COV : COV + 9], fitting[46:58], answer[POINT : POINT + 3]
-    along, ahead, behind, step = fitting[58:61], fitting[61:64], fitting[64:67], fitting[67:71]
+    along, seen, tangent, step = fitting[58:61], fitting[61:64], fitting[64:67], fitting[67:71]
+    last = own[28:32]
+    for j in range(UNKNOWNS):
+        last[j] = fitting[STEP + j]
     force, lever = state[PUSH:PLACE], 0.0
     whitened(wrench, weight, force, whiten, derivatives, J, r)
     off = normality(force, slope_at(body, state[PLACE]), derivatives, gradient)
@@ -184,16 +199,22 @@ def locate_contact(
         lever += derivatives[q, 3] ** 2
         for j in range(UNKNOWNS):
             by_load[UNKNOWNS * q + j] = derivatives[9 + q, j]
+            point[q] += derivatives[9 + q, j] * last[j]
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+    sine = slope_at(body, state[PLACE])
+    reach = radius_at(body, state[PLACE]) * math.sqrt(1.0 - sine * sine) / max(size, 1e-300)
+    for q in range(3):
+        answer[SURFACE + q] = point[q] - reach * force[q]
     answer[CHI2], answer[LEVER] = square, math.sqrt(lever) / max(size, 1e-300)
     std = math.sqrt(cov[15]) if known else math.inf
     answer[STD] = std
+    floor = NUMERICAL * NUMERICAL + (NUMERICAL_SHARE * std) ** 2
     for i in range(3):
         along[i] = 0.0
         for j in range(UNKNOWNS):
             along[i] += by_load[UNKNOWNS * i + j] * cov[UNKNOWNS * j + 3] / std if known else 0.0
         for k in range(3):
-            total = NUMERICAL * NUMERICAL if i == k else 0.0
+            total = floor if i == k else 0.0
             for j in range(UNKNOWNS):
                 for n in range(UNKNOWNS):
                     total += by_load[UNKNOWNS * i + j] * cov[UNKNOWNS * j + n] * by_load[UNKNOWNS * k + n]
@@ -204,17 +225,13 @@ def locate_contact(
     for q in range(3):
         for j in range(UNKNOWNS):
             fitted_turns[q, j] = turns[q, j]
+    side = ASIDE if state[PLACE] + ASIDE * std <= body.knots[-1] else -ASIDE
     for j in range(UNKNOWNS):
-        step[j] = ASIDE * cov[UNKNOWNS * j + 3] / std
-    wide_ahead = _look(
+        step[j] = side * cov[UNKNOWNS * j + 3] / std
+    wide = _look(
         body, gravity, weight, wrench, whiten, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives,
-        own[28:], state, step, ahead,
+        own[28:], state, step, seen, tangent,
     )  # fmt: skip
-    for j in range(UNKNOWNS):
-        step[j] = -step[j]
-    wide_behind = _look(
-        body, gravity, weight, wrench, whiten, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives,
-        own[28:], state, step, behind,
-    )  # fmt: skip
-    _curved(point, along, ahead, behind, wide_ahead, wide_behind, cov[15], cov_p)
+    if math.isfinite(wide):
+        _curved(point, along, seen, tangent, std, side, wide / cov[15], cov_p)
     return status

@@ -1,0 +1,138 @@
+"""Every contact that may explain a reading, compiled: fitted from one guess, or from all that the trace finds."""
+
+import math
+from pathlib import Path
+
+from probedesign.estimator import trace
+from probedesign.estimator.fit import AT_END, LOST, MAX_ITERATIONS, STATE, UNKNOWNS
+from probedesign.estimator.fit import FITTED as FIT
+from probedesign.estimator.spread import ANSWER, locate_contact
+from probedesign.estimator.spread import WORK as SPREAD_WORK
+from probedesign.rod.kernels.body import LOAD
+from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+from probedesign.rod.kernels.steps import BLOCK, COLUMN, WIDE
+from probedesign.rod.kernels.steps import STATE as RODS_STATE
+from probedesign.rod.kernels.steps import WORK as STEP_WORK
+from probedesign.rod.kernels.vectors import minus, take
+
+drop_stale(Path(__file__).parent)
+
+MOST = 8
+"""Places that one reading is fitted from at most, the likeliest ones."""
+FITTED, FOUND, TOLD = 0, 1, 1 + STATE
+"""Where in a row stand what became of its fit, the unknowns found (STATE), and the answer (ANSWER)."""
+ROW = TOLD + ANSWER
+LIKELY, SHARE = 12.0, 0.05
+"""Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
+force's lever together, and over the moment itself. Of 3600 touches of random probes, up to where they give way, no
+place that explains a reading lay beyond."""
+BACK = (0.0, 0.08)
+"""Of the length: how far before the likeliest place a second fit starts where the first one leads nowhere, as where
+the trace has run out of the thin tip."""
+FEW = 10
+"""Iterations that a place other than the likeliest is worth: a rival that explains the reading is near its guess."""
+_CHUNKS = 2
+_CONTACT = RODS_STATE + WIDE * COLUMN * _CHUNKS
+_SWEEP = LOAD + STEP_WORK + _CHUNKS * BLOCK + RODS_STATE + _CONTACT
+WORK = _SWEEP + 3 * UNKNOWNS + 15 * (UNKNOWNS + 1) + SPREAD_WORK
+"""Numbers that one fit works in."""
+
+
+def room_for(knots: int) -> int:
+    """Numbers that `fit_everywhere` works in, of a rod with so many knots."""
+    return WORK + trace.ROOM + knots
+
+
+@inner
+def _fit(body, gravity, weight, wrench, whiten, most, work, row):
+    """Fit from the guess in a row, and fill it."""
+    a = LOAD
+    b = a + STEP_WORK
+    c = b + _CHUNKS * BLOCK
+    d = c + RODS_STATE
+    e = d + _CONTACT
+    f = e + 3 * UNKNOWNS
+    g = f + 15 * (UNKNOWNS + 1)
+    for q in range(a):
+        work[q] = 0.0
+    row[FITTED] = locate_contact(
+        body, gravity, weight, wrench, whiten, 0.0, body.knots[-1], most, work[:a], work[a:b], work[g:g], work[b:c],
+        work[c:d], work[d:e], work[e:f].reshape((3, UNKNOWNS)), work[f:g].reshape((15, UNKNOWNS + 1)),
+        work[g : g + SPREAD_WORK], row[FOUND:TOLD], row[TOLD:],
+    )  # fmt: skip
+
+
+@kernel
+def fit_near(body, gravity, weight, wrench, whiten, work, row):
+    """Fit a contact from a guess.
+
+    Args:
+        body: of the rod.
+        gravity: [m/s²], (3,); weight: of the flexible part [N], (3,).
+        wrench: read at the base, (6,).
+        whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
+        work: scratch, (WORK,) or more.
+        row: the guess where its unknowns stand, filled, (ROW,).
+    """
+    _fit(body, gravity, weight, wrench, whiten, MAX_ITERATIONS, work, row)
+
+
+@kernel
+def fit_everywhere(body, gravity, weight, wrench, whiten, work, rows):
+    """Fit contacts wherever the trace says that one may lie, the likeliest place first.
+
+    Args:
+        work: scratch, (room_for(knots),).
+        rows: filled, (MOST, ROW).
+        The others as in `fit_near`.
+
+    Returns:
+        How many rows.
+    """
+    room = work[WORK:]
+    force, g = minus(take(wrench, 0), take(weight, 0)), take(gravity, 0)
+    reached = trace.trace(body, g, force, take(wrench, 3), work, room)
+    places, fitted = _places(body, wrench, whiten, room, reached, rows), 0
+    for k in range(places):
+        s, likely = rows[k, FOUND], rows[k, TOLD] > 0.0
+        if k > 0 and not likely:
+            continue
+        for back in BACK:
+            row, start, status = rows[fitted], max(s - back * body.knots[-1], 0.0), LOST
+            if trace.guess(body, g, force, work, room, start, reached, row[FOUND:TOLD]):
+                most = MAX_ITERATIONS if k == 0 else FEW
+                _fit(body, gravity, weight, wrench, whiten, most, work, row)
+                status = int(row[FITTED])
+            if k > 0 or status in (FIT, AT_END):
+                break
+        fitted += status != LOST
+    return fitted
+
+
+@inner
+def _places(body, wrench, whiten, room, reached, rows):
+    """Where the trace says that a contact may lie: score, arclength, and whether it is likely, into rows, best first;
+    returns how many."""
+    moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
+    for j in range(reached):
+        if trace.is_least(room, j, reached):
+            off, s = trace.least(body, room, j, reached)
+            score = off / math.sqrt(1.0 / whiten[3, 3] ** 2 + (s / whiten[0, 0]) ** 2)
+            likely = score < LIKELY or off < SHARE * moment
+            places = _ranked(rows, places, s, score, likely)
+    return places
+
+
+@inner
+def _ranked(rows, places, s, score, likely):
+    """Put a place where its score belongs among the rows, least first; how many there are then."""
+    at = places
+    while at > 0 and rows[at - 1, FITTED] > score:
+        at -= 1
+    if at >= rows.shape[0]:
+        return places
+    for k in range(min(places, rows.shape[0] - 1), at, -1):
+        for q in (FITTED, FOUND, TOLD):
+            rows[k, q] = rows[k - 1, q]
+    rows[at, FITTED], rows[at, FOUND], rows[at, TOLD] = score, s, 1.0 if likely else 0.0
+    return min(places + 1, rows.shape[0])
