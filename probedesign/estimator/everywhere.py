@@ -9,7 +9,7 @@ from probedesign.estimator.fit import FITTED as FIT
 from probedesign.estimator.spread import ANSWER, locate_contact
 from probedesign.estimator.spread import WORK as SPREAD_WORK
 from probedesign.rod.kernels.body import LOAD
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+from probedesign.rod.kernels.compiled import drop_stale, inner, kernel, merged
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, WIDE
 from probedesign.rod.kernels.steps import STATE as RODS_STATE
 from probedesign.rod.kernels.steps import WORK as STEP_WORK
@@ -43,7 +43,7 @@ def room_for(knots: int) -> int:
     return WORK + trace.ROOM + knots
 
 
-@inner
+@merged
 def _fit(body, gravity, weight, wrench, whiten, most, work, row):
     """Fit from the guess in a row, and fill it."""
     a = LOAD

@@ -13,7 +13,7 @@ import math
 from pathlib import Path
 
 from probedesign.rod.kernels.body import FORCE, GRAVITY, OK, S_CONTACT
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+from probedesign.rod.kernels.compiled import drop_stale, inner, merged
 from probedesign.rod.kernels.linear import MOST_LACK, linear_equilibrium, tips_turn
 from probedesign.rod.kernels.newton import turn_tip
 from probedesign.rod.kernels.vectors import add, take
@@ -226,7 +226,7 @@ def _go(state, before, share, step, change, way):
         state[PUSH + q] += share * step[q]
 
 
-@kernel
+@merged
 def fit_contact(
     body, gravity, weight, wrench, whiten, low, high, most, load, sweep_work, nodes, blocks, y, contact, turns,
     derivatives, work, state,
@@ -298,7 +298,7 @@ def fit_contact(
     return (STALLED if math.isfinite(least) else LOST), least, most
 
 
-@inner
+@merged
 def bent_aside(
     body, gravity, whiten, wrench, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives, work, state,
     step, there,

@@ -24,7 +24,7 @@ from probedesign.estimator.estimate import Result
 from probedesign.estimator.fused import Fixed, Fused, MomentsAbout
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.pressed import Pressed, Push, press, settle
-from probedesign.estimator.unknowns import Source, Unknowns
+from probedesign.estimator.unknowns import EXACT, Source, Unknowns
 from probedesign.frames import Array, pose, wrench_map
 
 UNLIKELY = 1e-3
@@ -39,7 +39,6 @@ _ANYWHERE = (4, 10, 16, 22)  # stations to start from where no meeting of the cu
 _MAX_ITERATIONS = 30
 _CLOSE = 1e-3  # of a standard deviation
 _NEAR = 1e-9  # [m]
-_EXACT = 1e-12  # a prior that is none, relative and in metres
 _SOURCES: tuple[Source, ...] = ("stiffness", "bias", "robot")
 
 
@@ -245,7 +244,7 @@ class Fusion:
 
     def _ended(self, pressed: tuple[Pressed | None, ...], x: Array, normal: Normal) -> bool:
         """Whether the next step is nothing beside what is not known, and every touch is where it belongs."""
-        if (np.abs(normal.step) > _CLOSE * np.sqrt(np.diag(normal.cov)) + _EXACT).any():
+        if (np.abs(normal.step) > _CLOSE * np.sqrt(np.diag(normal.cov)) + EXACT).any():
             return False
         near = 1e-6 + _CLOSE * math.sqrt(float(np.trace(normal.cov[POINT, POINT])))
         return all(
@@ -324,11 +323,6 @@ class Fusion:
         noise: Array = self.channels @ np.array([reading.cov for reading in self.readings]) @ self.channels.T
         return noise
 
-    def _prior(self) -> Array:
-        """Standard deviations of the unknowns but the point, (4,)."""
-        offset = max(self.unknowns.base_offset, _EXACT)
-        return np.array([max(self.unknowns.stiffness, _EXACT), offset, offset, offset])
-
     def covariance(self, linear: Linear, unknowns: Unknowns) -> Array:
         """V: noise, bias and its walk, and the base's scatter, of all readings together, (n, n)."""
         k, m, _ = linear.noise.shape
@@ -347,7 +341,7 @@ class Fusion:
 
     def normal(self, linear: Linear, x: Array) -> Normal:
         """The normal equations of the readings as they are linearised, at the unknowns x."""
-        prior = self._prior()
+        prior = self.unknowns.prior
         V = self.covariance(linear, self.unknowns)
         weighted = np.linalg.solve(V, np.column_stack([linear.design, linear.misfit]))
         cov = _inverted(linear.design.T @ weighted[:, :-1], prior)
@@ -362,8 +356,7 @@ class Fusion:
     def rms(self, linear: Linear, unknowns: Unknowns) -> float:
         """Of the fixed point [m], by the bound."""
         information = linear.design.T @ np.linalg.solve(self.covariance(linear, unknowns), linear.design)
-        prior = replace(self, unknowns=unknowns)._prior()
-        return math.sqrt(max(float(np.trace(_inverted(information, prior)[POINT, POINT])), 0.0))
+        return math.sqrt(max(float(np.trace(_inverted(information, unknowns.prior)[POINT, POINT])), 0.0))
 
     @cached_property
     def _most(self) -> float:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from probedesign.estimator.fit import radius_at, slope_at
 from probedesign.rod.kernels.body import FORCE, GRAVITY, OK, S_CONTACT
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+from probedesign.rod.kernels.compiled import drop_stale, inner, kernel, merged
 from probedesign.rod.kernels.linear import linear_equilibrium
 from probedesign.rod.kernels.newton import turn_tip
 from probedesign.rod.kernels.vectors import take
@@ -33,7 +33,7 @@ def _leaning(columns, j, cos, sin, co, si, r):
 
 
 @inner
-def _inverted(A, V):
+def inverted(A, V):
     """Inverse of (3, 3), both flat."""
     c00, c01, c02 = A[4] * A[8] - A[5] * A[7], A[5] * A[6] - A[3] * A[8], A[3] * A[7] - A[4] * A[6]
     det = A[0] * c00 + A[1] * c01 + A[2] * c02
@@ -50,7 +50,7 @@ def _inverted(A, V):
     )
 
 
-@inner
+@merged
 def _settled(body, tip, load, sweep_work, nodes, blocks, y, contact, turns, derivatives, change):
     """Sweep from the guessed tip until the base stands in its clamp; whether it does and stably."""
     size = 1.0
@@ -101,7 +101,7 @@ def press_at(
             A[3 * r + j] = (1.0 if r == j else 0.0) - magnitude * _leaning(
                 derivatives, j, cos, sin, co, si, r
             )
-    _inverted(A, loosened)
+    inverted(A, loosened)
     for r in range(3):
         towards = 0.0
         total = (0.0, 0.0, 0.0, 0.0)

@@ -29,7 +29,7 @@ from probedesign.estimator.fit import (
     whitened,
 )
 from probedesign.estimator.fit import WORK as FIT_WORK
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+from probedesign.rod.kernels.compiled import drop_stale, inner
 
 drop_stale(Path(__file__).parent)
 
@@ -160,7 +160,7 @@ def _bend(i, point, along, seen, tangent, std, side):
     return 3.0 * apart - turned, (turned - 2.0 * apart) / side
 
 
-@kernel
+@inner
 def locate_contact(
     body, gravity, weight, wrench, whiten, low, high, most, load, sweep_work, nodes, blocks, y, contact, turns,
     derivatives, work, state, answer,

@@ -3,78 +3,46 @@
 Readings from nearly one pose are kept as their mean, a node; no more than so many nodes are kept, and the two that lie
 closest become one where there is one too many. Each update puts its reading into a node, linearises that node anew,
 now and then one of the others in turn, and takes one step of Gauss and Newton over all nodes as they were linearised
-last. So the answer is that of the batch over the nodes' means.
+last. So the answer is that of the batch over the nodes' means. The arithmetic is compiled (`node_kernel.py`,
+`normal_kernel.py`).
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import chdtri
 
 from probedesign.errors import InputError
+from probedesign.estimator import node_kernel as node
+from probedesign.estimator import normal_kernel as normal
 from probedesign.estimator.detector import Detector
+from probedesign.estimator.estimate import Result
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.fused import Fixed, Fused, MomentsAbout
-from probedesign.estimator.fusion import (
-    OFFSET,
-    POINT,
-    STIFFNESS,
-    Fusion,
-    Reading,
-    Solution,
-    channels_of,
-    share_of,
-)
-from probedesign.estimator.pressed import Pressed, press
+from probedesign.estimator.fusion import POINT, UNLIKELY, Fusion, Reading, channels_of
+from probedesign.estimator.pressed import Push
 from probedesign.estimator.unknowns import Unknowns
-from probedesign.frames import Array, is_pose
+from probedesign.frames import Array
 
 MOST_NODES = 8
 IN_TURN = 4
 """Readings after which one of the older nodes is linearised anew too."""
+SETTLING = 8
+"""Steps of Gauss and Newton at the first readings, from the place that one reading by itself tells."""
 _APART = 5e-6
 """Poses nearer than this [m], and their rotations [rad] likewise over a tenth of a metre, are one."""
-_ANCHOR = 7000
+_ANCHOR = 7000.0
 """Most readings that the free probe's mean counts."""
+_LARGE = 1e9
 
 
-@dataclass
-class Node:
-    """The mean of readings from nearly one pose.
-
-    Attributes:
-        wrench: (6,); T: of the base, (4, 4); gravity: in base axes (3,); count: of readings; touched: whether.
-        pressed: as it was linearised last, None if not yet or free.
-        shift: how far the base was likely off there for itself [m], (3,).
-    """
-
-    wrench: Array
-    T: Array
-    gravity: Array
-    count: int
-    touched: bool
-    pressed: Pressed | None = None
-    shift: Array = field(default_factory=lambda: np.zeros(3))
-
-    def take(self, wrench: Array, most: float = math.inf) -> None:
-        """One more reading."""
-        self.count = int(min(self.count + 1, most))
-        self.wrench = self.wrench + (wrench - self.wrench) / self.count
-
-    def join(self, other: "Node") -> "Node":
-        """Both as one; the pose is that of the one with more readings, moved to the mean."""
-        total = self.count + other.count
-        share, more = other.count / total, self if self.count >= other.count else other
-        T = more.T.copy()
-        T[:3, 3] = (1.0 - share) * self.T[:3, 3] + share * other.T[:3, 3]
-        wrench = (1.0 - share) * self.wrench + share * other.wrench
-        return Node(wrench, T, more.gravity, total, True, more.pressed)
-
-    def apart(self, T: Array) -> float:
-        """How far a pose is from this one [m]; a radian of turn counts as a tenth of a metre."""
-        moved, turned = T[:3, 3] - self.T[:3, 3], T[:3, :3] - self.T[:3, :3]
-        return math.sqrt(float(moved @ moved)) + 0.1 * math.sqrt(0.5 * float((turned * turned).sum()))
+@lru_cache
+def _most(dof: int) -> float:
+    return float(chdtri(dof, UNLIKELY))
 
 
 @dataclass
@@ -100,8 +68,8 @@ class Tracker:
 
     def __post_init__(self) -> None:
         """Raises InputError where an argument makes no sense."""
-        self._gravity = np.asarray(self.gravity_world, dtype=float)
-        if self._gravity.shape != (3,) or not np.isfinite(self._gravity).all():
+        self._gravity_world = np.asarray(self.gravity_world, dtype=float)
+        if self._gravity_world.shape != (3,) or not np.isfinite(self._gravity_world).all():
             raise InputError(f"gravity_world = {self.gravity_world} must be three finite numbers in m/s²")
         if self.nodes < 2:
             raise InputError(f"nodes = {self.nodes} must be 2 or more")
@@ -109,13 +77,26 @@ class Tracker:
         self._unknowns = self.unknowns or Unknowns.of(model)
         self._detector = Detector(model, self.rate)
         self._channels = channels_of(model, self.moments_about if self.moments_only else None)
-        self._cov = model.noise_base() * model.averaging_samples
         self._time = -math.inf
-        self._free: Node | None = None
+        # The free probe's mean first, then the nodes of the touch, and room for one too many.
+        self._rows = np.zeros((self.nodes + 2, node.NODE))
+        self._gravity, self._result = np.empty(3), np.empty(normal.RESULT)
         self._forget()
 
+    @cached_property
+    def _work(self) -> Array:
+        return np.empty(max(node.WORK, normal.work_for(self.nodes + 1, len(self._channels))))
+
+    @cached_property
+    def _doubts(self) -> tuple[Array, Array, Array, float, float, float, float]:
+        """What `normal_step` needs to know of noise and unknowns."""
+        model, unknowns = self.estimator.model, self._unknowns
+        sample = self._channels @ model.noise_base() @ self._channels.T * model.averaging_samples
+        return (np.ascontiguousarray(self._channels), np.ascontiguousarray(sample), unknowns.prior,
+                unknowns.base_repeat, unknowns.bias_steps, unknowns.bias_walk_steps, unknowns.creep)  # fmt: skip
+
     def _forget(self) -> None:
-        self._nodes: list[Node] = []
+        self._kept = 0
         self._x: Array | None = None
         self._fixed: Fixed = "surface"
         self._turn = 0
@@ -134,114 +115,237 @@ class Tracker:
             reading that cannot be ("out_of_range": not finite, beyond the sensor, no pose, time running backward)
             changes nothing.
         """
-        wrench, T = np.asarray(wrench_base, dtype=float), np.asarray(T_world_base, dtype=float)
-        if wrench.shape != (6,) or not (
-            np.isfinite(wrench).all() and is_pose(T) and self._time < time < math.inf
-        ):
+        wrench, T = (
+            np.ascontiguousarray(wrench_base, dtype=float),
+            np.ascontiguousarray(T_world_base, dtype=float),
+        )
+        if wrench.shape != (6,) or T.shape != (4, 4) or not self._time < time < math.inf:
             return Fused("out_of_range")
-        gravity = T[:3, :3].T @ self._gravity
-        if not self.estimator.model.reads(self.estimator.model.to_sensor(wrench, gravity)):
+        reach, hanging, most, _ = self.estimator.model.sight
+        if not node.admit(wrench, T, self._gravity_world, reach, hanging, most, self._gravity):
             return Fused("out_of_range")
-        free = self.estimator.free(gravity)
+        free = self.estimator.free(self._gravity)
         if not free.ok:
             return Fused("not_converged")
         self._time = float(time)
         said = self._detector.update(wrench - free.wrench_base)
         if said != "contact":
-            self._release(wrench, T, gravity, lost=said == "lost")
+            self._release(wrench, T, lost=said == "lost")
             return Fused("no_contact")
-        node = self._place(wrench, T, gravity)
-        return self._solve(node)
+        i = self._place(wrench, T)
+        return self._solve(i) if self._x is not None else self._begin()
 
     @property
     def kept(self) -> int:
         """How many nodes of the present touch are kept."""
-        return len(self._nodes)
+        return self._kept
 
-    def _release(self, wrench: Array, T: Array, gravity: Array, lost: bool) -> None:
+    @property
+    def _touched(self) -> Array:
+        """The nodes of the touch."""
+        return self._rows[1 : 1 + self._kept]
+
+    @property
+    def _counting(self) -> Array:
+        """All that counts: the free probe's mean too where the bias is not known."""
+        anchored = self._unknowns.bias_steps > 0.0 and self._rows[0, node.COUNT] > 0.0
+        return self._rows[0 if anchored else 1 : 1 + self._kept]
+
+    def _release(self, wrench: Array, T: Array, lost: bool) -> None:
         """A free reading: it ties the bias down."""
-        if lost or self._nodes:
+        if lost or self._kept:
             self._forget()
-        if self._free is None or self._free.apart(T) > _APART:
-            self._free = Node(wrench, T, gravity, 1, False)
+        anchor = self._rows[0]
+        if anchor[node.COUNT] == 0.0 or node.apart(anchor, T) > _APART:
+            self._set(anchor, wrench, T, touched=False)
         else:
-            self._free.take(wrench, _ANCHOR)
+            node.take_in(anchor, wrench, _ANCHOR)
 
-    def _place(self, wrench: Array, T: Array, gravity: Array) -> Node:
-        """The node that a reading belongs to, with it."""
-        if self._nodes and self._nodes[-1].apart(T) <= _APART:
-            self._nodes[-1].take(wrench)
-            return self._nodes[-1]
-        pressed = self._nodes[-1].pressed if self._nodes else None
-        self._nodes.append(Node(wrench, T, gravity, 1, True, pressed))
-        if len(self._nodes) > self.nodes:
-            gaps = [b.apart(a.T) for a, b in zip(self._nodes, self._nodes[1:], strict=False)]
-            i = int(np.argmin(gaps))
-            self._nodes[i : i + 2] = [self._nodes[i].join(self._nodes[i + 1])]
-        return self._nodes[-1]
+    def _set(self, row: Array, wrench: Array, T: Array, touched: bool) -> None:
+        """A node of one reading."""
+        row[:] = 0.0
+        row[node.WRENCH : node.ROTATION] = wrench
+        row[node.ROTATION : node.ORIGIN], row[node.ORIGIN : node.GRAVITY] = T[:3, :3].ravel(), T[:3, 3]
+        row[node.GRAVITY : node.COUNT] = self._gravity
+        row[node.COUNT], row[node.TOUCHED] = 1.0, float(touched)
 
-    def _fusion(self) -> Fusion:
-        anchor = [self._free] if self._free is not None and self._unknowns.bias_steps > 0.0 else []
-        readings = tuple(
-            Reading(node.wrench, self._cov / node.count, node.T, node.gravity, node.touched)
-            for node in [*anchor, *self._nodes]
-        )
-        return Fusion(self.estimator.model, readings, self._unknowns, self._channels)
+    def _place(self, wrench: Array, T: Array) -> int:
+        """Put a reading into the node that it belongs to; which of the touch's nodes that is."""
+        last = self._rows[self._kept]
+        if self._kept and node.apart(last, T) <= _APART:
+            node.take_in(last, wrench, _LARGE)
+            return self._kept - 1
+        self._kept += 1
+        new = self._rows[self._kept]
+        self._set(new, wrench, T, touched=True)
+        if self._kept > 1:
+            new[node.PLACE :] = last[node.PLACE :]
+        if self._kept > self.nodes:
+            self._join()
+        return self._kept - 1
 
-    def _solve(self, node: Node) -> Fused:
-        """The answer over all nodes: a whole batch at first, then one step from the last one."""
-        fusion = self._fusion()
-        if self._x is None:
-            return self._begin(fusion)
-        anchors = len(fusion.readings) - len(self._nodes)
+    def _join(self) -> None:
+        """Make one of the two neighbours that lie closest."""
+        rows = self._touched
+        gaps = [node.apart(after, _pose(before)) for before, after in pairwise(rows)]
+        i = int(np.argmin(gaps))
+        a, b = rows[i], rows[i + 1]
+        total, kept = a[node.COUNT] + b[node.COUNT], (a if a[node.COUNT] >= b[node.COUNT] else b).copy()
+        for part in (slice(node.WRENCH, node.ROTATION), slice(node.ORIGIN, node.GRAVITY)):
+            kept[part] = (a[node.COUNT] * a[part] + b[node.COUNT] * b[part]) / total
+        kept[node.COUNT] = total
+        rows[i] = kept
+        rows[i + 1 : -1] = rows[i + 2 :].copy()
+        self._kept -= 1
+
+    def _solve(self, i: int) -> Fused:
+        """The answer after a reading came into node i: linearised there, and one step over all nodes."""
+        assert self._x is not None
         self._turn += 1
-        older = self._nodes[self._turn // IN_TURN % len(self._nodes)]
-        for one in (node, older) if self._turn % IN_TURN == 0 and older is not node else (node,):
-            if not self._linearise(one):
-                self._x, self._said = None, Fused("not_converged")
-                return self._said
-        pressed = (*[None] * anchors, *[one.pressed for one in self._nodes])
-        linear = fusion.linear(pressed, self._x)
-        normal = fusion.normal(linear, self._x)
-        for one, shift in zip(self._nodes, normal.shifts[anchors:], strict=True):
-            one.shift = shift
-        x = self._x + share_of(normal.step, 0.1 * self.estimator.model.rod.length) * normal.step
-        if not np.isfinite(x).all():
-            self._x, self._said = None, Fused("not_converged")
-            return self._said
-        solution = Solution(x, normal.cov, normal.chi2, pressed, linear, 1)
-        told = fusion.answer([solution], self._fixed, brief=True)
-        # What fits no more may have run away, so a batch looks again; what no batch can fit stays so.
-        self._x = None if told.result == "inconsistent" else x
+        older = self._turn // IN_TURN % self._kept
+        for k in (i, older) if self._turn % IN_TURN == 0 and older != i else (i,):
+            if not self._linearise(k, move=True):
+                return self._lost()
+        told = self._step()
+        # What fits no more may have run away, so it begins again; what cannot fit stays so.
+        if told.result in ("inconsistent", "not_converged"):
+            self._x = None
         self._said = told
         return told
 
-    def _begin(self, fusion: Fusion) -> Fused:
-        """Start from a whole batch, but not at every reading; between, what was said last holds, never "ok"."""
-        last = self._nodes[-1]
-        if last.count & (last.count - 1) and last.count % 256:  # at 1, 2, 4, 8 ... readings of a pose
+    def _lost(self) -> Fused:
+        self._x, self._said = None, Fused("not_converged")
+        return self._said
+
+    def _linearise(self, k: int, move: bool) -> bool:
+        """A node of the touch, its push first moved to where the unknowns put it or not; whether it stands."""
+        rod, model = self.estimator.model.rod, self.estimator.model
+        return bool(node.linearise(rod.body, model.mass, self._x, move, self._fixed == "contact",
+                                   self._touched[k], self._work))  # fmt: skip
+
+    def _step(self) -> Fused:
+        """One step over all nodes as they are linearised, and what is known then."""
+        assert self._x is not None
+        rows, result = self._counting, self._result
+        most = 0.1 * self.estimator.model.rod.length
+        if not normal.normal_step(rows, self._x, most, *self._doubts, self._work, result):
+            return Fused("not_converged")
+        return self._told(rows, self._x.copy(), result.copy())
+
+    def _told(self, rows: Array, x: Array, result: Array) -> Fused:
+        """The answer in words."""
+        cov, chi2 = result[normal.COV : normal.CHI2].reshape(7, 7), float(result[normal.CHI2])
+        dof, rms = max(len(rows) * len(self._channels) - 3, 1), math.sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
+        stiffness, std = math.exp(x[node.STIFFNESS]), math.sqrt(cov[node.STIFFNESS, node.STIFFNESS])
+        code = self._code(chi2, dof, rms, bool(result[normal.PULLS]))
+        if code != "ok":
+            return Fused(code, fixed=self._fixed, stiffness=stiffness, std_stiffness=stiffness * std, chi2=chi2,
+                         dof=dof, rms=rms, iterations=1)  # fmt: skip
+        free = rows[:, node.TOUCHED] == 0.0
+        return Fused(
+            "ok",
+            p_contact_world=x[POINT] + result[normal.AT_CONTACT : normal.AT_SURFACE],
+            p_surface_world=x[POINT] + result[normal.AT_SURFACE : normal.COV_CONTACT],
+            cov_contact_world=result[normal.COV_CONTACT : normal.PULLS].reshape(3, 3),
+            cov_fixed_world=cov[POINT, POINT],
+            fixed=self._fixed,
+            s_contact=np.where(free, np.nan, rows[:, node.PLACE]),
+            force_base=rows[:, node.FORCE : node.TIP].copy(),
+            stiffness=stiffness,
+            std_stiffness=stiffness * std,
+            chi2=chi2,
+            dof=dof,
+            rms=rms,
+            iterations=1,
+        )
+
+    def _code(self, chi2: float, dof: int, rms: float, pulls: bool) -> Result:
+        if chi2 > _most(dof) or pulls:
+            return "inconsistent"
+        if not rms < self.estimator.model.rod.length / math.sqrt(12.0):
+            return "unobservable" if self.moments_only else "too_light"
+        return "ok"
+
+    def _begin(self) -> Fused:
+        """Start, but not at every reading; between, what was said last holds, never "ok"."""
+        count = int(self._touched[-1, node.COUNT])
+        if count & (count - 1) and count % 256:  # at 1, 2, 4, 8 ... readings of a pose
             return self._said
-        solved = fusion.solved()
-        if isinstance(solved, Fused):
-            self._said = solved
-            return solved
-        found, self._fixed = solved
-        self._said = told = fusion.answer(found, self._fixed, brief=True)
-        if told.ok:
-            self._x = found[0].x
-            anchors = len(fusion.readings) - len(self._nodes)
-            for one, pressed in zip(self._nodes, found[0].pressed[anchors:], strict=True):
-                one.pressed = pressed
+        if self.moments_only and self._kept < 2:
+            self._said = Fused("unobservable")
+            return self._said
+        self._model_anchor()
+        told = self._from_one()
+        if told.result not in ("ok", "too_light") and self._kept > 1:  # of one pose, a batch knows no more
+            told = self._from_batch()
+        self._said = told
+        if told.result in ("inconsistent", "not_converged"):
+            self._x = None
         return told
 
-    def _linearise(self, node: Node) -> bool:
-        """About where the unknowns put the fixed point; whether there is an equilibrium."""
-        assert self._x is not None
-        assert node.pressed is not None
-        rod = self.estimator.model.rod
-        point = node.T[:3, :3].T @ (self._x[POINT] - node.T[:3, 3]) - self._x[OFFSET] + node.shift
-        push = node.pressed.moved(point, float(self._x[STIFFNESS]), 0.1 * rod.length)
-        found = press(rod, node.gravity, push, self._fixed, float(self._x[STIFFNESS]))
-        if found is not None:
-            node.pressed = found
-        return found is not None
+    def _model_anchor(self) -> None:
+        """What the free probe reads where its mean was taken, and that by log stiffness."""
+        anchor = self._rows[0]
+        eq = self.estimator.model.rod.solve(anchor[node.GRAVITY : node.COUNT].copy(), columns="all")
+        if anchor[node.COUNT] > 0.0 and eq.sensitivity is not None:
+            by, names = eq.sensitivity.d_wrench, eq.sensitivity.names
+            anchor[node.MODELLED : node.BY_PLACE] = eq.wrench_base
+            anchor[node.BY_STIFFNESS : node.FIXED] = by[:, names.index("log_E")] + by[:, names.index("log_G")]
+
+    def _from_one(self) -> Fused:
+        """Start from the place that the last node's reading tells by itself."""
+        last, rod = self._touched[-1], self.estimator.model.rod
+        found = self.estimator.estimate(last[node.WRENCH : node.ROTATION], last[node.GRAVITY : node.COUNT])
+        if not found.candidates or not (eq := found.candidates[0].shape()).ok:
+            return Fused("not_converged")
+        push, self._fixed = Push.under(rod, eq), "surface"
+        self._x = x = np.zeros(node.UNKNOWNS)
+        for row in self._touched:
+            _push(row, push)
+        if not self._linearise(self._kept - 1, move=False):
+            return self._lost()
+        x[POINT] = last[node.ORIGIN : node.GRAVITY] + _pose(last)[:3, :3] @ last[node.FIXED : node.CONTACT]
+        for row in self._touched[:-1]:
+            row[node.PLACE :] = last[node.PLACE :]
+        for _ in range(SETTLING):
+            if not all(self._linearise(k, move=True) for k in range(self._kept)):
+                return self._lost()
+            told = self._step()
+        return told
+
+    def _from_batch(self) -> Fused:
+        """Start from the whole batch."""
+        self._x, model, rows = None, self.estimator.model, self._counting
+        cov = model.noise_base() * model.averaging_samples
+        readings = tuple(
+            Reading(row[: node.ROTATION].copy(), cov / row[node.COUNT], _pose(row),
+                    row[node.GRAVITY : node.COUNT].copy(), bool(row[node.TOUCHED]))
+            for row in rows
+        )  # fmt: skip
+        fusion = Fusion(model, readings, self._unknowns, self._channels)
+        solved = fusion.solved()
+        if isinstance(solved, Fused):
+            return solved
+        found, self._fixed = solved
+        told = fusion.answer(found, self._fixed, brief=True)
+        if told.ok:
+            self._x = found[0].x
+            for k, pressed in enumerate(found[0].pressed[len(rows) - self._kept :]):
+                assert pressed is not None
+                _push(self._touched[k], pressed.push)
+                if not self._linearise(k, move=False):
+                    return self._lost()
+        return told
+
+
+def _pose(row: Array) -> Array:
+    """Of a node's base, (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = row[node.ROTATION : node.ORIGIN].reshape(3, 3), row[node.ORIGIN : node.GRAVITY]
+    return T
+
+
+def _push(row: Array, push: Push) -> None:
+    """Let a node's push be this one."""
+    row[node.PLACE], row[node.ANGLE], row[node.MAGNITUDE] = push.s, push.angle, push.magnitude
+    row[node.FORCE : node.TIP], row[node.TIP : node.LOG_STIFFNESS] = push.force, push.tip

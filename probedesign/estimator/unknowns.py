@@ -3,9 +3,14 @@
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
+import numpy as np
+
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.frames import Array
 
+EXACT = 1e-12
+"""A prior that is none, relative and in metres."""
 IDENTIFIED = 0.005
 """What an identification on the bench leaves of the stiffness, relative. Assumed."""
 Source = Literal["stiffness", "bias", "robot"]
@@ -54,6 +59,12 @@ class Unknowns:
     def none(cls) -> "Unknowns":
         """Everything but the object is known exactly."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def prior(self) -> Array:
+        """Standard deviations of log stiffness and of the base's offset [m], (4,); never quite none."""
+        offset = max(self.base_offset, EXACT)
+        return np.array([max(self.stiffness, EXACT), offset, offset, offset])
 
     def without(self, source: Source) -> "Unknowns":
         """The same with one source of error gone."""
