@@ -9,6 +9,7 @@ from typing import Any
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.errors import CheckFailedError, InputError
 from probedesign.materials import Quantity, Resin, resin_named
+from probedesign.naming import unknown
 from probedesign.sensor import SENSORS
 from probedesign.units import MPA
 
@@ -77,7 +78,7 @@ def sensor_keys(choice: str) -> dict[str, str]:
         if choice in (model.name, *names):
             return {"model": model.name, "calibration": names[0] if choice == model.name else choice}
         known += [model.name, *names]
-    raise InputError(f"sensor.calibration: unknown '{choice}'; known: {', '.join(known)}")
+    raise unknown("sensor.calibration", choice, known)
 
 
 def material_keys(resin: Resin) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from probedesign.errors import InputError
+from probedesign.naming import unknown
 from probedesign.units import MM
 
 
@@ -45,4 +45,4 @@ def printer_named(name: str) -> Printer:
     try:
         return PRINTERS[name]
     except KeyError:
-        raise InputError(f"print.printer: unknown '{name}'; known: {', '.join(sorted(PRINTERS))}") from None
+        raise unknown("print.printer", name, PRINTERS) from None
