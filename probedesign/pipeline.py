@@ -1,7 +1,8 @@
 """The whole chain, one function an arrow. Read this page first.
 
     designs/NAME.toml → design → geometry → section, mass ─→ rod ─→ estimator ─→ prediction ─→ report
-                            └→ cad (solids, adapters) → exports/NAME/ + manifest      └→ frozen probe → live
+                            ├→ print check                                            └→ frozen probe → live
+                            └→ cad (solids, adapters) → exports/NAME/ + manifest → PreForm
 
 `probe.build_probe` is the middle of it: one `ProbeGeometry` feeds the rod here and CadQuery there. The
 frozen probe at the end is all that `estimate` and `live` ever read.
@@ -17,6 +18,7 @@ from probedesign.deployment import check_manifest, check_replaceable, write_froz
 from probedesign.design import Design, load_design
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
+from probedesign.printing.check import PrintCheck, check_print
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
@@ -38,24 +40,31 @@ def summary(design: Design) -> dict[str, Any]:
     """What to expect of a design, in a few numbers.
 
     Returns:
-        mass_g, sag_mm, thinnest_mm, fits_upright, printer, expected_error_mm, expected_error_condition, assumptions.
+        mass_g, sag_mm, thinnest_mm, fits_upright, printer, print_check, expected_error_mm,
+        expected_error_condition, assumptions.
     """
     probe = build_probe(design)
     estimator = probe.estimator()
     fraction, force_N, direction = SUMMARY_TOUCH
     touch = predict_touch(estimator, fraction, force_N, direction)
-    flange = probe.geometry.flange
+    found = check_print(design)
     return {
         "mass_g": 1e3 * probe.mass,
         "sag_mm": tip_sag_mm(estimator),
         "thinnest_mm": probe.geometry.thinnest / MM,
-        "fits_upright": design.printer.fits_upright(flange.diameter, probe.length + flange.thickness),
-        "printer": design.print_.printer,
+        "fits_upright": found.fits,
+        "printer": found.printer,
+        "print_check": found.as_record(),
         "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,
         "expected_error_condition": f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
         f"of {design.sensor.averaging_samples} samples ({touch.result})",
         "assumptions": list(design.assumptions),
     }
+
+
+def check(design_path: Path) -> PrintCheck:
+    """Design → will it print? The rules of the printer and of both resins; no CAD."""
+    return check_print(load_design(design_path))
 
 
 def export(

@@ -13,11 +13,6 @@ class Printer:
     name: str
     build_volume: tuple[float, float, float]
 
-    def fits_upright(self, width: float, height: float) -> bool:
-        """Whether a round part of that width stands upright in it, all in [m]."""
-        x, y, z = self.build_volume
-        return width <= min(x, y) and height <= z
-
 
 def _printer(name: str, *size_mm: float) -> Printer:
     x, y, z = (v * MM for v in size_mm)

@@ -144,6 +144,7 @@ def workplace(tmp_path, monkeypatch):
             "thinnest_mm": 2.0,
             "fits_upright": design.probe.length_mm < 185,
             "printer": design.print_.printer,
+            "print_check": {"errors": 0, "warnings": 1, "findings": []},
             "expected_error_mm": float("inf"),
             "expected_error_condition": "one touch of 10 mN at 0.8 of the length",
             "assumptions": design.assumptions,

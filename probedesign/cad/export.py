@@ -19,6 +19,7 @@ from probedesign.cad.threemf import threemf_bytes
 from probedesign.cad.verify import verify
 from probedesign.design import Design
 from probedesign.errors import CheckFailedError, InputError
+from probedesign.printing.check import check_print
 
 MANIFEST = "manifest.json"
 STEP_END = b"END-ISO-10303-21;"
@@ -41,6 +42,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
             (staging / name).write_bytes(content)
         _write_step(drawing, staging / "assembly.step")
         manifest = manifest_of(drawing, _digests(staging), findings)
+        manifest["print_check"] = check_print(design).as_record()
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
 

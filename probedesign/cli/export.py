@@ -51,6 +51,8 @@ def _print(manifest: dict[str, Any]) -> None:
             "assumed": ", ".join(manifest["assumptions"]),
         }
     )
+    for finding in manifest["print_check"]["findings"]:
+        print(f"  print check, {finding['severity']}: {finding['message']}")
     print("\nscrews (longer ones destroy the sensor)")
     for screw in manifest["screws"]:
         low, high = screw["entry_allowed_mm"]

@@ -14,6 +14,7 @@ from probedesign.errors import InputError, MissingDependencyError
 
 COMMANDS = {
     "new": "Write designs/NAME.toml from a few numbers.",
+    "check": "Check whether a design will print.",
     "export": "Make the parts to print: STL, STEP, 3MF and their manifest.",
     "predict": "Predict sensitivity and contact error of a design.",
     "deploy": "Freeze the estimator of a design into one file.",
