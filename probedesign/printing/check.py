@@ -8,6 +8,7 @@ from probedesign.errors import InputError
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mounting import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
 from probedesign.printing import limits
+from probedesign.printing.compensation import scale_of
 from probedesign.printing.mount_rules import mount_findings
 from probedesign.printing.probe_rules import flange_findings, probe_findings
 from probedesign.printing.rule import Finding
@@ -88,14 +89,14 @@ def check_print(design: Design) -> PrintCheck:
 
 
 def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
-    sx, _, sz = design.print_.scale
+    sx, _, sz = scale_of(design, "probe")
     width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max()))
     below, length = geometry.flange.thickness / MM, geometry.length / MM
     return probe_fits(design.printer, sx * width / MM, below, length, sz)
 
 
 def _rigid_sizes(design: Design, a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
-    sx, _, sz = design.print_.rigid_scale
+    sx, _, sz = scale_of(design, "rigid parts")
     sizes = {
         "sensor_adapter": (a.body_d, a.body_top),
         "clamp_ring": (a.body_d, a.ring_thickness),
