@@ -10,6 +10,7 @@ frozen probe at the end is all that `estimate` and `live` ever read.
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,11 @@ from probedesign.design import Design, load_design
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
 from probedesign.printing.check import PrintCheck, check_print
+from probedesign.printing.preform.connection import connection_to
+from probedesign.printing.preform.job import job_of
+from probedesign.printing.preform.places import check_form_file, places_of
+from probedesign.printing.preform.prepare import Order, Prepared, prepare
+from probedesign.printing.preform.server import PreForm
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
@@ -74,6 +80,19 @@ def export(
     from probedesign.cad import export_parts
 
     return export_parts(load_design(design_path), out, progress)
+
+
+def prepare_print(
+    design_path: Path, preform: str, order: Order, timeout_s: float, tell: Callable[[str, float | None], None]
+) -> Prepared:
+    """Exported parts → PreForm → form file, and the queue of a printer if one is named."""
+    design = load_design(design_path)
+    connection = connection_to(preform)
+    job = job_of(design, order.folder or EXPORTS / design.name, order.parts)
+    places = places_of(job.folder, order.server_folder, connection.local, connection.url)
+    if order.form_file is not None:
+        order = replace(order, form_file=check_form_file(order.form_file, places, order.force))
+    return prepare(PreForm(connection, timeout_s, tell=tell), job, places, order)
 
 
 def predict(
