@@ -43,6 +43,7 @@ def build_app() -> App:
         help_format="plaintext",
         print_error=False,
         exit_on_error=False,
+        suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
     for sort_key, (name, line) in enumerate(COMMANDS.items()):

@@ -21,6 +21,7 @@ from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
 from probedesign.mass import MassProperties, combined, flexible_part
 from probedesign.mounting import hanging_mass, sensor_adapter_for
+from probedesign.printing.preform.job import job_of
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
@@ -167,6 +168,15 @@ def test_the_manifest_tells_what_the_print_check_found(exported: Exported) -> No
     assert check["ok"] and check["errors"] == 0
     assert check["warnings"] == len(check["findings"])
     assert exported[1]["print_scale"]["probe"] == [1.0, 1.0, 1.0]
+
+
+def test_the_export_is_what_print_takes(exported: Exported, make_design: Callable[..., Design]) -> None:
+    folder, manifest = exported
+    probe, adapters = (job_of(make_design(), folder, parts) for parts in ("probe", "adapters"))
+    # Facets have corners at both ends of both axes; single precision.
+    assert probe.sizes == {"probe": pytest.approx((19.0, 19.0, 153.0), abs=0.02)}
+    assert {"probe", *adapters.sizes} == set(manifest["parts"])
+    assert all(job.file(part).is_file() for job in (probe, adapters) for part in job.sizes)
 
 
 def test_export_says_nothing_on_stdout(

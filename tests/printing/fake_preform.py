@@ -136,6 +136,7 @@ class FakePreForm:
 
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
+            disable_nagle_algorithm = True  # else each answer waits 40 ms for an acknowledgement
 
             def log_message(self, *_: Any) -> None:
                 """Say nothing."""

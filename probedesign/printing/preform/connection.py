@@ -10,7 +10,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from http.client import HTTPConnection, HTTPException, HTTPResponse
+from http.client import HTTPConnection, HTTPException, HTTPResponse, IncompleteRead
 from threading import Event, Timer
 from typing import Any
 from urllib.parse import urlsplit
@@ -26,6 +26,10 @@ MAX_REPLY = 16 * 2**20
 
 class PreFormError(InputError):
     """PreForm refuses, or what answers is not PreForm."""
+
+
+class RefusedError(PreFormError):
+    """PreForm refuses in its own words: what was asked for is not done."""
 
 
 class NoAnswerError(PreFormError):
@@ -72,7 +76,8 @@ class Connection:
 
         Raises:
             NoAnswerError: nothing listens, or the answer does not come to its end in time.
-            PreFormError: PreForm refuses, or the answer is none of PreForm's.
+            RefusedError: PreForm refuses.
+            PreFormError: the answer is none of PreForm's.
         """
         status, reason, content = self._exchange(what, method, path, body)
         answer = _parsed(content)
@@ -85,7 +90,7 @@ class Connection:
             raise PreFormError(
                 one_line(f"{self.url} answers {what} with {status} {reason}; is that PreForm?")
             )
-        raise PreFormError(one_line(f"PreForm refuses {what}: {told}"))
+        raise RefusedError(one_line(f"PreForm refuses {what}: {told}"))
 
     def _exchange(
         self, what: str, method: str, path: str, body: dict[str, Any] | None
@@ -109,19 +114,23 @@ class Connection:
                     method, path, payload, {"Content-Type": "application/json", "Connection": "close"}
                 )
                 response = http.getresponse()
-                return response.status, response.reason, self._read(what, response)
+                return response.status, response.reason, self._read(what, response, late)
         except (OSError, HTTPException) as error:
             how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({_kind(error)})"
             raise NoAnswerError(one_line(f"{self.url} answers {what} {how}")) from None
         finally:
             http.close()
 
-    def _read(self, what: str, response: HTTPResponse) -> bytes:
+    def _read(self, what: str, response: HTTPResponse, late: Event) -> bytes:
         content = response.read(MAX_REPLY + 1)
         if len(content) > MAX_REPLY:
             raise PreFormError(
                 f"{self.url} is not PreForm: its answer to {what} is longer than {MAX_REPLY} bytes"
             )
+        # A connection cut within the headers reads like an empty answer, which would mean success.
+        silent = not content and response.length is None and not response.chunked
+        if response.length or silent or late.is_set():
+            raise IncompleteRead(content)
         return content
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from probedesign.errors import InputError
-from probedesign.printing.preform.connection import NoAnswerError, PreFormError
+from probedesign.printing.preform.connection import NoAnswerError, PreFormError, RefusedError
 from probedesign.printing.preform.job import Parts, PrintJob
 from probedesign.printing.preform.places import Places
 from probedesign.printing.preform.replies import Model, Scene, Validation
@@ -170,7 +170,9 @@ def _problems(scene: Scene, validation: Validation, names: dict[str, str]) -> It
 def _send(server: PreForm, scene: str, printer: str, name: str) -> str:
     try:
         return server.send(scene, printer, name)
-    except NoAnswerError as error:
+    except RefusedError:
+        raise
+    except PreFormError as error:
         raise NoAnswerError(f"{error}; whether {printer} has the job is not known: look there") from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(

@@ -10,7 +10,13 @@ from pydantic import ValidationError
 
 from probedesign.design_problems import one_line
 from probedesign.printing.limits import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
-from probedesign.printing.preform.connection import Connection, NoAnswerError, PreFormError, told_error
+from probedesign.printing.preform.connection import (
+    Connection,
+    NoAnswerError,
+    PreFormError,
+    RefusedError,
+    told_error,
+)
 from probedesign.printing.preform.replies import (
     Accepted,
     Estimate,
@@ -38,6 +44,7 @@ SUPPORTS = {
 
 
 FORGET_S = 5.0
+FIRST_POLL_S = 0.05
 
 
 def quiet(_step: str, _share: float | None) -> None:
@@ -51,13 +58,13 @@ class PreForm:
     Attributes:
         connection: to it.
         operation_s: what one long operation may take; the server itself gives up after ten minutes.
-        poll_s: between questions how far it is.
+        poll_s: longest time between questions how far it is.
         tell: is told each step, with the share done where PreForm says it.
     """
 
     connection: Connection
     operation_s: float = 600.0
-    poll_s: float = 0.5
+    poll_s: float = 1.0
     tell: Tell = quiet
 
     def version(self) -> str:
@@ -134,13 +141,14 @@ class PreForm:
 
     def _wait(self, what: str, operation: str) -> dict[str, Any]:
         deadline = time.monotonic() + self.operation_s
+        pause_s = FIRST_POLL_S
         while True:
             answer = self.connection.ask(what, "GET", f"/operations/{quote(operation, safe='')}/")
             state = self._checked(Operation, what, answer)
             if state.status == "SUCCEEDED":
                 return state.result or {}
             if state.status == "FAILED":
-                raise PreFormError(
+                raise RefusedError(
                     one_line(f"PreForm fails at {what}: {told_error(state.result) or 'it does not say why'}")
                 )
             if time.monotonic() > deadline:
@@ -149,7 +157,8 @@ class PreForm:
                     "--timeout-s gives it more"
                 )
             self.tell(what, min(max(state.progress, 0.0), 1.0))
-            time.sleep(self.poll_s)
+            time.sleep(min(pause_s, self.poll_s))
+            pause_s *= 1.5  # most are done soon, supports may take minutes
 
     def _checked(self, kind: type[R], what: str, answer: dict[str, Any]) -> R:
         try:
