@@ -99,7 +99,7 @@ class FakePreForm:
         self.failing: dict[str, dict[str, Any]] = {}
         self.validation: dict[str, Any] = {"cups": 0, "unsupported_minima": 0, "undersupported": False}
         self.model: dict[str, Any] = {}
-        self.polls = 2
+        self.polls = 1
         self.writes = True
         self.root: tuple[str, Path] | None = None
         self.printed: list[dict[str, Any]] = []
