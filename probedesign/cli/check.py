@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json
+from probedesign.cli.output import counted, print_json
 
 if TYPE_CHECKING:
     from probedesign.printing.check import PrintCheck
@@ -39,7 +39,7 @@ def _print(found: "PrintCheck") -> None:
     for finding in (*found.errors, *found.warnings):
         _print_finding(finding)
     print(
-        f"{_count(len(found.errors), 'error')}, {_count(len(found.warnings), 'warning')}; "
+        f"{counted(len(found.errors), 'error')}, {counted(len(found.warnings), 'warning')}; "
         f"{len(found.passed)} of {len(found.findings)} checks pass"
     )
     print("\nwhen you print it")
@@ -50,7 +50,3 @@ def _print(found: "PrintCheck") -> None:
 def _print_finding(finding: "Finding") -> None:
     print(f"  {finding.severity:<7}  {finding.message}")
     print(f"           {finding.rule}, {finding.confidence} confidence: {finding.source}")
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table, working
+from probedesign.cli.output import counted, print_json, print_table, working
 from probedesign.errors import InputError
 
 FOLDER = Path("designs")
@@ -107,7 +107,7 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
         if document["sag_mm"] is None
         else f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
         "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm at its thinnest",
-        "print check": f"{found['errors'] or 'no'} error(s), {found['warnings'] or 'no'} warning(s); "
+        "print check": f"{counted(found['errors'], 'error')}, {counted(found['warnings'], 'warning')}; "
         f"probedesign check {document['file']}",
         "expected error": f"{expected}, {document['expected_error_condition']}",
         "assumed": ", ".join(document["assumptions"]) or "nothing",

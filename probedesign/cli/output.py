@@ -40,6 +40,11 @@ def print_table(rows: dict[str, str]) -> None:
 Tell = Callable[[str, float | None], None]
 
 
+def counted(number: int, what: str) -> str:
+    """So many of something, as one says it."""
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"
+
+
 @contextmanager
 def telling() -> Iterator[Tell]:
     """Say on a terminal which step is at work, with its share done where that is known."""
