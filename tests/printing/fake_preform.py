@@ -135,6 +135,7 @@ class FakePreForm:
         fake = self
 
         class Handler(BaseHTTPRequestHandler):
+            fake: "FakePreForm"
             protocol_version = "HTTP/1.1"
             disable_nagle_algorithm = True  # else each answer waits 40 ms for an acknowledgement
 
@@ -172,6 +173,7 @@ class FakePreForm:
                 self.end_headers()
                 self.wfile.write(content)
 
+        Handler.fake = fake
         return Handler
 
     def answer(self, method: str, parts: list[str], body: Any, later: bool) -> tuple[int, Any]:

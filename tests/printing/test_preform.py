@@ -185,6 +185,11 @@ def test_a_part_that_was_not_validated_is_a_problem(fake, place):
     assert prepared(fake, place).problems == ("probe: PreForm did not validate it",)
 
 
+def test_a_part_that_got_lost_is_a_problem(fake, place):
+    fake.faults["auto-layout"] = lambda handler: [s["models"].clear() for s in fake.scenes.values()] and None
+    assert prepared(fake, place).problems == ("probe: no longer in the scene",)
+
+
 def test_progress_is_told_step_by_step(fake, place):
     fake.polls, steps = 2, []
     prepared(fake, place, tell=lambda step, share: steps.append((step, share)))
@@ -523,8 +528,14 @@ def test_an_operation_that_fails_passes_on_preforms_words(fake, place, step):
     assert fake.scenes == {} and left_over(place) == []
 
 
+def forgets(handler):
+    """The upload is accepted, and then nobody tells what becomes of it."""
+    handler.fake.faults["operations"] = lambda _: handler.fake.operations.clear()
+
+
 @pytest.mark.parametrize(
-    "fault", [closes, says(200, b"<html>"), says(502, b"Bad Gateway"), says(200, {"job_id": 5})]
+    "fault",
+    [closes, says(200, b"<html>"), says(502, b"Bad Gateway"), says(200, {"job_id": 5}), forgets],
 )
 def test_an_upload_without_an_answer_says_that_nobody_knows(fake, place, fault):
     fake.faults["print"] = fault

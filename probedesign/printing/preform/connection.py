@@ -95,17 +95,7 @@ class Connection:
     def _exchange(
         self, what: str, method: str, path: str, body: dict[str, Any] | None
     ) -> tuple[int, str, bytes]:
-        http = HTTPConnection(self.host, self.port, timeout=min(CONNECT_S, self.timeout_s))
-        try:
-            http.connect()
-        except (OSError, UnicodeError) as error:  # UnicodeError: a host that no name server takes
-            http.close()
-            reason = getattr(error, "strerror", None) or str(error) or "no answer"
-            raise NoAnswerError(
-                one_line(
-                    f"{self.url}: nothing answers there ({reason}); start it: PreFormServer --port {self.port}"
-                )
-            ) from None
+        http = self._connected()
         late = Event()
         try:
             with _cut_off(http.sock, self.timeout_s, late):
@@ -120,6 +110,20 @@ class Connection:
             raise NoAnswerError(one_line(f"{self.url} answers {what} {how}")) from None
         finally:
             http.close()
+
+    def _connected(self) -> HTTPConnection:
+        http = HTTPConnection(self.host, self.port, timeout=min(CONNECT_S, self.timeout_s))
+        try:
+            http.connect()
+        except (OSError, UnicodeError) as error:  # UnicodeError: a host that no name server takes
+            http.close()
+            reason = getattr(error, "strerror", None) or str(error) or "no answer"
+            raise NoAnswerError(
+                one_line(
+                    f"{self.url}: nothing answers there ({reason}); start it: PreFormServer --port {self.port}"
+                )
+            ) from None
+        return http
 
     def _read(self, what: str, response: HTTPResponse, late: Event) -> bytes:
         content = response.read(MAX_REPLY + 1)

@@ -163,8 +163,8 @@ def _problems(scene: Scene, validation: Validation, names: dict[str, str]) -> It
             yield f"{part}: {found.unsupported_minima} place(s) that begin in mid-air"
         if found.undersupported:
             yield f"{part}: too few supports"
-    if not scene.models:
-        yield "the scene is empty"
+    for lost in names.keys() - {model.id for model in scene.models}:
+        yield f"{names[lost]}: no longer in the scene"
 
 
 def _send(server: PreForm, scene: str, printer: str, name: str) -> str:

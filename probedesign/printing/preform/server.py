@@ -143,8 +143,7 @@ class PreForm:
         deadline = time.monotonic() + self.operation_s
         pause_s = FIRST_POLL_S
         while True:
-            answer = self.connection.ask(what, "GET", f"/operations/{quote(operation, safe='')}/")
-            state = self._checked(Operation, what, answer)
+            state = self._checked(Operation, what, self._progress(what, operation))
             if state.status == "SUCCEEDED":
                 return state.result or {}
             if state.status == "FAILED":
@@ -159,6 +158,12 @@ class PreForm:
             self.tell(what, min(max(state.progress, 0.0), 1.0))
             time.sleep(min(pause_s, self.poll_s))
             pause_s *= 1.5  # most are done soon, supports may take minutes
+
+    def _progress(self, what: str, operation: str) -> dict[str, Any]:
+        try:
+            return self.connection.ask(what, "GET", f"/operations/{quote(operation, safe='')}/")
+        except RefusedError as error:  # it refuses to tell, which says nothing of the operation
+            raise NoAnswerError(str(error)) from None
 
     def _checked(self, kind: type[R], what: str, answer: dict[str, Any]) -> R:
         try:
