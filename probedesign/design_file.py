@@ -9,6 +9,7 @@ from typing import Any
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.errors import CheckFailedError, InputError
 from probedesign.materials import Quantity, Resin, resin_named
+from probedesign.naming import unknown
 from probedesign.sensor import SENSORS
 from probedesign.units import MPA
 
@@ -31,6 +32,9 @@ COMMENTS = {
     "material.creep_spread": "likewise of how far it relaxes while touches are fused; 0 leaves creep out",
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
+    "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
+    "print.scale_z": "likewise along its axis",
+    "print.rigid_scale_xy": "likewise of the rigid parts",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
 """What stands beside a key, unless the design's own notes say something better."""
@@ -77,7 +81,7 @@ def sensor_keys(choice: str) -> dict[str, str]:
         if choice in (model.name, *names):
             return {"model": model.name, "calibration": names[0] if choice == model.name else choice}
         known += [model.name, *names]
-    raise InputError(f"sensor.calibration: unknown '{choice}'; known: {', '.join(known)}")
+    raise unknown("sensor.calibration", choice, known)
 
 
 def material_keys(resin: Resin) -> dict[str, Any]:

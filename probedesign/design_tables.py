@@ -21,6 +21,8 @@ Length = Annotated[float, Field(ge=5.0, le=400.0)]
 Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
 BoreRatio = Annotated[float, Field(ge=0.05, le=0.9)]
 Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
+Scale = Annotated[float, Field(ge=0.9, le=1.1)]
+"""Beyond a tenth it is a slip: resins shrink by a percent or two (assumed)."""
 
 SECTION_KEYS = {
     "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
@@ -184,9 +186,23 @@ class MountTable(Table):
 
 
 class PrintTable(Table):
-    """`[print]`: on what the parts are printed."""
+    """`[print]`: on what the parts are printed, and how much larger than drawn, so that they come out as drawn."""
 
     printer: str = "form-3"
+    scale_xy: Scale = 1.0
+    scale_z: Scale = 1.0
+    rigid_scale_xy: Scale = 1.0
+    rigid_scale_z: Scale = 1.0
+
+    @property
+    def scale(self) -> tuple[float, float, float]:
+        """Printed over drawn along x, y and z, of the flexible part."""
+        return (self.scale_xy, self.scale_xy, self.scale_z)
+
+    @property
+    def rigid_scale(self) -> tuple[float, float, float]:
+        """The same of the rigid parts."""
+        return (self.rigid_scale_xy, self.rigid_scale_xy, self.rigid_scale_z)
 
 
 def _as_tuple(value: Any) -> Any:

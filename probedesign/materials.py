@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from probedesign.errors import InputError
+from probedesign.naming import unknown
 from probedesign.units import MPA
 
 Provenance = Literal["assumed", "datasheet", "identified"]
@@ -79,4 +79,4 @@ def resin_named(name: str) -> Resin:
     try:
         return RESINS[name]
     except KeyError:
-        raise InputError(f"material.resin: unknown '{name}'; known: {', '.join(sorted(RESINS))}") from None
+        raise unknown("material.resin", name, RESINS) from None

@@ -1,7 +1,8 @@
 """The whole chain, one function an arrow. Read this page first.
 
     designs/NAME.toml → design → geometry → section, mass ─→ rod ─→ estimator ─→ prediction ─→ report
-                            └→ cad (solids, adapters) → exports/NAME/ + manifest      └→ frozen probe → live
+                            ├→ print check                                            └→ frozen probe → live
+                            └→ cad (solids, adapters) → exports/NAME/ + manifest → PreForm
 
 `probe.build_probe` is the middle of it: one `ProbeGeometry` feeds the rod here and CadQuery there. The
 frozen probe at the end is all that `estimate` and `live` ever read.
@@ -9,6 +10,7 @@ frozen probe at the end is all that `estimate` and `live` ever read.
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,12 @@ from probedesign.deployment import check_manifest, check_replaceable, write_froz
 from probedesign.design import Design, load_design
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
+from probedesign.printing.check import PrintCheck, check_print
+from probedesign.printing.preform.connection import connection_to
+from probedesign.printing.preform.job import job_of
+from probedesign.printing.preform.places import check_form_file, places_of
+from probedesign.printing.preform.prepare import Order, Prepared, prepare
+from probedesign.printing.preform.server import PreForm
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
@@ -38,24 +46,31 @@ def summary(design: Design) -> dict[str, Any]:
     """What to expect of a design, in a few numbers.
 
     Returns:
-        mass_g, sag_mm, thinnest_mm, fits_upright, printer, expected_error_mm, expected_error_condition, assumptions.
+        mass_g, sag_mm, thinnest_mm, fits_upright, printer, print_check, expected_error_mm,
+        expected_error_condition, assumptions.
     """
     probe = build_probe(design)
     estimator = probe.estimator()
     fraction, force_N, direction = SUMMARY_TOUCH
     touch = predict_touch(estimator, fraction, force_N, direction)
-    flange = probe.geometry.flange
+    found = check_print(design)
     return {
         "mass_g": 1e3 * probe.mass,
         "sag_mm": tip_sag_mm(estimator),
         "thinnest_mm": probe.geometry.thinnest / MM,
-        "fits_upright": design.printer.fits_upright(flange.diameter, probe.length + flange.thickness),
-        "printer": design.print_.printer,
+        "fits_upright": found.fits,
+        "printer": found.printer,
+        "print_check": found.as_record(),
         "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,
         "expected_error_condition": f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
         f"of {design.sensor.averaging_samples} samples ({touch.result})",
         "assumptions": list(design.assumptions),
     }
+
+
+def check(design_path: Path) -> PrintCheck:
+    """Design → will it print? The rules of the printer and of both resins; no CAD."""
+    return check_print(load_design(design_path))
 
 
 def export(
@@ -65,6 +80,19 @@ def export(
     from probedesign.cad import export_parts
 
     return export_parts(load_design(design_path), out, progress)
+
+
+def prepare_print(
+    design_path: Path, preform: str, order: Order, timeout_s: float, tell: Callable[[str, float | None], None]
+) -> Prepared:
+    """Exported parts → PreForm → form file, and the queue of a printer if one is named."""
+    design = load_design(design_path)
+    connection = connection_to(preform)
+    job = job_of(design, order.folder or EXPORTS / design.name, order.parts)
+    places = places_of(job.folder, order.server_folder, connection.local, connection.url)
+    if order.form_file is not None:
+        order = replace(order, form_file=check_form_file(order.form_file, places, order.force))
+    return prepare(PreForm(connection, timeout_s, tell=tell), job, places, order)
 
 
 def predict(

@@ -2,36 +2,38 @@
 
 from dataclasses import dataclass
 
-from probedesign.errors import InputError
+from probedesign.naming import unknown
 from probedesign.units import MM
 
 
 @dataclass(frozen=True)
 class Printer:
-    """Build volume of one printer, x, y, z [m]."""
+    """One printer.
+
+    Attributes:
+        name: as written in a design file.
+        product: as PreForm names it.
+        build_volume: x, y, z [m].
+    """
 
     name: str
+    product: str
     build_volume: tuple[float, float, float]
 
-    def fits_upright(self, width: float, height: float) -> bool:
-        """Whether a round part of that width stands upright in it, all in [m]."""
-        x, y, z = self.build_volume
-        return width <= min(x, y) and height <= z
 
-
-def _printer(name: str, *size_mm: float) -> Printer:
+def _printer(name: str, product: str, *size_mm: float) -> Printer:
     x, y, z = (v * MM for v in size_mm)
-    return Printer(name, (x, y, z))
+    return Printer(name, product, (x, y, z))
 
 
 PRINTERS = {
     p.name: p
     for p in (
-        _printer("form-2", 145, 145, 175),
-        _printer("form-3", 145, 145, 185),
-        _printer("form-3l", 336, 200, 300),
-        _printer("form-4", 200, 125, 210),
-        _printer("form-4l", 353, 196, 350),
+        _printer("form-2", "Form 2", 145, 145, 175),
+        _printer("form-3", "Form 3", 145, 145, 185),
+        _printer("form-3l", "Form 3L", 336, 200, 300),
+        _printer("form-4", "Form 4", 200, 125, 210),
+        _printer("form-4l", "Form 4L", 353, 196, 350),
     )
 }
 
@@ -45,4 +47,4 @@ def printer_named(name: str) -> Printer:
     try:
         return PRINTERS[name]
     except KeyError:
-        raise InputError(f"print.printer: unknown '{name}'; known: {', '.join(sorted(PRINTERS))}") from None
+        raise unknown("print.printer", name, PRINTERS) from None

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from probedesign.errors import InputError
+from probedesign.naming import unknown
 from probedesign.units import MM
 
 
@@ -82,5 +82,4 @@ def robot_flange_named(name: str) -> RobotFlange:
     try:
         return ROBOT_FLANGES[name]
     except KeyError:
-        known = ", ".join(sorted(ROBOT_FLANGES))
-        raise InputError(f"mount.robot_flange: unknown '{name}'; known: {known}") from None
+        raise unknown("mount.robot_flange", name, ROBOT_FLANGES) from None

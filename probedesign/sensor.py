@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.errors import InputError
 from probedesign.frames import Array
+from probedesign.naming import unknown
 from probedesign.units import MM, N_MM
 
 
@@ -62,8 +62,7 @@ class SensorModel:
         for calibration in self.calibrations:
             if calibration.name == name:
                 return calibration
-        known = ", ".join(c.name for c in self.calibrations)
-        raise InputError(f"sensor.calibration: unknown '{name}' for {self.name}; known: {known}")
+        raise unknown("sensor.calibration", name, (c.name for c in self.calibrations), of=self.name)
 
 
 def _si(force: float, force_z: float, moment_n_mm: float, per_n: float, per_n_mm: float) -> Calibration:
@@ -102,7 +101,7 @@ def sensor_named(name: str) -> SensorModel:
     try:
         return SENSORS[name]
     except KeyError:
-        raise InputError(f"sensor.model: unknown '{name}'; known: {', '.join(sorted(SENSORS))}") from None
+        raise unknown("sensor.model", name, SENSORS) from None
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,7 @@ def workplace(tmp_path, monkeypatch):
             "thinnest_mm": 2.0,
             "fits_upright": design.probe.length_mm < 185,
             "printer": design.print_.printer,
+            "print_check": {"errors": 0, "warnings": 1, "findings": []},
             "expected_error_mm": float("inf"),
             "expected_error_condition": "one touch of 10 mN at 0.8 of the length",
             "assumptions": design.assumptions,
@@ -167,6 +168,7 @@ def test_new_writes_the_file_and_says_what_to_expect(workplace, capsys):
         "12.3 mm",
         "fits upright in a form-3; 2 mm at its thinnest",
         "0.8 of the length",
+        "no errors, 1 warning; probedesign check designs/cone-150x12x2.5.toml",
     ):
         assert piece in out
     assert "material.youngs_modulus_mpa" in out  # what is assumed

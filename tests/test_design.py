@@ -324,6 +324,20 @@ def test_any_profile_reads_back(inner):
     assert parse_design(render_design(design)) == design
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"form-3"', '"Form 3"', "print.printer: unknown 'Form 3'; did you mean 'form-3'?"),
+        ('"form-3"', '"form_4l"', "did you mean 'form-4l'?"),
+        ('"elastic-50a"', '"Elastic50A"', "did you mean 'elastic-50a'?"),
+        ('"iso-9409-1-50-4-m6"', '"iso-9409-1-50"', "did you mean 'iso-9409-1-50-4-m6'?"),
+        ('"form-3"', '"\\u001b[2Jprusa"', "unknown '\\x1b[2Jprusa'; known: form-2"),
+    ],
+)
+def test_an_unknown_name_suggests_the_nearest(old, new, told):
+    assert told in problem(old, new)
+
+
 @pytest.mark.parametrize("name", ["large", "medium", "small"])
 def test_the_shipped_designs_read_back(name):
     design = load_design(DESIGNS / f"{name}.toml")

@@ -6,7 +6,7 @@ from itertools import combinations
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.flange_adapter import FlangeAdapter, flange_adapter_solid
+from probedesign.cad.flange_adapter import flange_adapter_solid
 from probedesign.cad.kernel import block, cylinder, location, placed
 from probedesign.cad.probe_solid import probe_solid
 from probedesign.cad.screws import ScrewUse, nut_solids, screw_solids
@@ -14,7 +14,7 @@ from probedesign.cad.sensor_adapter import clamp_ring_solid, sensor_adapter_soli
 from probedesign.frames import Array, pose
 from probedesign.geometry import ProbeGeometry
 from probedesign.materials import RIGID_DENSITY
-from probedesign.mounting import SensorAdapter
+from probedesign.mounting import FlangeAdapter, SensorAdapter
 from probedesign.mounting.adapter import DOWEL_PIN_LENGTH, on_circle
 from probedesign.mounting.fasteners import STEEL_DENSITY
 from probedesign.sensor import ScrewPattern, SensorModel

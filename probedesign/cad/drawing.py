@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from probedesign.cad.assembly import Part, build_parts, overlaps
-from probedesign.cad.flange_adapter import FlangeAdapter, flange_adapter_for
 from probedesign.cad.kernel import cylinder, mass_of, placed
 from probedesign.cad.screws import ScrewUse, screws_of
 from probedesign.design import Design
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mass import MassProperties, combined
-from probedesign.mounting import SensorAdapter, sensor_adapter_for
+from probedesign.mounting import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
 
 FASTENERS = ("sensor_adapter_screws", "ring_screws", "ring_nuts", "dowel_pins")
 """What of the bought parts hangs on the sensor's tool side."""

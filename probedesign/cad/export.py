@@ -15,10 +15,12 @@ from probedesign.cad.assembly import assembly_of
 from probedesign.cad.drawing import Drawing, draw
 from probedesign.cad.manifest import manifest_of
 from probedesign.cad.mesh import Mesh, mesh_of, stl_bytes
-from probedesign.cad.threemf import threemf_bytes
+from probedesign.cad.threemf import read_back, threemf_bytes
 from probedesign.cad.verify import verify
 from probedesign.design import Design
 from probedesign.errors import CheckFailedError, InputError
+from probedesign.printing.check import check_print
+from probedesign.printing.compensation import compensated, scale_note, scale_of
 
 MANIFEST = "manifest.json"
 STEP_END = b"END-ISO-10303-21;"
@@ -35,12 +37,17 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     contents = _mesh_files(drawing, meshes)
     progress("checking solids, slices and meshes against the formulae")
     findings = verify(drawing, meshes, contents["probe.3mf"])
+    if compensated(design):  # what is checked is what was drawn; what is printed is that, stretched
+        contents = _mesh_files(drawing, {n: mesh.scaled(scale_of(design, n)) for n, mesh in meshes.items()})
+        read_back(contents["probe.3mf"])
     progress("writing")
     with _staged(folder) as staging:
         for name, content in contents.items():
             (staging / name).write_bytes(content)
         _write_step(drawing, staging / "assembly.step")
         manifest = manifest_of(drawing, _digests(staging), findings)
+        manifest["print_check"] = check_print(design).as_record()
+        manifest["print_scale"] = {name: list(scale_of(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
 
@@ -48,12 +55,16 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
 def _mesh_files(drawing: Drawing, meshes: dict[str, Mesh]) -> dict[str, bytes]:
     design, fingerprint = drawing.design, drawing.geometry.fingerprint
     # An STL header must not begin with "solid": readers take such a file for text.
-    title = f"probedesign {fingerprint} {design.name}"
-    files = {f"{name}.stl": stl_bytes(mesh, f"{title} {name}") for name, mesh in meshes.items()}
+    files = {
+        f"{name}.stl": stl_bytes(
+            mesh, f"probedesign {fingerprint}{scale_note(design, name)} {design.name} {name}"
+        )
+        for name, mesh in meshes.items()
+    }
     metadata = {
         "Title": f"{design.name}: flexible probe",
         "Designer": "probedesign",
-        "Description": f"geometry {fingerprint}, resin {design.resin.name}",
+        "Description": f"geometry {fingerprint}{scale_note(design, 'probe')}, resin {design.resin.name}",
     }
     files["probe.3mf"] = threemf_bytes(meshes["probe"], "probe", f"{design.name}-{fingerprint}", metadata)
     return files

@@ -40,6 +40,10 @@ class Mesh:
         mesh = self._as_trimesh()
         return bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0)
 
+    def scaled(self, factors: tuple[float, float, float]) -> "Mesh":
+        """The mesh stretched along x, y and z about the origin of its frame."""
+        return Mesh(self.vertices * np.array(factors, dtype=np.float32), self.triangles)
+
     def _as_trimesh(self) -> trimesh.Trimesh:
         return trimesh.Trimesh(self.vertices.astype(float), self.triangles, process=False)
 

@@ -6,11 +6,10 @@ from typing import Any
 
 import cadquery as cq
 
-from probedesign.cad.flange_adapter import FlangeAdapter
 from probedesign.cad.kernel import cylinder, hexagon, single
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
-from probedesign.mounting import SensorAdapter
+from probedesign.mounting import FlangeAdapter, SensorAdapter
 from probedesign.mounting.fasteners import (
     M2,
     M2_GRIP,

@@ -51,6 +51,13 @@ def _print(manifest: dict[str, Any]) -> None:
             "assumed": ", ".join(manifest["assumptions"]),
         }
     )
+    for part, scale in manifest["print_scale"].items():
+        if scale != [1.0, 1.0, 1.0]:
+            print(
+                f"  {part}: STL and 3MF are scaled by {scale[0]:g} in x and y, {scale[2]:g} in z; all else is not"
+            )
+    for finding in manifest["print_check"]["findings"]:
+        print(f"  print check, {finding['severity']}: {finding['message']}")
     print("\nscrews (longer ones destroy the sensor)")
     for screw in manifest["screws"]:
         low, high = screw["entry_allowed_mm"]

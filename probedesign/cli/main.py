@@ -14,7 +14,9 @@ from probedesign.errors import InputError, MissingDependencyError
 
 COMMANDS = {
     "new": "Write designs/NAME.toml from a few numbers.",
+    "check": "Check whether a design will print.",
     "export": "Make the parts to print: STL, STEP, 3MF and their manifest.",
+    "print": "Prepare the exported parts in PreForm, and send them to a printer if asked.",
     "predict": "Predict sensitivity and contact error of a design.",
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
@@ -24,6 +26,9 @@ COMMANDS = {
 }
 """Commands in the order of the chain, with their line of help: it stands here because reading it from the
 commands would import them all."""
+
+FUNCTIONS = {"print": "print_job"}
+"""Module and function of a command, where its name will not do."""
 
 DEBUG = "PROBEDESIGN_DEBUG"
 
@@ -38,10 +43,12 @@ def build_app() -> App:
         help_format="plaintext",
         print_error=False,
         exit_on_error=False,
+        suppress_keyboard_interrupt=False,
         result_action="return_value",
     )
     for sort_key, (name, line) in enumerate(COMMANDS.items()):
-        app.command(f"probedesign.cli.{name}:{name}", name=name, help=line, sort_key=sort_key)
+        function = FUNCTIONS.get(name, name)
+        app.command(f"probedesign.cli.{function}:{function}", name=name, help=line, sort_key=sort_key)
     return app
 
 
@@ -64,8 +71,8 @@ def run(arguments: list[str]) -> int:
         return status if isinstance(status, int) else 0
     except (CycloptsError, InputError, MissingDependencyError) as error:
         return _fail(str(error), 2)
-    except KeyboardInterrupt:
-        return _fail("interrupted", 1)
+    except KeyboardInterrupt as interruption:
+        return _fail(str(interruption) or "interrupted", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains at exit
         return 1

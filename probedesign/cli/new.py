@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table, working
+from probedesign.cli.output import counted, print_json, print_table, working
 from probedesign.errors import InputError
 
 FOLDER = Path("designs")
@@ -100,12 +100,15 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
     error = document["expected_error_mm"]
     fits = "fits" if document["fits_upright"] else "does not fit"
     expected = "none" if error is None else f"{error:.2g} mm"
+    found = document["print_check"]
     rows = {
         "mass": f"{document['mass_g']:.3g} g",
         "sag": "none: it cannot stand as mounted"
         if document["sag_mm"] is None
         else f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
         "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm at its thinnest",
+        "print check": f"{counted(found['errors'], 'error')}, {counted(found['warnings'], 'warning')}; "
+        f"probedesign check {document['file']}",
         "expected error": f"{expected}, {document['expected_error_condition']}",
         "assumed": ", ".join(document["assumptions"]) or "nothing",
     }
@@ -113,3 +116,6 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
         rows = {"tip": f"{document['tip_d_mm']:g} mm, {tip_note}; --tip-d sets it"} | rows
     print(f"wrote {document['file']}")
     print_table(rows)
+    for finding in found["findings"]:
+        if finding["severity"] == "error":
+            print(f"  error: {finding['message']}")

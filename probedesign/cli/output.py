@@ -3,7 +3,7 @@
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -35,6 +35,31 @@ def print_table(rows: dict[str, str]) -> None:
     width = max(map(len, rows), default=0)
     for name, text in rows.items():
         print(f"  {name:<{width}}  {text}")
+
+
+Tell = Callable[[str, float | None], None]
+
+
+def counted(number: int, what: str) -> str:
+    """So many of something, as one says it."""
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"
+
+
+@contextmanager
+def telling() -> Iterator[Tell]:
+    """Say on a terminal which step is at work, with its share done where that is known."""
+    if not sys.stderr.isatty():
+        yield lambda step, share: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status("") as status:
+
+        def tell(step: str, share: float | None) -> None:
+            status.update(escape(f"{step} ..." if share is None else f"{step} {share:.0%}"))
+
+        yield tell
 
 
 @contextmanager

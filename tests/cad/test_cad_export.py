@@ -21,6 +21,7 @@ from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
 from probedesign.mass import MassProperties, combined, flexible_part
 from probedesign.mounting import hanging_mass, sensor_adapter_for
+from probedesign.printing.preform.job import job_of
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
@@ -128,6 +129,54 @@ def test_files_of_other_sections(
     wanted = manifest["parts"]["probe"]["volume_m3"] * 1e9
     # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
     assert min(abs(solid.Volume() / wanted - 1.0) for solid in solids) < 1e-9
+
+
+SCALED = """length_mm = 60.0
+base_d_mm = 8.0
+[print]
+scale_xy = 1.02
+scale_z = 0.99
+rigid_scale_xy = 1.01
+"""
+
+
+def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
+    make_design: Callable[..., Design], tmp_path: Path
+) -> None:
+    plain = make_design('shape = "cylinder"\n' + SCALED.partition("[print]")[0])
+    larger = make_design('shape = "cylinder"\n' + SCALED)
+    drawn, printed = (export_parts(d, tmp_path / n) for d, n in ((plain, "drawn"), (larger, "printed")))
+    for name, factor in (("probe", (1.02, 1.02, 0.99)), ("clamp_ring", (1.01, 1.01, 1.0))):
+        a, b = (trimesh.load(tmp_path / folder / f"{name}.stl") for folder in ("drawn", "printed"))
+        # Single precision, and 60 mm long: 4e-6 mm.
+        assert b.bounds == pytest.approx(a.bounds * np.array(factor), abs=1e-5)
+        assert printed["print_scale"][name] == list(factor)
+        assert b.is_watertight and b.is_winding_consistent
+    assert (
+        (tmp_path / "printed" / "probe.stl")
+        .read_bytes()[:80]
+        .startswith(f"probedesign {drawn['fingerprint']} scaled 1.02 1.02 0.99 large".encode())
+    )
+    package = trimesh.load(tmp_path / "printed" / "probe.3mf", force="mesh")
+    assert package.bounds[1][2] == pytest.approx(59.4, abs=1e-4)  # 3MF rounds to decimals
+    for untouched in ("fingerprint", "parts", "mass", "T_sensor_base", "screws", "verification"):
+        assert printed[untouched] == drawn[untouched]
+
+
+def test_the_manifest_tells_what_the_print_check_found(exported: Exported) -> None:
+    check = exported[1]["print_check"]
+    assert check["ok"] and check["errors"] == 0
+    assert check["warnings"] == len(check["findings"])
+    assert exported[1]["print_scale"]["probe"] == [1.0, 1.0, 1.0]
+
+
+def test_the_export_is_what_print_takes(exported: Exported, make_design: Callable[..., Design]) -> None:
+    folder, manifest = exported
+    probe, adapters = (job_of(make_design(), folder, parts) for parts in ("probe", "adapters"))
+    # Facets have corners at both ends of both axes; single precision.
+    assert probe.sizes == {"probe": pytest.approx((19.0, 19.0, 153.0), abs=0.02)}
+    assert {"probe", *adapters.sizes} == set(manifest["parts"])
+    assert all(job.file(part).is_file() for job in (probe, adapters) for part in job.sizes)
 
 
 def test_export_says_nothing_on_stdout(

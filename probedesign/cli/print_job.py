@@ -1,0 +1,118 @@
+"""`probedesign print`: the exported parts through PreForm, to its file or to a printer."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from probedesign.cli.output import print_json, print_table, telling
+from probedesign.errors import InputError
+
+if TYPE_CHECKING:
+    from probedesign.printing.preform.prepare import Prepared
+
+
+def print_job(
+    design: Path,
+    /,
+    *,
+    preform: str = "http://localhost:44388",
+    parts: Literal["probe", "adapters"] = "probe",
+    folder: Path | None = None,
+    server_folder: str | None = None,
+    material: str | None = None,
+    save_form: str | None = None,
+    send: str | None = None,
+    timeout_s: float = 600.0,
+    force: bool = False,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+) -> int:
+    """Prepare the exported parts in PreForm: upright, supported, laid out, validated, with time and picture.
+
+    Nothing goes to a printer without --send, and then into its queue, where a person starts it. Needs an export of
+    the design and a running PreFormServer. Exit status 1 if the print check or PreForm's validation finds a problem.
+    More: docs/printing.md.
+
+    Args:
+        design: the design file.
+        preform: address of PreFormServer.
+        parts: the probe in its soft resin, or the adapters in a rigid one.
+        folder: of the export; by default exports/NAME.
+        server_folder: that folder as PreForm's machine names it, if it is another machine.
+        material: as PreForm labels it, or its code; by default that of the design's resin, or grey for adapters.
+        save_form: save the job to this .form file.
+        send: send the job to this printer: its serial name or IP address.
+        timeout_s: for one operation of PreForm.
+        force: go on in spite of problems, and replace the file that --save-form names.
+        as_json: print one JSON document.
+    """
+    from probedesign import pipeline
+    from probedesign.printing.preform.prepare import Order
+
+    if send is not None and not (send.strip() and send.isprintable()):
+        raise InputError(f"--send {send!r} is no name of a printer")
+    if not 1.0 <= timeout_s <= 86400.0:
+        raise InputError(f"--timeout-s {timeout_s:g} is out of range; allowed is 1 ... 86400")
+    errors = [f.message for f in pipeline.check(design).errors if (f.part == "probe") == (parts == "probe")]
+    if errors and not force:
+        raise InputError(f"{design}: the print check says: {'; '.join(errors)}; --force goes on")
+    order = Order(parts, folder, server_folder, material, save_form, send, force)
+    with telling() as tell:
+        prepared = pipeline.prepare_print(design, preform, order, timeout_s, tell)
+    if as_json:
+        print_json(_document(prepared, send))
+    else:
+        _print(prepared, preform, send)
+    return 1 if prepared.problems and not force else 0
+
+
+def _document(prepared: "Prepared", wanted: str | None) -> dict[str, Any]:
+    return {
+        "ok": not prepared.problems,
+        "preform_api": prepared.api,
+        "printer": prepared.chosen.printer,
+        "material": prepared.chosen.material,
+        "setting": prepared.chosen.setting,
+        "scene_settings": prepared.chosen.scene_settings,
+        "parts": prepared.parts,
+        "layer_count": prepared.layer_count,
+        "volume_ml": prepared.volume_ml,
+        "print_time_s": prepared.print_time_s,
+        "problems": prepared.problems,
+        "screenshot": prepared.screenshot,
+        "form_file": prepared.form_file,
+        "asked_to_send_to": wanted,
+        "sent_to": prepared.sent_to,
+        "job_id": prepared.job_id,
+    }
+
+
+def _print(prepared: "Prepared", preform: str, wanted: str | None) -> None:
+    chosen = prepared.chosen
+    rows = {
+        "job": f"{chosen.material} on a {chosen.printer}, {chosen.setting}",
+        "parts": f"{', '.join(prepared.parts)}: upright, supports below",
+        "resin": "not told" if prepared.volume_ml is None else f"{prepared.volume_ml:.1f} ml with supports",
+        "layers": "not told" if prepared.layer_count is None else f"{prepared.layer_count}",
+        "time": _hours(prepared.print_time_s),
+        "picture": prepared.screenshot,
+        "form file": prepared.form_file or "none: --save-form FILE saves it",
+        "validation": "; ".join(prepared.problems) or "no problems",
+        "sent": _sent(prepared, wanted),
+    }
+    print(f"PreForm (API {prepared.api}) at {preform}")
+    print_table(rows)
+
+
+def _sent(prepared: "Prepared", wanted: str | None) -> str:
+    if prepared.sent_to is not None:
+        job = f" as job {prepared.job_id}" if prepared.job_id else ""
+        return f"to the queue of {prepared.sent_to}{job}: start it there"
+    if wanted is not None:
+        return "no: validation found problems; --force sends it all the same"
+    return "no: --send PRINTER sends it"
+
+
+def _hours(seconds: float) -> str:
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60} h {minutes % 60:02d} min, estimated"
