@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.touches import Presses, Touch, random_presses, random_touches, read, stiffened, surface_point
+from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fusion import POINT, Fusion, Reading, channels_of
+from probedesign.estimator.fusion import Fusion
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array
 
@@ -81,7 +82,7 @@ def _fused(pressed: Presses, wrenches: Array, Ts: Array, rng: np.random.Generato
     readings = tuple(
         Reading(w, model.noise_base(), T, pressed.gravity, True) for w, T in zip(seen, Ts, strict=True)
     )
-    solved = Fusion(model, readings, Unknowns(), channels_of(model, None)).solved()
+    solved = Fusion(Equations(model, readings, Unknowns(), channels_of(model, None))).solved()
     if not isinstance(solved, tuple) or solved[1] == "contact":
         return Outcome(c.result, np.inf if c.result != "ok" else 0.0)
     best = solved[0][0]

@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probedesign.errors import InputError
+from probedesign.estimator.equations import Equations, Reading, channels_of
 from probedesign.estimator.fused import Fused, MomentsAbout
-from probedesign.estimator.fusion import Fusion, Reading, channels_of
+from probedesign.estimator.fusion import Fusion
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.observation import covariance
 from probedesign.estimator.unknowns import Unknowns
@@ -47,7 +48,8 @@ def fuse(
         return Fused("out_of_range")
     if not all(model.rod.solve(reading.gravity).ok for reading in readings):
         return Fused("not_converged")
-    return Fusion(model, readings, unknowns or Unknowns.of(model), channels_of(model, moments)).solve()
+    equations = Equations(model, readings, unknowns or Unknowns.of(model), channels_of(model, moments))
+    return Fusion(equations).solve()
 
 
 def _can_be_read(model: ProbeModel, reading: Reading, moments: MomentsAbout | None) -> bool:

@@ -1,6 +1,6 @@
 """One pose of a tracked touch as a row of numbers, compiled: its mean reading, its push, and what that makes of it.
 
-`pressed.py` and `fusion.py` do the same with names; tests/estimator/test_tracker.py holds the two together.
+`pressed.py` and `equations.py` do the same with names; tests/estimator/test_tracker.py holds the two together.
 """
 
 import math
@@ -33,7 +33,7 @@ CONTACT_BY_POINT, CONTACT_BY_STIFFNESS = 105, 114
 NODE = 117
 
 UNKNOWNS = 7
-"""The fixed point (3), log stiffness, the base's offset (3): as in `fusion.py`."""
+"""The fixed point (3), log stiffness, the base's offset (3): as in `equations.py`."""
 STIFFNESS, OFFSET = 3, 4
 NEAREST, MOST_AROUND = 0.02, 0.5
 """Nearest to the base over the length, and the most that the push turns around in one step [rad]."""

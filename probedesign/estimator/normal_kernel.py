@@ -1,4 +1,4 @@
-"""The normal equations of a fusion over nodes as they are linearised, compiled; `fusion.py` has them in words."""
+"""The normal equations of a fusion over nodes as they are linearised, compiled; `equations.py` has them in words."""
 
 import math
 from pathlib import Path

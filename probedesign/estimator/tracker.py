@@ -9,21 +9,22 @@ last. So the answer is that of the batch over the nodes' means. The arithmetic i
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri
 
 from probedesign.errors import InputError
 from probedesign.estimator import node_kernel as node
 from probedesign.estimator import normal_kernel as normal
+from probedesign.estimator.answer import most_chi2, told
 from probedesign.estimator.detector import Detector
+from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimator.estimate import Result
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.fused import Fixed, Fused, MomentsAbout
-from probedesign.estimator.fusion import POINT, UNLIKELY, Fusion, Reading, channels_of
+from probedesign.estimator.fusion import Fusion
 from probedesign.estimator.pressed import Push
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array
@@ -38,11 +39,6 @@ _APART = 5e-6
 _ANCHOR = 7000.0
 """Most readings that the free probe's mean counts."""
 _LARGE = 1e9
-
-
-@lru_cache
-def _most(dof: int) -> float:
-    return float(chdtri(dof, UNLIKELY))
 
 
 @dataclass
@@ -206,16 +202,17 @@ class Tracker:
         for k in (i, older) if self._turn % IN_TURN == 0 and older != i else (i,):
             if not self._linearise(k, move=True):
                 return self._lost()
-        told = self._step()
-        # What fits no more may have run away, so it begins again; what cannot fit stays so.
-        if told.result in ("inconsistent", "not_converged"):
+        return self._say(self._step())
+
+    def _say(self, answer: Fused) -> Fused:
+        """What fits no more may have run away, so it begins again; what cannot fit stays so."""
+        if answer.result in ("inconsistent", "not_converged"):
             self._x = None
-        self._said = told
-        return told
+        self._said = answer
+        return answer
 
     def _lost(self) -> Fused:
-        self._x, self._said = None, Fused("not_converged")
-        return self._said
+        return self._say(Fused("not_converged"))
 
     def _linearise(self, k: int, move: bool) -> bool:
         """A node of the touch, its push first moved to where the unknowns put it or not; whether it stands."""
@@ -260,7 +257,7 @@ class Tracker:
         )
 
     def _code(self, chi2: float, dof: int, rms: float, pulls: bool) -> Result:
-        if chi2 > _most(dof) or pulls:
+        if chi2 > most_chi2(dof) or pulls:
             return "inconsistent"
         if not rms < self.estimator.model.rod.length / math.sqrt(12.0):
             return "unobservable" if self.moments_only else "too_light"
@@ -275,13 +272,10 @@ class Tracker:
             self._said = Fused("unobservable")
             return self._said
         self._model_anchor()
-        told = self._from_one()
-        if told.result not in ("ok", "too_light") and self._kept > 1:  # of one pose, a batch knows no more
-            told = self._from_batch()
-        self._said = told
-        if told.result in ("inconsistent", "not_converged"):
-            self._x = None
-        return told
+        answer = self._from_one()
+        if answer.result not in ("ok", "too_light") and self._kept > 1:  # of one pose, a batch knows no more
+            answer = self._from_batch()
+        return self._say(answer)
 
     def _model_anchor(self) -> None:
         """What the free probe reads where its mean was taken, and that by log stiffness."""
@@ -310,8 +304,8 @@ class Tracker:
         for _ in range(SETTLING):
             if not all(self._linearise(k, move=True) for k in range(self._kept)):
                 return self._lost()
-            told = self._step()
-        return told
+            answer = self._step()
+        return answer
 
     def _from_batch(self) -> Fused:
         """Start from the whole batch."""
@@ -322,20 +316,20 @@ class Tracker:
                     row[node.GRAVITY : node.COUNT].copy(), bool(row[node.TOUCHED]))
             for row in rows
         )  # fmt: skip
-        fusion = Fusion(model, readings, self._unknowns, self._channels)
-        solved = fusion.solved()
+        equations = Equations(model, readings, self._unknowns, self._channels)
+        solved = Fusion(equations).solved()
         if isinstance(solved, Fused):
             return solved
         found, self._fixed = solved
-        told = fusion.answer(found, self._fixed, brief=True)
-        if told.ok:
+        answer = told(equations, found, self._fixed, brief=True)
+        if answer.ok:
             self._x = found[0].x
             for k, pressed in enumerate(found[0].pressed[len(rows) - self._kept :]):
                 assert pressed is not None
                 _push(self._touched[k], pressed.push)
                 if not self._linearise(k, move=False):
                     return self._lost()
-        return told
+        return answer
 
 
 def _pose(row: Array) -> Array:

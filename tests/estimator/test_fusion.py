@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from probedesign.errors import InputError
-from probedesign.estimator.fusion import channels_of
+from probedesign.estimator.equations import channels_of
 from probedesign.estimator.pressed import Push, press, settle
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import rotation_z

@@ -1,0 +1,169 @@
+"""What a fusion tells: the point with its code, what limits it, and what would help."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from scipy.special import chdtri
+
+from probedesign.estimator.equations import (
+    OFFSET,
+    POINT,
+    STIFFNESS,
+    UNKNOWNS,
+    Equations,
+    Linear,
+    Reading,
+    target,
+)
+from probedesign.estimator.estimate import Result
+from probedesign.estimator.fused import Fixed, Fused
+from probedesign.estimator.pressed import Pressed, settle
+from probedesign.estimator.unknowns import Source
+from probedesign.frames import Array, pose
+
+UNLIKELY = 1e-3
+"""Chance that true touches of one fixed point are called inconsistent."""
+RIVAL = 9.0
+"""Least misfits this close to the best explain the readings about as well."""
+_SOURCES: tuple[Source, ...] = ("stiffness", "bias", "robot")
+
+
+@cache
+def most_chi2(dof: int) -> float:
+    """Misfit beyond which readings are inconsistent."""
+    return float(chdtri(dof, UNLIKELY))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where the iterations ended.
+
+    Attributes:
+        x: the unknowns, (7,).
+        cov: of them, (7, 7).
+        chi2: misfit, priors included.
+        pressed: the touches, None where free.
+        linear: the readings there.
+        iterations: how many.
+    """
+
+    x: Array
+    cov: Array
+    chi2: float
+    pressed: tuple[Pressed | None, ...]
+    linear: Linear
+    iterations: int
+
+
+def told(equations: Equations, found: list[Solution], fixed: Fixed, brief: bool = False) -> Fused:
+    """The best solution with its code.
+
+    Args:
+        equations: of the readings.
+        found: every place that explains them, best first.
+        fixed: which point stands still.
+        brief: without what it would be if something were otherwise.
+    """
+    best, code = found[0], _code(equations, found)
+    stiffness = math.exp(best.x[STIFFNESS])
+    answer = Fused(
+        code,
+        fixed=fixed,
+        stiffness=stiffness,
+        std_stiffness=stiffness * math.sqrt(best.cov[STIFFNESS, STIFFNESS]),
+        chi2=best.chi2,
+        dof=equations.dof,
+        rms=_rms(best),
+        rms_without={} if brief else _without(equations, best),
+        iterations=best.iterations,
+    )
+    if code != "ok":
+        return answer
+    return replace(_placed(answer, equations, best), rms_with={} if brief else _gains(equations, best))
+
+
+def _rms(best: Solution) -> float:
+    return math.sqrt(float(np.trace(best.cov[POINT, POINT])))
+
+
+def _touched(equations: Equations, best: Solution) -> list[tuple[Reading, Pressed]]:
+    return [(r, p) for r, p in zip(equations.readings, best.pressed, strict=True) if p is not None]
+
+
+def _placed(answer: Fused, equations: Equations, best: Solution) -> Fused:
+    """An answer with where it all is, and how well that is known."""
+    touched = _touched(equations, best)
+    by_unknowns = _contact_by_unknowns(
+        np.array([r.T_world_base[:3, :3] for r, _ in touched]), [p for _, p in touched]
+    )
+    return replace(
+        answer,
+        p_contact_world=best.x[POINT] + _mean(r.turned(p.p_contact - p.p_fixed) for r, p in touched),
+        p_surface_world=best.x[POINT] + _mean(r.turned(p.p_surface - p.p_fixed) for r, p in touched),
+        cov_contact_world=by_unknowns @ best.cov @ by_unknowns.T,
+        cov_fixed_world=best.cov[POINT, POINT],
+        s_contact=np.array([np.nan if p is None else p.push.s for p in best.pressed]),
+        force_base=np.array([np.zeros(3) if p is None else p.push.force for p in best.pressed]),
+    )
+
+
+def _code(equations: Equations, found: list[Solution]) -> Result:
+    best, rms = found[0], _rms(found[0])
+    pulled = any(p is not None and p.push.magnitude < 0.0 for p in best.pressed)
+    if best.chi2 > most_chi2(equations.dof) or pulled:
+        return "inconsistent"
+    if not rms < equations.model.rod.length / math.sqrt(12.0):
+        return "unobservable" if equations.moments_only else "too_light"
+    apart = [np.linalg.norm(other.x[POINT] - best.x[POINT]) for other in found[1:]
+             if other.chi2 < best.chi2 + RIVAL]  # fmt: skip
+    return "ambiguous" if any(distance > 3.0 * rms for distance in apart) else "ok"
+
+
+def _without(equations: Equations, best: Solution) -> dict[str, float]:
+    """What is left if one source of error were gone."""
+    unknowns = equations.unknowns
+    return {source: equations.rms(best.linear, unknowns.without(source)) for source in _SOURCES}
+
+
+def _gains(equations: Equations, best: Solution) -> dict[str, float]:
+    """What more readings or a better stiffness would bring."""
+    unknowns, touched = equations.unknowns, _touched(equations, best)
+    halved = replace(unknowns, stiffness=0.5 * unknowns.stiffness)
+    last, p = touched[-1]
+    gains = {
+        "stiffness": equations.rms(best.linear, halved),
+        "one more touch": _with(equations, best, last, p),
+    }
+    if len(touched) > 1:
+        way = last.T_world_base[:3, 3] - touched[-2][0].T_world_base[:3, 3]
+        on = replace(last, T_world_base=pose(last.T_world_base[:3, :3], last.T_world_base[:3, 3] + way))
+        point, log_stiffness = target(on, best.x, np.zeros(3)), float(best.x[STIFFNESS])
+        further = settle(equations.model.rod, on.gravity, p.push, p.fixed, point, 1e-6, log_stiffness)
+        if further is not None:
+            gains["further press"] = _with(equations, best, on, further)
+    return gains
+
+
+def _with(equations: Equations, best: Solution, reading: Reading, pressed: Pressed) -> float:
+    """The error with one reading more [m]."""
+    more = replace(equations, readings=(reading,)).linear((pressed,), best.x)
+    return equations.rms(best.linear.repeated(more), equations.unknowns)
+
+
+def _contact_by_unknowns(R: Array, pressed: list[Pressed]) -> Array:
+    """Of the centreline's mean point in the world by the unknowns, (3, 7); R: the bases' turns, (k, 3, 3)."""
+    by_point = R @ np.array([p.contact_by_fixed[0] for p in pressed])
+    by_stiffness = np.array([p.contact_by_fixed[1] for p in pressed])
+    found = np.empty((3, UNKNOWNS))
+    found[:, POINT] = (by_point @ R.transpose(0, 2, 1)).mean(axis=0)
+    found[:, STIFFNESS] = (R @ by_stiffness[:, :, None])[:, :, 0].mean(axis=0)
+    found[:, OFFSET] = (R - by_point).mean(axis=0)
+    return found
+
+
+def _mean(points: Iterable[Array]) -> Array:
+    mean: Array = np.mean(list(points), axis=0)
+    return mean
