@@ -14,8 +14,10 @@ import numpy as np
 
 from probedesign.estimator.answer import RIVAL, Solution, told
 from probedesign.estimator.curves import Curve, curve, meetings
-from probedesign.estimator.equations import POINT, STIFFNESS, UNKNOWNS, Equations, Normal, target
+from probedesign.estimator.equations import POINT, STIFFNESS, UNKNOWNS, Equations, Normal, Reading, target
 from probedesign.estimator.fused import Fixed, Fused
+from probedesign.estimator.likelihood import locate
+from probedesign.estimator.observation import Observation
 from probedesign.estimator.pressed import Pressed, Push, press
 from probedesign.estimator.unknowns import EXACT
 from probedesign.frames import Array
@@ -46,16 +48,19 @@ class Fusion:
         """Every place that explains the readings, best first, and which point stands still; or why there is none."""
         if not self._enough():
             return Fused("unobservable")
+        starts, centre = self._starts(), list[Solution]()
+        for pushes in starts:
+            centre = centre or _distinct(self._run(push, "contact") for push in pushes)
+        # Where the centreline's point cannot stand still, near the tip, the touched one may.
+        again = [_pushes(found) for found in centre] or [push for pushes in starts for push in pushes]
+        surface = _distinct(self._run(push, "surface") for push in again)
+        return self._choose(centre, surface) if centre or surface else Fused("not_converged")
+
+    def _starts(self) -> list[list[tuple[Push | None, ...]]]:
+        """Guesses, the likelier first: where the curves meet, anywhere along them, and what each reading tells."""
         curves = self._curves()
-        centre: list[Solution] = []
-        for places in (meetings(curves)[:_STARTS], [(j,) * len(curves) for j in _ANYWHERE]):
-            centre = centre or _distinct(
-                self._run(self._pushes(curves, place), "contact") for place in places
-            )
-        if not centre:
-            return Fused("not_converged")
-        surface = _distinct(self._run(_pushes(found), "surface") for found in centre)
-        return self._choose(centre, surface)
+        met = [self._pushes(curves, place) for place in meetings(curves)[:_STARTS]]
+        return [met, [self._pushes(curves, (j,) * len(curves)) for j in _ANYWHERE], [self._singly()]]
 
     def _enough(self) -> bool:
         """Whether the poses can tell a point at all: moments alone need two that differ."""
@@ -78,9 +83,22 @@ class Fusion:
         pushes = iter([of.pushes[j] for of, j in zip(curves, stations, strict=True)])
         return tuple(next(pushes) if reading.touched else None for reading in self.equations.readings)
 
+    def _singly(self) -> tuple[Push | None, ...]:
+        """The push that each reading tells by itself, its force's reading trusted, None where it tells none."""
+        return tuple(self._alone(reading) if reading.touched else None for reading in self.equations.readings)
+
+    def _alone(self, reading: Reading) -> Push | None:
+        rod, whiten = self.equations.model.rod, np.linalg.inv(np.linalg.cholesky(reading.cov))
+        weight = rod.mass * reading.gravity
+        places = locate(rod, Observation(reading.wrench, whiten, reading.gravity, weight, math.inf))
+        if not places:
+            return None
+        eq = min(places, key=lambda place: place.chi2).shape()
+        return Push.under(rod, eq) if eq.ok else None
+
     def _choose(self, centre: list[Solution], surface: list[Solution]) -> tuple[list[Solution], Fixed]:
         """The touched point stands still, unless the readings speak for the centreline's."""
-        if surface and surface[0].chi2 <= centre[0].chi2 + RIVAL:
+        if surface and (not centre or surface[0].chi2 <= centre[0].chi2 + RIVAL):
             return surface, "surface"
         return centre, "contact"
 
@@ -101,6 +119,7 @@ class Fusion:
             if p is not None
         ]
         x[POINT] = np.mean(there, axis=0)
+        calm, before = 1.0, math.inf
         for iteration in range(_MAX_ITERATIONS):
             linear = self.equations.linear(pressed, x)
             normal = self.equations.normal(linear, x)
@@ -108,7 +127,9 @@ class Fusion:
                 return None
             if self._ended(pressed, x, normal):
                 return Solution(x, normal.cov, normal.chi2, pressed, linear, iteration)
-            x_new = x + share_of(normal.step, most) * normal.step
+            # Where the model fits badly whole steps go to and fro about the least misfit.
+            calm, before = (0.5 * calm if normal.chi2 > before else calm), normal.chi2
+            x_new = x + calm * share_of(normal.step, most) * normal.step
             moved = self._moved(pressed, x_new, normal.shifts, most)
             pressed_new = self._press(moved, float(x_new[STIFFNESS]), fixed)
             if pressed_new is None:

@@ -17,6 +17,8 @@ from probedesign.rod.workspace import workspace
 _COMPLIANCES = [kernels.BEND_X, kernels.BEND_Y, kernels.TWIST, kernels.SHEAR, kernels.STRETCH]
 STIFFNESS = 3
 """Column of the derivatives by the common factor on E and G, after those by place, angle and magnitude."""
+_WORST = 1e12
+"""Condition of the fixed point by the push beyond which it does not tell it: at the clamp itself nothing moves."""
 _LEAST = 0.02
 """Nearest to the base that a contact is looked for, over the length: nearer, nothing bends."""
 
@@ -154,7 +156,8 @@ def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed, log_stiffness: flo
         room.nodes, room.blocks, room.y, room.contact, room.turns, np.empty((15, kernel.COLUMNS + 1)), np.empty(27),
         tip, answer,
     )  # fmt: skip
-    if not found:
+    by_push = answer[kernel.D_SURFACE if fixed == "surface" else kernel.D_POINT :][:12].reshape(3, 4)[:, :3]
+    if not found or not np.linalg.cond(by_push / (np.linalg.norm(by_push, axis=0) + 1e-300)) < _WORST:
         return None
     d_force, towards = answer[kernel.D_FORCE : kernel.TOWARDS].reshape(3, 4), answer[kernel.TOWARDS :]
     wrench, d_wrench = np.empty(6), np.empty((6, 4))
