@@ -87,7 +87,7 @@ def _item(number: int, drawing: Drawing, part: Part, uses: Mapping[str, ScrewUse
 
 
 def hand_torque(use: ScrewUse, robot: RobotFlange) -> float:
-    """The torque [N·m] at which a screw's head presses its seat of resin by `RESIN_PRESSURE`, one digit, rounded down."""
+    """The torque [N·m] that presses a head on its seat with `RESIN_PRESSURE`, rounded down to one digit."""
     d = float(use.screw.thread[1:]) * MM
     hole = M2_CLEARANCE_D if use.screw is M2 else robot.bolt_clearance_d
     preload = RESIN_PRESSURE * np.pi / 4 * (use.screw.head_d**2 - hole**2)

@@ -13,7 +13,7 @@ from probedesign.cad.picture import body_of, preview
 from probedesign.cad.steps import steps_of
 from probedesign.units import MM
 
-PART_SIZE, ASSEMBLY_SIZE = (800, 800), (900, 1200)
+PART_SIZE, ASSEMBLY_SIZE = (640, 640), (800, 1000)
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from probedesign.cad.svg import Svg
 
 GAP = 8.0
 """Between parts drawn apart [mm]."""
-EXPLODED_SIZE, STEP_SIZE = (620, 1500), (420, 420)
+EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
 ABOVE = 25.0
 """Of a probe, what a step's picture shows above all else in it [mm]."""
 STANDING = "sensor"
-LABEL_WIDTH, LINE = 290.0, 21.0
+LABEL_WIDTH, LINE = 260.0, 19.0
 """Room beside the picture, and from one line of a label to the next [px]."""
 FROM_ABOVE, FROM_BELOW = Camera(), Camera(elevation_deg=-28.0)
 
@@ -139,8 +139,8 @@ def _label(svg: Svg, label: Label, anchor: tuple[float, float], y: float, side: 
     svg.line((LABEL_WIDTH + anchor[0], anchor[1]), (inner, y), width=1.2, colour="#444")
     svg.circle((LABEL_WIDTH + anchor[0], anchor[1]), 3.2, fill="#444")
     svg.circle((inner + 15 * outward, y), 14.0, fill="#fff", colour="#222", width=1.4)
-    svg.text((inner + 15 * outward, y + 5.5), str(label.number), 16.0, bold=True)
+    svg.text((inner + 15 * outward, y + 5.5), str(label.number), 15.0, bold=True)
     name, what = label.lines
     x, anchored = inner + 36 * outward, "end" if side == 0 else "start"
-    svg.text((x, y - 2.0), name, 17.0, anchor=anchored, bold=True)
-    svg.text((x, y - 2.0 + LINE), what, 14.5, anchor=anchored)
+    svg.text((x, y - 2.0), name, 15.5, anchor=anchored, bold=True)
+    svg.text((x, y - 2.0 + LINE), what, 13.0, anchor=anchored)

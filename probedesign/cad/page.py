@@ -46,7 +46,8 @@ def page_of(
     """
     name = escape(drawing.design.name)
     sections = [
-        _head(drawing), _warning(drawing), "<h2>Parts</h2>", _parts(bill), _tightening(), _tools(drawing), _frames(drawing),
+        _head(drawing), _warning(drawing),
+        "<h2>Parts</h2>", _parts(bill), _tightening(), _tools(drawing), _frames(drawing),
         f'<div class="exploded"><h2>Where they go</h2>{exploded}</div>',
         '<h2>Steps</h2><div class="steps">', *map(_step, range(1, len(steps) + 1), steps, pictures), "</div>",
     ]  # fmt: skip
@@ -127,8 +128,8 @@ def _tightening() -> str:
         "<h2>How tight</h2><p>By hand: the short arm of the key between two fingers, until the head sits; then no "
         f"further. Computed, not tested: at the torque of the table the head presses the resin with "
         f"{RESIN_PRESSURE / MPA:g} MPa, a third of its strength, since resin creeps (assumed), with a nut factor of "
-        f"{NUT_FACTOR:g} (dry steel, Shigley). Tighten crosswise in two rounds, and once more after a day. No thread lock "
-        "near the resin: some crack it (assumed).</p>"
+        f"{NUT_FACTOR:g} (dry steel, Shigley). Tighten crosswise in two rounds, and once more after a day. No thread "
+        "lock near the resin: some crack it (assumed).</p>"
     )
 
 

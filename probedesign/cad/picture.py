@@ -17,7 +17,7 @@ from probedesign.units import MM
 
 SMOOTH_RAD = 0.5
 """Facets that meet at less are one round face."""
-SAMPLES = 3
+SAMPLES = 2
 MARGIN = 0.03
 """Of the picture's larger side, left free all around."""
 PALE = 0.3
@@ -42,7 +42,7 @@ class Body:
 
     def lifted(self, height: float) -> "Body":
         """The same, that much higher along z [mm]."""
-        return replace(self, corners=self.corners + [0.0, 0.0, height])
+        return replace(self, corners=self.corners + np.array([0.0, 0.0, height]))
 
     def paled(self) -> "Body":
         """The same in a paler colour."""

@@ -1,6 +1,6 @@
 """Triangles to pixels, without a graphics card, a screen or a driver: one depth buffer, one pass that shades it.
 
-Compiled, since it visits every pixel; the only such loop in `cad`.
+Filling triangles is compiled; all else is arrays of pixels.
 """
 
 import numpy as np
@@ -44,71 +44,104 @@ def rasterised(
     """
     width, height = size[0] * fine, size[1] * fine
     depth = np.full((height, width), -np.inf, dtype=np.float32)
-    normal = np.zeros((height, width, 3), dtype=np.float32)
     owner = np.full((height, width), NOBODY, dtype=np.int16)
-    _fill(corners * fine, normals, owners, depth, normal, owner)
-    linear = _shade(depth, normal, owner, np.asarray(colours, dtype=float), fine)
-    return np.round(255.0 * linear).astype(np.uint8), owner[fine // 2 :: fine, fine // 2 :: fine]
+    triangle = np.zeros((height, width), dtype=np.int32)
+    planes, first, last = _planes(corners * fine)
+    _fill(planes, first, last, owners, depth, owner, triangle)
+    drawn = owner != NOBODY
+    normal = np.zeros((height, width, 3), dtype=np.float32)
+    normal[drawn] = _normals(planes, normals, triangle, drawn)
+    light = AMBIENT + DIRECT * np.maximum(normal[drawn] @ np.array(LIGHT, dtype=np.float32), 0.0)
+    shaded = np.ones((height, width, 3), dtype=np.float32)
+    shaded[drawn] = np.minimum(light[:, None] * colours.astype(np.float32)[owner[drawn]], 1.0)
+    shaded[_outlines(depth, normal, owner, fine)] = INK
+    total = sum(shaded[i::fine, j::fine] for i in range(fine) for j in range(fine))
+    return np.round(255.0 / fine**2 * total).astype(np.uint8), owner[fine // 2 :: fine, fine // 2 :: fine]
 
 
-@njit(cache=True)  # type: ignore[misc]
-def _fill(corners, normals, owners, depth, normal, owner):  # type: ignore[no-untyped-def]
-    """Keep, at each sample, what is nearest to the eye."""
-    height, width = depth.shape
-    for t in range(len(corners)):
-        (xa, ya, za), (xb, yb, zb), (xc, yc, zc) = corners[t]
-        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-        if area == 0.0:
-            continue
-        top, bottom = max(0, int(np.ceil(min(ya, yb, yc)))), min(height - 1, int(max(ya, yb, yc)))
-        left, right = max(0, int(np.ceil(min(xa, xb, xc)))), min(width - 1, int(max(xa, xb, xc)))
-        for y in range(top, bottom + 1):
-            for x in range(left, right + 1):
-                b = ((x - xa) * (yc - ya) - (xc - xa) * (y - ya)) / area
-                c = ((xb - xa) * (y - ya) - (x - xa) * (yb - ya)) / area
-                a = 1.0 - b - c
-                z = a * za + b * zb + c * zc
-                if a >= 0.0 and b >= 0.0 and c >= 0.0 and z > depth[y, x]:
-                    depth[y, x], owner[y, x] = z, owners[t]
-                    for k in range(3):
-                        normal[y, x, k] = a * normals[t, 0, k] + b * normals[t, 1, k] + c * normals[t, 2, k]
+def _normals(
+    planes: Array, normals: Array, triangle: NDArray[np.int32], drawn: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """At the drawn samples, between the corners' normals of the triangle seen there, (n, 3)."""
+    a = normals[:, 0]
+    shares = np.einsum(
+        "tij,tik->tjk", planes[:, :2], normals[:, 1:] - a[:, None]
+    )  # value at 0, along x, along y
+    shares[:, 0] += a
+    y, x = np.nonzero(drawn)
+    at = shares.astype(np.float32)[triangle[drawn]]
+    at[:, 0] += at[:, 1] * x[:, None].astype(np.float32) + at[:, 2] * y[:, None].astype(np.float32)
+    found: NDArray[np.float32] = at[:, 0]
+    return found
 
 
-@njit(cache=True)  # type: ignore[misc]
-def _shade(depth, normal, owner, colours, fine):  # type: ignore[no-untyped-def]
-    """Light every sample, ink the outlines, and average over each pixel."""
-    height, width = depth.shape
-    picture = np.zeros((height // fine, width // fine, 3))
-    weight = 1.0 / (fine * fine)
+def _outlines(
+    depth: NDArray[np.float32], normal: NDArray[np.float32], owner: NDArray[np.int16], fine: int
+) -> NDArray[np.bool_]:
+    """Samples beside which another body, another face or a step in depth begins."""
+    ink = np.zeros(depth.shape, dtype=bool)
     reach = max(1, fine // 2)
-    for y in range(height):
-        for x in range(width):
-            inked = False
-            for dy, dx in ((0, reach), (reach, 0)):
-                v, u = min(y + dy, height - 1), min(x + dx, width - 1)
-                inked = inked or _edge(depth, normal, owner, y, x, v, u, fine)
-            who = owner[y, x]
-            light = 1.0
-            if who >= 0:
-                toward = 0.0
-                for k in range(3):
-                    toward += normal[y, x, k] * LIGHT[k]
-                light = AMBIENT + DIRECT * max(toward, 0.0)
-            for k in range(3):
-                value = min(1.0, light * (colours[who, k] if who >= 0 else 1.0))
-                picture[y // fine, x // fine, k] += weight * (INK if inked else value)
-    return picture
+    for near, far in (
+        (np.s_[:, :-reach], np.s_[:, reach:]),
+        (np.s_[:-reach], np.s_[reach:]),
+    ):
+        seen = (owner[near] != NOBODY) & (owner[near] == owner[far])
+        cos = np.einsum("yxk,yxk->yx", normal[near], normal[far])
+        slant = np.maximum(np.maximum(np.abs(normal[near][..., 2]), np.abs(normal[far][..., 2])), 0.1)
+        with np.errstate(invalid="ignore"):  # paper is infinitely far
+            step = np.abs(depth[near] - depth[far]) > STEP_PX * fine / slant
+        ink[near] |= (owner[near] != owner[far]) | (seen & ((cos < CREASE_COS) | step))
+    return ink
 
 
-@njit(cache=True)  # type: ignore[misc]
-def _edge(depth, normal, owner, y, x, v, u, fine):  # type: ignore[no-untyped-def]
-    """Whether an outline runs between two neighbouring samples."""
-    if owner[y, x] != owner[v, u]:
-        return True
-    if owner[y, x] < 0:
-        return False
-    cos = 0.0
-    for k in range(3):
-        cos += normal[y, x, k] * normal[v, u, k]
-    slant = max(abs(normal[y, x, 2]), abs(normal[v, u, 2]), 0.1)
-    return cos < CREASE_COS or abs(depth[y, x] - depth[v, u]) > STEP_PX * fine / slant
+@njit(cache=True, error_model="numpy")
+def _fill(planes, first, last, owners, depth, owner, triangle):  # type: ignore[no-untyped-def]
+    """Keep, at each sample, the triangle that is nearest to the eye.
+
+    Args:
+        planes: of each triangle, corner b's share, corner c's share and depth as value at (0, 0), slope along x,
+            slope along y, (m, 3, 3).
+        first, last: rows that each triangle touches, (m,).
+        owners: as for `rasterised`.
+        depth, owner, triangle: what is seen so far at each sample, (height, width); changed in place.
+    """
+    height, width = depth.shape
+    for t in range(len(planes)):
+        bx, cx, zx = planes[t, 0, 1], planes[t, 1, 1], planes[t, 2, 1]
+        ax = -bx - cx
+        for y in range(max(0, first[t]), min(height - 1, last[t]) + 1):
+            b0 = planes[t, 0, 0] + planes[t, 0, 2] * y
+            c0 = planes[t, 1, 0] + planes[t, 1, 2] * y
+            z0 = planes[t, 2, 0] + planes[t, 2, 2] * y
+            a0 = 1.0 - b0 - c0
+            if (bx == 0.0 and b0 < 0.0) or (cx == 0.0 and c0 < 0.0) or (ax == 0.0 and a0 < 0.0):
+                continue
+            # No corner's share is negative from `left` to `right`.
+            left = max(-b0 / bx if bx > 0.0 else 0.0, -c0 / cx if cx > 0.0 else 0.0)
+            left = max(left, -a0 / ax if ax > 0.0 else 0.0, 0.0)
+            right = min(-b0 / bx if bx < 0.0 else width - 1.0, -c0 / cx if cx < 0.0 else width - 1.0)
+            right = min(right, -a0 / ax if ax < 0.0 else width - 1.0, width - 1.0)
+            for x in range(int(np.ceil(left)), int(right) + 1):
+                z = z0 + zx * x
+                if z > depth[y, x]:
+                    depth[y, x] = z
+                    owner[y, x] = owners[t]
+                    triangle[y, x] = t
+
+
+def _planes(corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """What `_fill` takes of each triangle; one that is seen edge-on touches no row."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    area = ab[:, 0] * ac[:, 1] - ac[:, 0] * ab[:, 1]
+    flat = np.abs(area) < 1e-9
+    area = np.where(flat, 1.0, area)
+    planes = np.empty((len(corners), 3, 3))
+    planes[:, 0, 1], planes[:, 0, 2] = ac[:, 1] / area, -ac[:, 0] / area
+    planes[:, 1, 1], planes[:, 1, 2] = -ab[:, 1] / area, ab[:, 0] / area
+    planes[:, :2, 0] = -(planes[:, :2, 1] * a[:, :1] + planes[:, :2, 2] * a[:, 1:2])
+    planes[:, 2] = planes[:, 0] * ab[:, 2:] + planes[:, 1] * ac[:, 2:]
+    planes[:, 2, 0] += a[:, 2]
+    rows = corners[:, :, 1]
+    first, last = np.ceil(rows.min(axis=1)).astype(int), np.floor(rows.max(axis=1)).astype(int)
+    return planes, first, np.where(flat, first - 1, last)

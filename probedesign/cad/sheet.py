@@ -138,12 +138,11 @@ class View:
         angle = np.arctan2(p[1], p[0])
         direction = (float(np.cos(angle)), float(-np.sin(angle)))
         x, y = self.at((out_to * direction[0], -out_to * direction[1]))
-        x, y = x + 6.0 * direction[0], y + 6.0 * direction[1]
-        self.sheet.svg.line(self.at(p), (x, y), THIN)
-        self.sheet.svg.circle(
-            (x + 2.8 * direction[0], y + 2.8 * direction[1]), 2.8, fill="#fff", colour="#000", width=THIN
-        )
-        self.sheet.svg.text((x + 2.8 * direction[0], y + 2.8 * direction[1] + 1.15), letter, TEXT, bold=True)
+        foot = (x + 6.0 * direction[0], y + 6.0 * direction[1])
+        middle = (x + 8.8 * direction[0], y + 8.8 * direction[1])
+        self.sheet.svg.line(self.at(p), foot, THIN)
+        self.sheet.svg.circle(middle, 2.8, fill="#fff", colour="#000", width=THIN)
+        self.sheet.svg.text((middle[0], middle[1] + 1.15), letter, TEXT, bold=True)
 
     def across(self, u0: float, u1: float, from_v: float, offset: float, words: str) -> None:
         """A dimension along u, `offset` above (+) or below (-) v [mm of paper]."""

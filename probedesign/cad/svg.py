@@ -97,7 +97,7 @@ class Svg:
 
     def __bytes__(self) -> bytes:
         """As a file."""
-        return ET.tostring(self.root, encoding="utf-8", xml_declaration=True)
+        return b"<?xml version='1.0' encoding='utf-8'?>\n" + str(self).encode() + b"\n"
 
 
 def _n(value: float) -> str:

@@ -25,7 +25,7 @@ SOLID_LIMIT = 1e-9
 SECTION_LIMIT = 1e-6
 """Relative."""
 MESH_LIMIT = 5e-4
-"""Relative. Facets that turn by at most δ = 0.05 rad leave out δ²/6 = 4.2e-4 of any round body; nothing else is lost."""
+"""Relative. Facets that turn by at most δ = 0.05 rad leave out δ²/6 = 4.2e-4 of a round body, and nothing else."""
 OVERLAP_LIMIT = 1e-12
 """Of volume [m³]: a thousandth of a cubic millimetre; touching faces share none."""
 STATIONS = 9
