@@ -13,21 +13,21 @@ from probedesign.units import MM, MPA
 
 STYLE = """
 @page { size: A4; margin: 14mm }
-body { font: 10.5pt/1.45 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: #111;
+body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: #111;
   max-width: 182mm; margin: 8mm auto; padding: 0 4mm }
-h1 { font-size: 18pt; margin: 0 } h2 { font-size: 13pt; margin: 7mm 0 2mm; break-after: avoid }
+h1 { font-size: 18pt; margin: 0 } h2 { font-size: 13pt; margin: 4.5mm 0 1mm; break-after: avoid } p { margin: 1mm 0 }
 .about { color: #444; margin: 1mm 0 4mm }
 .warning { border: 2.5pt solid #b00020; padding: 3mm 4mm; margin: 4mm 0; break-inside: avoid }
 .warning strong { color: #b00020; font-size: 13pt; display: block }
 table { border-collapse: collapse; width: 100%; font-size: 9.5pt; break-inside: avoid }
-th, td { text-align: left; padding: 1mm 2mm; border-bottom: 0.4pt solid #bbb; vertical-align: top }
+th, td { text-align: left; padding: 0.8mm 2mm; border-bottom: 0.4pt solid #bbb; vertical-align: top }
 th { border-bottom: 1pt solid #111 } .n { text-align: right; white-space: nowrap }
 .exploded { break-before: page; break-inside: avoid } .exploded svg { display: block; width: auto; height: auto;
   max-width: 100%; max-height: 245mm; margin: 0 auto }
 .steps { display: grid; grid-template-columns: 1fr 1fr; gap: 4mm }
 .step { border: 0.4pt solid #bbb; padding: 3mm; break-inside: avoid } .step img { display: block; height: 58mm;
   max-width: 100%; object-fit: contain; margin: 0 auto 2mm } .step b { margin-right: 1.5mm }
-ul { margin: 1mm 0; padding-left: 5mm }
+ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 }
 @media print { body { margin: 0; padding: 0; max-width: none } }
 """
 
@@ -111,7 +111,7 @@ def _tools(drawing: Drawing) -> str:
         "calipers, for the screws' lengths and the probe's diameters",
         "tweezers, for nuts and pins",
     ]
-    return f"<h2>Tools</h2><ul>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>"
+    return f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>"
 
 
 def _step(number: int, step: Step, picture: bytes) -> str:

@@ -84,7 +84,7 @@ def _probe(drawing: Drawing, part: Part) -> Sheet:
     front = View(sheet, (90.0, middle + scale * (length - thick) / 2), scale)
     front.outline(seen(part.shape, FRONT))
     front.axis((0.0, -thick), (0.0, length))
-    front.upright(0.0, length, rim / 2, 2 * STACK, number(length))
+    front.upright(0.0, length, rim / 2, 2 * STACK, number(length), top_u=g.tip_radius / MM)
     front.upright(-thick, 0.0, rim / 2, STACK, number(thick))
     front.across(-rim / 2, rim / 2, -thick, -STACK, f"⌀{number(rim)}")
     for s, r, words in _stations(drawing, SPACED / scale):

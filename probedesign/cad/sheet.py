@@ -156,11 +156,17 @@ class View:
             self._arrows_outside((x0, level), (x1, level), (1.0, 0.0))
         self._words(((x0 + x1) / 2, level - 1.0), x1 - x0, words, turned=False)
 
-    def upright(self, v0: float, v1: float, from_u: float, offset: float, words: str) -> None:
-        """A dimension along v, `offset` to the right (+) or left (-) of u [mm of paper]."""
-        (x, y0), (_, y1) = self.at((from_u, v0)), self.at((from_u, v1))
-        level, way = x + offset, np.sign(offset)
-        for y in (y0, y1):
+    def upright(
+        self, v0: float, v1: float, from_u: float, offset: float, words: str, top_u: float | None = None
+    ) -> None:
+        """A dimension along v, `offset` to the right (+) or left (-) of u [mm of paper].
+
+        At v1 the part is as wide as `top_u`, if that is another u.
+        """
+        (foot, y0), (_, y1) = self.at((from_u, v0)), self.at((from_u, v1))
+        head, _ = self.at((from_u if top_u is None else top_u, v1))
+        level, way = foot + offset, np.sign(offset)
+        for x, y in ((foot, y0), (head, y1)):
             self.sheet.svg.line((x + AROUND * way, y), (level + 1.5 * way, y), THIN)
         if y0 - y1 >= 3 * ARROW:
             self._arrow_line((level, y1), (level, y0))
