@@ -37,7 +37,7 @@ def staged(folder: Path) -> Iterator[Path]:
         with _claimed(staging):
             _remove_abandoned(folder)
             yield staging
-            with _undisturbed():
+            with undisturbed():
                 _put_in_place(staging, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
@@ -75,7 +75,7 @@ def _remove_abandoned(folder: Path) -> None:
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
+def undisturbed() -> Iterator[None]:
     """Let Ctrl-C wait until the block has ended."""
     if threading.current_thread() is not threading.main_thread():  # which alone receives it
         yield
