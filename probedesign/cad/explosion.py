@@ -17,7 +17,7 @@ EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
 ABOVE = 25.0
 """Of a probe, what a step's picture shows above all else in it [mm]."""
 STANDING = "sensor"
-LABEL_WIDTH, LINE = 260.0, 19.0
+LABEL_WIDTH, LINE = 285.0, 19.0
 """Room beside the picture, and from one line of a label to the next [px]."""
 FROM_ABOVE, FROM_BELOW = Camera(), Camera(elevation_deg=-28.0)
 

@@ -59,7 +59,8 @@ class Body:
 def body_of(part: Part, mesh: Mesh | None = None) -> Body:
     """A part in its place; of its own mesh where there is one."""
     if mesh is None:
-        points, faces = part.shape.tessellate(COARSE_MM, COARSE_RAD)
+        # Of a copy: a shape keeps its facets, and the kernel would measure them instead of its surfaces.
+        points, faces = part.shape.copy().tessellate(COARSE_MM, COARSE_RAD)
         surface = trimesh.Trimesh([p.toTuple() for p in points], faces)
     else:
         surface = trimesh.Trimesh(mesh.vertices.astype(float), mesh.triangles)

@@ -6,6 +6,7 @@ from typing import Any
 
 import lib3mf
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.cad.mesh import Mesh
 from probedesign.errors import CheckFailedError
@@ -48,7 +49,10 @@ def threemf_bytes(pieces: Sequence[Piece], metadata: dict[str, str]) -> bytes:
         body = model.AddMeshObject()
         body.SetName(piece.name)
         body.SetPartNumber(piece.part_number)
-        body.SetGeometry(_positions(piece.mesh), _triangles(piece.mesh))
+        body.SetGeometry(
+            _structs(lib3mf.Position, piece.mesh.vertices.astype("<f4")),
+            _structs(lib3mf.Triangle, piece.mesh.triangles.astype("<u4")),
+        )
         model.AddBuildItem(body, wrapper.GetTranslationTransform(*place)).SetPartNumber(piece.part_number)
     return bytes(model.QueryWriter("3mf").WriteToBuffer())
 
@@ -85,26 +89,18 @@ def read_back(content: bytes) -> tuple[list[tuple[Piece, Array]], int]:
     while items.MoveNext():
         item = items.GetCurrent()
         body = model.GetMeshObjectByID(item.GetObjectResource().GetResourceID())
-        vertices = np.array([tuple(p.Coordinates) for p in body.GetVertices()], dtype=np.float32)
-        triangles = np.array([tuple(t.Indices) for t in body.GetTriangleIndices()], dtype=np.int64)
+        vertices = _rows(lib3mf.Position, body.GetVertices(), "<f4")
+        triangles = _rows(lib3mf.Triangle, body.GetTriangleIndices(), "<u4").astype(np.int64)
         piece = Piece(body.GetName(), item.GetPartNumber(), Mesh(vertices, triangles))
         found.append((piece, np.array(list(item.GetObjectTransform().Fields[3]))))
     return found, reader.GetWarningCount()
 
 
-def _positions(mesh: Mesh) -> list[Any]:
-    positions = []
-    for point in mesh.vertices.tolist():
-        position = lib3mf.Position()
-        position.Coordinates[:] = point
-        positions.append(position)
-    return positions
+def _structs(kind: Any, rows: NDArray[Any]) -> Any:
+    """Rows of three numbers as an array of lib3mf's structures, which hold three."""
+    return (kind * len(rows)).from_buffer_copy(rows.tobytes())
 
 
-def _triangles(mesh: Mesh) -> list[Any]:
-    triangles = []
-    for corners in mesh.triangles.tolist():
-        triangle = lib3mf.Triangle()
-        triangle.Indices[:] = corners
-        triangles.append(triangle)
-    return triangles
+def _rows(kind: Any, structs: Any, dtype: str) -> NDArray[Any]:
+    """And back."""
+    return np.frombuffer((kind * len(structs))(*structs), dtype=dtype).reshape(-1, 3)
