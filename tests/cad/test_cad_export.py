@@ -126,6 +126,7 @@ def matrix_of(place: cq.Location) -> np.ndarray:
     return np.array([[transform.Value(i, j) for j in range(1, 5)] for i in range(1, 4)])
 
 
+@pytest.mark.usefixtures("undocumented")
 @pytest.mark.parametrize(
     ("section", "thickness"),
     [('section = "hollow"\nbore_ratio = 0.5', 6.0), ('section = "elliptic"\nflatness = 0.6', 3.6)],
@@ -173,6 +174,12 @@ def test_every_run_makes_the_same_bytes(exported: Exported, tmp_path: Path) -> N
     assert {n: again["files"][n] for n in timeless} == {n: exported[1]["files"][n] for n in timeless}
 
 
+@pytest.fixture
+def undocumented(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out pictures and pages, which take seconds and have tests of their own."""
+    monkeypatch.setattr("probedesign.cad.export.documents_of", lambda *_: Documents({}, [], []))
+
+
 def stop_at(step: str) -> Callable[[str], None]:
     def progress(said: str) -> None:
         if said == step:
@@ -181,6 +188,7 @@ def stop_at(step: str) -> Callable[[str], None]:
     return progress
 
 
+@pytest.mark.usefixtures("undocumented")
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_interrupted_export_leaves_nothing(
     make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Any
@@ -190,7 +198,6 @@ def test_interrupted_export_leaves_nothing(
         raise trouble
 
     monkeypatch.setattr("probedesign.cad.export._write_step", fail)
-    monkeypatch.setattr("probedesign.cad.export.documents_of", lambda *_: Documents({}, [], []))
     with pytest.raises(
         (KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"
     ):
@@ -198,6 +205,7 @@ def test_interrupted_export_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("undocumented")
 def test_foreign_files_and_an_older_export_survive(
     make_design: Callable[..., Design], tmp_path: Path
 ) -> None:
@@ -211,8 +219,9 @@ def test_foreign_files_and_an_older_export_survive(
     assert sorted(folder.iterdir()) == sorted([ours, foreign])
     assert ours.read_text() == foreign.read_text() == "earlier"
     export_parts(make_design(), folder)
-    assert {p.name for p in folder.iterdir()} == FILES | {foreign.name}
-    assert foreign.read_text() == "earlier" and json.loads(ours.read_text("utf-8"))["name"] == "large"
+    made = json.loads(ours.read_text("utf-8"))
+    assert {p.name for p in folder.iterdir()} == {*made["files"], ours.name, foreign.name}
+    assert foreign.read_text() == "earlier" and made["name"] == "large"
 
 
 def test_a_target_that_cannot_be_written_is_one_line(
@@ -227,7 +236,7 @@ def test_a_target_that_cannot_be_written_is_one_line(
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]
 
 
-@pytest.mark.parametrize("package", ["cadquery", "trimesh", "lib3mf"])
+@pytest.mark.parametrize("package", ["cadquery", "trimesh", "lib3mf", "PIL"])
 def test_a_missing_package_is_one_line(
     make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
