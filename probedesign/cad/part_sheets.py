@@ -68,7 +68,7 @@ def _sheet(drawing: Drawing, part: Part, scale: float) -> Sheet:
     return Sheet(f"{drawing.design.name}: {part.name.replace('_', ' ')}", [
         ("geometry", drawing.geometry.fingerprint), ("material", resin), ("file", f"{part.name}.stl"),
         ("scale", scale_text(scale)), ("units", "mm"), ("frame", part.frame.replace("_", " ")),
-        ("tolerance", TOLERANCE), ("projection", "views as named"),
+        ("tolerance", TOLERANCE), ("angles", "about +z from +x, seen from above"),
     ])  # fmt: skip
 
 
@@ -244,13 +244,25 @@ def _plans(
         view.axis((-rim, 0.0), (rim, 0.0))
         view.axis((0.0, -rim), (0.0, rim))
         flip = -1.0 if side is BELOW else 1.0
+        taken: list[complex] = []
         for letter, hole in tagged:
             points = [(x / MM, flip * v / MM) for x, v in hole.points]
             if hole.on_circle:
                 view.bolt_circle(2 * float(np.hypot(*points[0])))
             view.centres(points, 0.6 * hole.size / MM)
-            view.tag(points[0], rim, letter)
+            chosen = _free(points, taken)
+            taken.append(complex(*chosen))
+            view.tag(chosen, rim, letter)
         view.caption(f"from {name}, +x to the right", -rim, 18.0)
+
+
+def _free(points: Sequence[Point], taken: Sequence[complex]) -> Point:
+    """The point whose direction from the middle is farthest from those taken: tags must not meet."""
+
+    def room(p: Point) -> float:
+        return min((abs(float(np.angle(complex(*p) / other))) for other in taken), default=np.pi)
+
+    return max(points, key=lambda p: round(room(p), 6))
 
 
 def _lettered(holes: Iterable[Holes]) -> list[tuple[str, Holes]]:
