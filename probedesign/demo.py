@@ -123,6 +123,10 @@ def _exported(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
         ".stl": "to print",
         ".3mf": "to print",
         ".step": "all parts in place",
+        ".html": "how it goes together: open it first",
+        ".svg": "dimensioned drawing",
+        ".png": "preview",
+        ".csv": "what to print and to buy",
         ".json": "what was made and checked",
     }
     return {str(folder / name): what[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}

@@ -66,6 +66,8 @@ SILICONE_40A = _incompressible(
 
 RESINS = {resin.name: resin for resin in (ELASTIC_50A, FLEXIBLE_80A, SILICONE_40A)}
 
+RIGID_RESIN = "rigid resin, e.g. Grey V4"
+"""What the adapters are printed from; any that is stiff against the probe will do."""
 RIGID_DENSITY = 1180.0
 """Density of the rigid adapters [kg/m³]. Source: Formlabs Grey/Clear V4, 1.15-1.2 g/ml; the middle, assumed."""
 

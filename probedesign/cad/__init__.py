@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from probedesign.cad.staging import undisturbed
 from probedesign.design import Design
 from probedesign.errors import MissingDependencyError
 
@@ -31,7 +32,8 @@ def export_parts(
         MissingDependencyError: CadQuery, trimesh or lib3mf is not installed.
     """
     try:
-        from probedesign.cad.export import export_parts as export
+        with undisturbed():  # the kernel dies of a Ctrl-C while it loads
+            from probedesign.cad.export import export_parts as export
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("probedesign"):
             raise

@@ -142,10 +142,18 @@ def _meet(a: Array, b: Array) -> bool:
 
 
 def assembly_of(parts: dict[str, Part], name: str) -> cq.Assembly:
-    """The parts, named, coloured and placed, for a STEP file."""
+    """The parts, named, coloured and placed, for a STEP file; of a group of screws, each one too.
+
+    Readers drop the colour of a compound, hence a solid for each screw.
+    """
     assembly = cq.Assembly(name=name)
     for part in parts.values():
-        assembly.add(
-            part.shape, name=part.name, color=cq.Color(*part.color), loc=location(part.T_sensor_part)
-        )
+        where, colour, solids = location(part.T_sensor_part), cq.Color(*part.color), part.shape.Solids()
+        if len(solids) == 1:
+            assembly.add(part.shape, name=part.name, color=colour, loc=where)
+            continue
+        group = cq.Assembly(name=part.name)
+        for number, solid in enumerate(solids, 1):
+            group.add(solid, name=f"{part.name}_{number}", color=colour)
+        assembly.add(group, name=part.name, loc=where)
     return assembly

@@ -6,6 +6,8 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly import Part
+from probedesign.cad.bill import as_records
+from probedesign.cad.documents import Documents
 from probedesign.cad.drawing import Drawing
 from probedesign.cad.kernel import mass_of
 from probedesign.cad.verify import Findings
@@ -17,21 +19,15 @@ from probedesign.units import MM
 
 SCHEMA = 1
 
-ASSEMBLY_ORDER = (
-    "screw the flange adapter to the sensor's mounting side from below: 3 M2x6, never longer",
-    "bolt the flange adapter to the robot: 4 bolts from above, dowel pin in the slot",
-    "press M2 nuts into the four pockets of the sensor adapter and dowel pins into its underside",
-    "screw the sensor adapter to the tool side from above through its recess: 3 M2x6, never longer",
-    "lay the flange into the recess, its hole over the peg: peg and the flat on the rim are at +X",
-    "slip the clamp ring over the tip and screw it down with its 4 M2 until it sits on the wall",
-)
 
-
-def manifest_of(drawing: Drawing, files: dict[str, dict[str, Any]], findings: Findings) -> dict[str, Any]:
+def manifest_of(
+    drawing: Drawing, documents: Documents, files: dict[str, dict[str, Any]], findings: Findings
+) -> dict[str, Any]:
     """The manifest of an export.
 
     Args:
         drawing: of the design.
+        documents: made of it.
         files: by name, each with its sha256 and size.
         findings: of `verify`.
     """
@@ -49,9 +45,10 @@ def manifest_of(drawing: Drawing, files: dict[str, dict[str, Any]], findings: Fi
         "T_sensor_base": _pose(drawing.adapter.T_sensor_base),
         "T_sensor_robotflange": _pose(drawing.plate.T_sensor_robotflange),
         "mass": _mass(drawing),
+        "bill_of_materials": as_records(documents.bill),
         "screws": [use.as_record() for use in drawing.screws],
         "also_needed": {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(drawing.adapter.p_dowels)},
-        "assembly_order": list(ASSEMBLY_ORDER),
+        "assembly_order": documents.steps,
         "base": _base(drawing),
         "verification": findings,
         "intersections_m3": drawing.shared_volumes,

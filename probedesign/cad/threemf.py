@@ -1,23 +1,42 @@
-"""The 3MF file: a mesh with its unit, its name and the design's fingerprint, read back as a slicer would."""
+"""3MF packages: meshes with their unit, their names and the design's fingerprint, read back as a slicer would."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import lib3mf
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.cad.mesh import Mesh
 from probedesign.errors import CheckFailedError
+from probedesign.frames import Array
 
 XML_STRING = "xs:string"
+BETWEEN_MM = 5.0
+"""Parts stand that far apart on the build plate."""
 
 
-def threemf_bytes(mesh: Mesh, name: str, part_number: str, metadata: dict[str, str]) -> bytes:
-    """One object as a 3MF package.
+@dataclass(frozen=True)
+class Piece:
+    """One object of a package.
+
+    Attributes:
+        name: of the part.
+        part_number: of the object and of its place on the build plate.
+        mesh: in millimetres, in the part's own frame.
+    """
+
+    name: str
+    part_number: str
+    mesh: Mesh
+
+
+def threemf_bytes(pieces: Sequence[Piece], metadata: dict[str, str]) -> bytes:
+    """Pieces in a row on the build plate, each with its vertices in its own frame.
 
     Args:
-        mesh: in millimetres.
-        name: of the object.
-        part_number: of the object and of its place on the build plate.
+        pieces: of one resin.
         metadata: names of the 3MF core specification (`Title`, `Designer`, `Description`, ...).
     """
     wrapper = lib3mf.get_wrapper()
@@ -26,22 +45,36 @@ def threemf_bytes(mesh: Mesh, name: str, part_number: str, metadata: dict[str, s
     group = model.GetMetaDataGroup()
     for key, value in metadata.items():
         group.AddMetaData("", key, value, XML_STRING, True)
-    body = model.AddMeshObject()
-    body.SetName(name)
-    body.SetPartNumber(part_number)
-    body.SetGeometry(_positions(mesh), _triangles(mesh))
-    model.AddBuildItem(body, wrapper.GetIdentityTransform()).SetPartNumber(part_number)
+    for piece, place in zip(pieces, places_of(pieces), strict=True):
+        body = model.AddMeshObject()
+        body.SetName(piece.name)
+        body.SetPartNumber(piece.part_number)
+        body.SetGeometry(
+            _structs(lib3mf.Position, piece.mesh.vertices.astype("<f4")),
+            _structs(lib3mf.Triangle, piece.mesh.triangles.astype("<u4")),
+        )
+        model.AddBuildItem(body, wrapper.GetTranslationTransform(*place)).SetPartNumber(piece.part_number)
     return bytes(model.QueryWriter("3mf").WriteToBuffer())
 
 
-def read_back(content: bytes) -> tuple[Mesh, str, int]:
+def places_of(pieces: Sequence[Piece]) -> list[list[float]]:
+    """Where each piece's origin goes [mm]: on the plate, side by side, all coordinates positive as 3MF asks."""
+    places, x = [], 0.0
+    for piece in pieces:
+        low, high = piece.mesh.vertices.min(axis=0), piece.mesh.vertices.max(axis=0)
+        places.append([x - float(low[0]), -float(low[1]), -float(low[2])])
+        x += float(high[0] - low[0]) + BETWEEN_MM
+    return places
+
+
+def read_back(content: bytes) -> tuple[list[tuple[Piece, Array]], int]:
     """What a strict reader finds in a 3MF package.
 
     Returns:
-        The mesh of its only object, that object's name, and how many warnings the reader had.
+        Each piece with the place of its origin on the build plate [mm], (3,), and how many warnings there were.
 
     Raises:
-        CheckFailedError: it is refused, is not in millimetres, or does not hold exactly one object.
+        CheckFailedError: it is refused, or is not in millimetres.
     """
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")
@@ -49,30 +82,25 @@ def read_back(content: bytes) -> tuple[Mesh, str, int]:
     try:
         reader.ReadFromBuffer(content)
     except lib3mf.ELib3MFException as error:
-        raise CheckFailedError(f"probe.3mf: a strict reader refuses it: {error}") from None
-    objects = model.GetMeshObjects()
-    if objects.Count() != 1 or model.GetUnit() != lib3mf.ModelUnit.MilliMeter:
-        raise CheckFailedError(f"probe.3mf: holds {objects.Count()} objects, unit {model.GetUnit()}")
-    objects.MoveNext()
-    body = objects.GetCurrentMeshObject()
-    vertices = np.array([tuple(p.Coordinates) for p in body.GetVertices()], dtype=np.float32)
-    triangles = np.array([tuple(t.Indices) for t in body.GetTriangleIndices()], dtype=np.int64)
-    return Mesh(vertices, triangles), body.GetName(), reader.GetWarningCount()
+        raise CheckFailedError(f"3MF: a strict reader refuses it: {error}") from None
+    if model.GetUnit() != lib3mf.ModelUnit.MilliMeter:
+        raise CheckFailedError(f"3MF: unit {model.GetUnit()}, not millimetres")
+    items, found = model.GetBuildItems(), []
+    while items.MoveNext():
+        item = items.GetCurrent()
+        body = model.GetMeshObjectByID(item.GetObjectResource().GetResourceID())
+        vertices = _rows(lib3mf.Position, body.GetVertices(), "<f4")
+        triangles = _rows(lib3mf.Triangle, body.GetTriangleIndices(), "<u4").astype(np.int64)
+        piece = Piece(body.GetName(), item.GetPartNumber(), Mesh(vertices, triangles))
+        found.append((piece, np.array(list(item.GetObjectTransform().Fields[3]))))
+    return found, reader.GetWarningCount()
 
 
-def _positions(mesh: Mesh) -> list[Any]:
-    positions = []
-    for point in mesh.vertices.tolist():
-        position = lib3mf.Position()
-        position.Coordinates[:] = point
-        positions.append(position)
-    return positions
+def _structs(kind: Any, rows: NDArray[Any]) -> Any:
+    """Rows of three numbers as an array of lib3mf's structures, which hold three."""
+    return (kind * len(rows)).from_buffer_copy(rows.tobytes())
 
 
-def _triangles(mesh: Mesh) -> list[Any]:
-    triangles = []
-    for corners in mesh.triangles.tolist():
-        triangle = lib3mf.Triangle()
-        triangle.Indices[:] = corners
-        triangles.append(triangle)
-    return triangles
+def _rows(kind: Any, structs: Any, dtype: str) -> NDArray[Any]:
+    """And back."""
+    return np.frombuffer((kind * len(structs))(*structs), dtype=dtype).reshape(-1, 3)

@@ -9,6 +9,7 @@ from probedesign.cad.assembly import cable_sector, shared_volume
 from probedesign.cad.drawing import Drawing
 from probedesign.cad.kernel import mass_of, section_of
 from probedesign.cad.mesh import Mesh
+from probedesign.cad.packages import pieces_of
 from probedesign.cad.threemf import read_back
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
@@ -23,20 +24,20 @@ SOLID_LIMIT = 1e-9
 """Relative. The kernel integrates these surfaces to about 1e-14; anything drawn wrongly is far above."""
 SECTION_LIMIT = 1e-6
 """Relative."""
-MESH_LIMIT = 1e-3
-"""Relative. The chosen facets leave out 0.04 % of a cone."""
+MESH_LIMIT = 5e-4
+"""Relative. Facets that turn by at most δ = 0.05 rad leave out δ²/6 = 4.2e-4 of a round body, and nothing else."""
 OVERLAP_LIMIT = 1e-12
 """Of volume [m³]: a thousandth of a cubic millimetre; touching faces share none."""
 STATIONS = 9
 
 
-def verify(drawing: Drawing, meshes: dict[str, Mesh], threemf: bytes) -> Findings:
-    """Check a drawing, its meshes and its 3MF package.
+def verify(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
+    """Check a drawing, its meshes and its 3MF packages.
 
     Args:
         drawing: of the design.
         meshes: of the printed parts, by name.
-        threemf: content of the probe's 3MF file.
+        packages: content of the 3MF files, by name.
 
     Returns:
         Each finding by name, with `measured`, `limit`, `ok` and `what`.
@@ -48,7 +49,7 @@ def verify(drawing: Drawing, meshes: dict[str, Mesh], threemf: bytes) -> Finding
         **_solids(drawing),
         **_sections(drawing),
         **_meshes(drawing, meshes),
-        **_threemf(meshes["probe"], threemf),
+        **_packages(drawing, meshes, packages),
         **_room(drawing),
     }
     failed = [
@@ -118,16 +119,23 @@ def _meshes(drawing: Drawing, meshes: dict[str, Mesh]) -> Findings:
     return findings
 
 
-def _threemf(mesh: Mesh, content: bytes) -> Findings:
-    read, name, warnings = read_back(content)
-    lost = abs(len(read.triangles) - len(mesh.triangles))
-    return {
-        "3mf_warnings": _finding(warnings, 0.0, "of a strict reader"),
-        "3mf_name": _yes(name == "probe", "the object's name survives"),
-        "3mf_triangles": _finding(lost, 0.0, "difference to the mesh"),
-        # 3MF writes coordinates as decimals, cut after some digits.
-        "3mf_volume": _finding(abs(read.volume / mesh.volume - 1.0), 1e-5, "relative, to the mesh"),
-    }
+def _packages(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
+    findings: Findings = {}
+    for file, wanted in pieces_of(drawing, meshes).items():
+        found, warnings = read_back(packages[file])
+        read = [piece for piece, _ in found]
+        named = [(p.name, p.part_number) for p in read] == [(p.name, p.part_number) for p in wanted]
+        pairs = [(a.mesh, b.mesh) for a, b in zip(read, wanted, strict=False)]
+        lost = sum(abs(len(a.triangles) - len(b.triangles)) for a, b in pairs)
+        worst = max(abs(a.volume / b.volume - 1.0) for a, b in pairs) if pairs else np.inf
+        findings |= {
+            f"{file}_warnings": _finding(warnings, 0.0, "of a strict reader"),
+            f"{file}_names": _yes(named, "its objects, their names and part numbers survive"),
+            f"{file}_triangles": _finding(lost, 0.0, "difference to the meshes"),
+            # 3MF writes coordinates as decimals, cut after some digits.
+            f"{file}_volume": _finding(worst, 1e-5, "relative, to the meshes"),
+        }
+    return findings
 
 
 def _room(drawing: Drawing) -> Findings:

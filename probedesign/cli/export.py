@@ -8,6 +8,10 @@ from cyclopts import Parameter
 
 from probedesign.cli.output import print_json, print_table
 
+USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "look", ".svg": "look", ".png": "look",
+        ".csv": "record", ".json": "record"}  # fmt: skip
+"""What a file is for, by its ending."""
+
 
 def export(
     design: Path,
@@ -37,11 +41,23 @@ def _progress(step: str) -> None:
         print(f"{step} ...", file=sys.stderr)
 
 
+def _by_use(files: list[str]) -> dict[str, list[str]]:
+    """What was written, by what it is for."""
+    uses: dict[str, list[str]] = {use: [] for use in dict.fromkeys(USES.values())}
+    for name in files:
+        uses[USES.get(Path(name).suffix, "look")].append(name)
+    return {use: names for use, names in uses.items() if names}
+
+
 def _print(manifest: dict[str, Any]) -> None:
     whole, checks = manifest["mass"]["whole"], manifest["verification"]
-    print(f"wrote {manifest['folder']}: {', '.join([*manifest['files'], 'manifest.json'])}")
+    print(f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; for the bench: assembly.html")
     print_table(
         {
+            **{
+                what: ", ".join(names)
+                for what, names in _by_use([*manifest["files"], "manifest.json"]).items()
+            },
             "geometry": manifest["fingerprint"],
             "mass": f"{1e3 * whole['mass_kg']:.3g} g hang on the sensor",
             "base": f"{1e3 * manifest['T_sensor_base'][2][3]:.2f} mm above the tool face; "

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+import os
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,9 @@ import cadquery as cq
 import trimesh
 
 from probedesign.cad import export_parts
+from probedesign.cad.documents import Documents
+from probedesign.cad.drawing import Drawing
+from probedesign.cad.kernel import location
 from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
@@ -25,7 +30,10 @@ from probedesign.printing.preform.job import job_of
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
-    "assembly.step", "probe.3mf", "manifest.json",
+    "assembly.step", "probe.3mf", "adapters.3mf", "manifest.json",
+    "probe.svg", "sensor_adapter.svg", "clamp_ring.svg", "flange_adapter.svg",
+    "probe.png", "sensor_adapter.png", "clamp_ring.png", "flange_adapter.png",
+    "assembly.png", "exploded.svg", "assembly.html", "bill_of_materials.csv",
 }  # fmt: skip
 
 Exported = tuple[Path, dict[str, Any]]
@@ -94,18 +102,32 @@ def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> No
     assert (radius <= cone + 1e-5).all()  # facets lie inside the cone, corners on it
 
 
-def test_step_holds_named_parts_with_the_drawn_volume(exported: Exported) -> None:
-    folder, manifest = exported
-    text = (folder / "assembly.step").read_text("utf-8", "replace")
-    for name in ("probe", "sensor_adapter", "clamp_ring", "flange_adapter", "sensor", "ring_screws"):
-        assert f"'{name}'" in text
-    solids = cq.importers.importStep(str(folder / "assembly.step")).solids().vals()
-    volumes = [s.Volume() for s in solids]
-    for part in manifest["parts"].values():
-        # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
-        assert min(abs(v / (part["volume_m3"] * 1e9) - 1.0) for v in volumes) < 1e-9
+def test_step_holds_every_part_named_coloured_and_in_place(exported: Exported, large: Drawing) -> None:
+    """Read by the kernel's own reader of assemblies."""
+    read = cq.Assembly.importStep(str(exported[0] / "assembly.step"))
+    assert read.name == "large" and {child.name for child in read.children} == set(large.parts)
+    for child in read.children:
+        part = large.parts[child.name]
+        leaves = child.children or [child]  # of a group of screws, each one
+        solids = part.shape.Solids()
+        assert len(leaves) == len(solids)
+        assert np.allclose(matrix_of(child.loc), matrix_of(location(part.T_sensor_part)), atol=1e-9)
+        for leaf, solid in zip(leaves, solids, strict=True):
+            assert leaf.name.startswith(part.name)
+            assert leaf.color is not None
+            assert leaf.color.toTuple() == pytest.approx((*part.color, 1.0), abs=1e-6)  # single precision
+            # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
+            assert leaf.obj.Volume() == pytest.approx(solid.Volume(), rel=1e-9)
+            assert leaf.obj.Center().toTuple() == pytest.approx(solid.Center().toTuple(), abs=1e-9)
 
 
+def matrix_of(place: cq.Location) -> np.ndarray:
+    """(3, 4), in millimetres."""
+    transform = place.wrapped.Transformation()
+    return np.array([[transform.Value(i, j) for j in range(1, 5)] for i in range(1, 4)])
+
+
+@pytest.mark.usefixtures("undocumented")
 @pytest.mark.parametrize(
     ("section", "thickness"),
     [('section = "hollow"\nbore_ratio = 0.5', 6.0), ('section = "elliptic"\nflatness = 0.6', 3.6)],
@@ -179,17 +201,32 @@ def test_the_export_is_what_print_takes(exported: Exported, make_design: Callabl
     assert all(job.file(part).is_file() for job in (probe, adapters) for part in job.sizes)
 
 
-def test_export_says_nothing_on_stdout(
-    make_design: Callable[..., Design], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    said: list[str] = []
-    first = export_parts(make_design(), tmp_path / "a", said.append)
-    assert capfd.readouterr().out == ""  # --json owns it; the kernel likes to chat
-    assert said and all("\n" not in line for line in said)
-    second = export_parts(make_design(), tmp_path / "a")
-    meshes = [name for name in FILES if name.endswith(".stl")]
-    assert [first["files"][n] for n in meshes] == [second["files"][n] for n in meshes]
-    assert first["fingerprint"] == second["fingerprint"]
+def test_every_run_makes_the_same_bytes(exported: Exported, tmp_path: Path) -> None:
+    """In another process, with another seed of Python's hashes; STEP and 3MF alone carry the time.
+
+    And it says nothing on stdout, which `--json` owns: the kernel likes to chat.
+    """
+    code = (
+        "from pathlib import Path; from tests.cad.conftest import design_of;"
+        "from probedesign.cad import export_parts; import sys;"
+        "export_parts(design_of(), Path(sys.argv[1]), lambda step: print(step, file=sys.stderr))"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "again")],
+        env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert said.stdout == "" and "meshing" in said.stderr.splitlines()
+    again = json.loads((tmp_path / "again" / "manifest.json").read_text("utf-8"))
+    assert again["fingerprint"] == exported[1]["fingerprint"]
+    timeless = [name for name in FILES - {"manifest.json"} if not name.endswith((".step", ".3mf"))]
+    assert {n: again["files"][n] for n in timeless} == {n: exported[1]["files"][n] for n in timeless}
+
+
+@pytest.fixture
+def undocumented(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out pictures and pages, which take seconds and have tests of their own."""
+    monkeypatch.setattr("probedesign.cad.export.documents_of", lambda *_: Documents({}, [], []))
 
 
 def stop_at(step: str) -> Callable[[str], None]:
@@ -200,6 +237,7 @@ def stop_at(step: str) -> Callable[[str], None]:
     return progress
 
 
+@pytest.mark.usefixtures("undocumented")
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_interrupted_export_leaves_nothing(
     make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Any
@@ -216,6 +254,7 @@ def test_interrupted_export_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("undocumented")
 def test_foreign_files_and_an_older_export_survive(
     make_design: Callable[..., Design], tmp_path: Path
 ) -> None:
@@ -229,8 +268,9 @@ def test_foreign_files_and_an_older_export_survive(
     assert sorted(folder.iterdir()) == sorted([ours, foreign])
     assert ours.read_text() == foreign.read_text() == "earlier"
     export_parts(make_design(), folder)
-    assert {p.name for p in folder.iterdir()} == FILES | {foreign.name}
-    assert foreign.read_text() == "earlier" and json.loads(ours.read_text("utf-8"))["name"] == "large"
+    made = json.loads(ours.read_text("utf-8"))
+    assert {p.name for p in folder.iterdir()} == {*made["files"], ours.name, foreign.name}
+    assert foreign.read_text() == "earlier" and made["name"] == "large"
 
 
 def test_a_target_that_cannot_be_written_is_one_line(
@@ -245,7 +285,7 @@ def test_a_target_that_cannot_be_written_is_one_line(
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]
 
 
-@pytest.mark.parametrize("package", ["cadquery", "trimesh", "lib3mf"])
+@pytest.mark.parametrize("package", ["cadquery", "trimesh", "lib3mf", "PIL"])
 def test_a_missing_package_is_one_line(
     make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:

@@ -14,13 +14,13 @@ import cadquery as cq
 from probedesign.cad.assembly import IN_SENSOR_FRAME, overlaps
 from probedesign.cad.drawing import Drawing, draw
 from probedesign.cad.mesh import Mesh, mesh_of, stl_bytes
-from probedesign.cad.threemf import threemf_bytes
+from probedesign.cad.packages import packages_of
 from probedesign.cad.verify import verify
 from probedesign.design import Design
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array, pose
 
-Meshes = tuple[dict[str, Mesh], bytes]
+Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
 PROFILE = (
     'shape = "profile"\nlength_mm = 120.0\nbase_d_mm = 12.0\n'
     "profile_mm = [[0, 12], [40, 13], [60, 7], [80, 7], [120, 2]]"
@@ -45,7 +45,7 @@ def filled(shape: Any, p: Array, T_sensor_part: Array = IN_SENSOR_FRAME) -> bool
 
 def meshed(drawing: Drawing) -> Meshes:
     meshes = {part.name: mesh_of(part.shape) for part in drawing.printed}
-    return meshes, threemf_bytes(meshes["probe"], "probe", "p", {"Title": "t"})
+    return meshes, packages_of(drawing, meshes)
 
 
 @pytest.fixture(scope="module")
@@ -267,10 +267,10 @@ def test_verify_sees_a_probe_that_is_a_micrometre_off(large: Drawing, large_mesh
 
 
 def test_verify_sees_an_open_mesh(large: Drawing, large_meshes: Meshes) -> None:
-    meshes, content = large_meshes
+    meshes, packages = large_meshes
     ring = meshes["clamp_ring"]
     with pytest.raises(CheckFailedError, match="clamp_ring_mesh_closed"):
-        verify(large, meshes | {"clamp_ring": Mesh(ring.vertices, ring.triangles[1:])}, content)
+        verify(large, meshes | {"clamp_ring": Mesh(ring.vertices, ring.triangles[1:])}, packages)
 
 
 def test_overlap_is_seen(large: Drawing) -> None:

@@ -1,0 +1,119 @@
+"""A folder of files that belong together: written aside, moved into place whole, never left half done."""
+
+import json
+import os
+import shutil
+import signal
+import threading
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+
+from probedesign.errors import InputError
+
+MANIFEST = "manifest.json"
+
+
+def check_target(folder: Path) -> None:
+    """Refuse, before any work, a folder that can neither be written nor be made."""
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{folder}: {nearest} is a file; name a folder to export into")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A temporary sibling of `folder`: its files move there if the block ends well, and vanish otherwise.
+
+    What a killed process left of its own is removed first.
+    """
+    staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
+    try:
+        staging.mkdir(parents=True)
+        with _claimed(staging):
+            _remove_abandoned(folder)
+            yield staging
+            with undisturbed():
+                _put_in_place(staging, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextmanager
+def _claimed(staging: Path) -> Iterator[None]:
+    """Hold a lock on a folder; the system drops it with the process, however that ends.
+
+    Raises:
+        BlockingIOError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: nothing is locked there, so nothing counts as abandoned
+        yield
+        return
+    handle = os.open(staging, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove staging folders that no process holds any more; one of an export that runs right now stays."""
+    if os.name == "nt":
+        return
+    for left in folder.parent.glob(f".{folder.name}.????????.partial"):
+        with suppress(OSError), _claimed(left):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Let Ctrl-C wait until the block has ended."""
+    if threading.current_thread() is not threading.main_thread():  # which alone receives it
+        yield
+        return
+    asked: list[int] = []
+
+    def remember(number: int, _: FrameType | None) -> None:
+        asked.append(number)
+
+    previous = signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if asked:
+        raise KeyboardInterrupt
+
+
+def _put_in_place(staging: Path, folder: Path) -> None:
+    """Move the files. What the folder's last export made and this one does not goes; whatever else lies there stays.
+
+    The old manifest goes first and the new one comes last: a folder with a manifest is a whole export.
+    """
+    if not folder.exists():
+        staging.rename(folder)
+        return
+    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name in outdated:
+        (folder / name).unlink(missing_ok=True)
+    for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
+        path.replace(folder / path.name)
+
+
+def _made_before(folder: Path) -> set[str]:
+    """Names of the files beside a manifest that lists them; none if it does not read."""
+    try:
+        listed = set(json.loads((folder / MANIFEST).read_text("utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

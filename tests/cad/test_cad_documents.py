@@ -1,0 +1,360 @@
+"""Pictures, drawings, the bill and the page of one export: read as text, as pixels, as a browser would."""
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Callable
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
+
+import trimesh
+from PIL import Image
+
+from probedesign.cad.assembly import overlaps
+from probedesign.cad.bill import RESIN_PRESSURE, bill_of, hand_torque
+from probedesign.cad.drawing import Drawing, draw
+from probedesign.cad.part_sheets import sheets_of
+from probedesign.cad.picture import Body, Camera, photographed, view_of
+from probedesign.cad.projection import FRONT, cut, seen
+from probedesign.cad.raster import NOBODY
+from probedesign.cad.sheet import HEIGHT, WIDTH
+from probedesign.cad.steps import DOWN, EXPLOSION, steps_of
+from probedesign.cad.threemf import places_of, read_back
+from probedesign.design import Design
+from probedesign.frames import pose
+
+Exported = tuple[Path, dict[str, Any]]
+PRINTED = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+# ---- bill of materials
+
+
+def test_the_bill_counts_what_was_drawn(exported: Exported, large: Drawing) -> None:
+    table = list(csv.DictReader(io.StringIO((exported[0] / "bill_of_materials.csv").read_text("utf-8"))))
+    assert [row["number"] for row in table] == [str(i) for i in range(1, len(large.parts) + 1)]
+    assert {row["name"]: int(row["quantity"]) for row in table} == {
+        name: len(part.shape.Solids()) for name, part in large.parts.items()
+    }
+    rows = {row["name"]: row for row in table}
+    for use in large.screws:
+        assert rows[use.name]["what"] == f"ISO 4762 {use.screw.thread}x{1e3 * use.length:g}"
+        assert float(rows[use.name]["length_mm"]) == pytest.approx(1e3 * use.length)
+    for name in PRINTED:
+        assert rows[name]["file"] in exported[1]["files"]
+        # Three digits are written.
+        assert float(rows[name]["mass_g"]) == pytest.approx(
+            1e3 * exported[1]["parts"][name]["mass_kg"], rel=5e-3
+        )
+    assert rows["probe"]["material"] == "elastic-50a" and "rigid" in rows["clamp_ring"]["material"]
+    assert len(exported[1]["bill_of_materials"]) == len(table)
+
+
+def test_hand_torque_spares_the_resin(large: Drawing) -> None:
+    """Torque over diameter and nut factor is the preload; it presses the ring under the head."""
+    robot = large.plate.robot
+    for use in large.screws:
+        d, hole = (2e-3, 2.4e-3) if use.screw.thread == "M2" else (6e-3, robot.bolt_clearance_d)
+        preload = hand_torque(use, robot) / (0.2 * d)
+        pressure = preload / (np.pi / 4 * (use.screw.head_d**2 - hole**2))
+        assert 0.5 * RESIN_PRESSURE < pressure <= RESIN_PRESSURE  # one digit, rounded down
+    # A tenth of what M2 in steel takes, 0.3 N·m: nobody may look it up in a table for steel.
+    assert hand_torque(large.screws[0], robot) < 0.1
+
+
+# ---- order of assembly
+
+
+def test_every_part_has_its_step_and_its_place_in_the_exploded_picture(large: Drawing) -> None:
+    exploded = [name for move in EXPLOSION for name in move.parts]
+    assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
+    assert {name for step in steps_of(large.screws) for name in step.parts} == set(exploded)
+
+
+def test_parts_drawn_apart_do_not_meet(large: Drawing) -> None:
+    """Each move takes its parts clear of all that is fixed before, along the axis."""
+    from probedesign.cad.explosion import moved_apart
+    from probedesign.cad.picture import body_of
+
+    bodies = {name: body_of(part) for name, part in large.parts.items()}
+    seat = 1e3 * large.adapter.T_sensor_base[2, 3]
+    apart = moved_apart(bodies, EXPLOSION, seat)
+    for name, body in apart.items():
+        along = body.corners - bodies[name].corners
+        assert np.ptp(along.reshape(-1, 3), axis=0) == pytest.approx(0.0, abs=1e-9)  # rigidly
+        assert along[..., :2] == pytest.approx(0.0)
+    for move in EXPLOSION:
+        for name in move.parts:
+            low, high = apart[name].span
+            onto = apart[move.onto].span
+            if move.side == DOWN:
+                assert high < onto[0]
+            elif move.onto != "probe":  # what slips over the probe is drawn around it
+                assert low > onto[1]
+    lifted = {
+        name: large.parts[name].placed.moved(
+            type(large.parts[name].placed.location())((0.0, 0.0, body.span[0] - bodies[name].span[0]))
+        )
+        for name, body in apart.items()
+    }
+    parts = {name: _Placed(shape) for name, shape in lifted.items()}
+    assert max(overlaps(parts).values(), default=0.0) == 0.0  # type: ignore[arg-type]
+
+
+class _Placed:
+    """What `overlaps` takes of a part."""
+
+    def __init__(self, shape: Any) -> None:
+        self.placed = shape
+
+
+# ---- pictures
+
+
+def box(x: float, y: float, z: float, at: tuple[float, float, float], colour: float) -> Body:
+    mesh = trimesh.creation.box((x, y, z), pose(p=list(at)))
+    corners = mesh.triangles
+    return Body(corners, np.repeat(mesh.face_normals[:, None], 3, axis=1), (colour, colour, colour))
+
+
+def test_pixels_cover_what_is_projected() -> None:
+    """A ball of 10 mm, at any scale, is a disc of π·10² mm²; a level camera sees a box as a rectangle."""
+    ball = trimesh.creation.icosphere(5, 10.0)
+    body = Body(ball.triangles, ball.vertex_normals[ball.faces], (0.5, 0.5, 0.5))
+    view = view_of([body], Camera(), (400, 400))
+    _, owners = photographed([body], view)
+    covered = (owners != NOBODY).sum() / view.scale**2
+    assert covered == pytest.approx(np.pi * 100.0, rel=5e-3)  # a pixel of a rim of 1200 is left to chance
+    slab = box(20.0, 6.0, 30.0, (1.0, 2.0, 3.0), 0.5)
+    view = view_of([slab], Camera(azimuth_deg=-90.0, elevation_deg=0.0), (300, 300))
+    _, owners = photographed([slab], view)
+    rows, columns = np.nonzero(owners != NOBODY)
+    assert np.ptp(columns) + 1 == pytest.approx(20.0 * view.scale, abs=1.5)  # pixels
+    assert np.ptp(rows) + 1 == pytest.approx(30.0 * view.scale, abs=1.5)
+
+
+def test_the_nearer_body_hides_the_farther_one() -> None:
+    near, far = box(4.0, 4.0, 4.0, (0.0, -20.0, 0.0), 0.2), box(8.0, 8.0, 8.0, (0.0, 20.0, 0.0), 0.9)
+    front = Camera(azimuth_deg=-90.0, elevation_deg=0.0)
+    for bodies in ([near, far], [far, near]):
+        view = view_of(bodies, front, (200, 200))
+        pixels, owners = photographed(bodies, view)
+        middle = tuple(n // 2 for n in owners.shape)
+        assert bodies[owners[middle]] is near
+        assert (pixels[0, 0] == 255).all() and (pixels[middle] < 120).all()
+
+
+def test_light_comes_from_above_left() -> None:
+    ball = trimesh.creation.icosphere(5, 10.0)
+    body = Body(ball.triangles, ball.vertex_normals[ball.faces], (0.8, 0.8, 0.8))
+    pixels, _ = photographed([body], view_of([body], Camera(), (200, 200)))
+    height, width = pixels.shape[:2]
+    assert pixels[height // 4, width // 4].mean() > pixels[3 * height // 4, 3 * width // 4].mean() + 40
+
+
+@pytest.mark.parametrize("name", [*PRINTED, "assembly"])
+def test_previews_show_their_part_on_paper(exported: Exported, name: str) -> None:
+    picture = np.asarray(Image.open(exported[0] / f"{name}.png").convert("RGB")).astype(int)
+    assert max(picture.shape) <= 1000 and min(picture.shape[:2]) > 50
+    assert (picture[[0, 0, -1, -1], [0, -1, 0, -1]] == 255).all()
+    drawn = (picture < 250).any(axis=2)
+    assert max(drawn.any(axis=0).mean(), drawn.any(axis=1).mean()) > 0.9  # it fills the picture
+    assert len(np.unique(picture[drawn].sum(axis=1))) > 30  # shaded, not filled
+
+
+# ---- drawings
+
+
+def words_of(svg: bytes) -> list[str]:
+    return [element.text or "" for element in ET.fromstring(svg).iter(f"{SVG}text")]
+
+
+def test_drawings_say_the_dimensions(large: Drawing) -> None:
+    words = {name: words_of(sheet) for name, sheet in sheets_of(large).items()}
+    assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7) at s = 75", "⌀2 at s = 150"} <= set(words["probe"])
+    a = large.adapter
+    for d in (a.foot_d, a.recess_d, a.body_d):
+        assert f"⌀{1e3 * d:g}" in words["sensor_adapter"]
+    for height in (a.foot_height, a.floor, a.body_top):
+        assert f"{round(1e3 * height, 2):g}" in words["sensor_adapter"]
+    assert {f"⌀{1e3 * a.ring_bore_d:g}", f"⌀{1e3 * a.ring_bore_top_d:g}"} <= set(words["clamp_ring"])
+    assert any(w.endswith("on ⌀12.5 at 60°, 180°, 300°") for w in words["sensor_adapter"])
+    assert any("on ⌀50 at 45°, 135°, 225°, 315°" in w for w in words["flange_adapter"])
+    for name in PRINTED:
+        assert {large.geometry.fingerprint, "mm", f"{name}.stl"} <= set(words[name])
+
+
+def test_dimension_lines_are_as_long_as_they_say(large: Drawing) -> None:
+    """On the probe's sheet, scale 1 : 1: lines of 150, 19 and 3 mm of paper."""
+    root = ET.fromstring(sheets_of(large)["probe"])
+    assert "1 : 1" in [element.text for element in root.iter(f"{SVG}text")]
+    lengths = []
+    for path in root.iter(f"{SVG}path"):
+        numbers = [float(n) for n in re.findall(r"-?[\d.]+", path.get("d", ""))]
+        if len(numbers) == 4:
+            lengths.append(np.hypot(numbers[2] - numbers[0], numbers[3] - numbers[1]))
+    for wanted in (150.0, 19.0, 3.0):
+        assert (
+            min(abs(length - wanted) for length in lengths) < 2e-3
+        )  # a thousandth of a millimetre is written
+
+
+def test_edges_are_those_of_the_solid(large: Drawing) -> None:
+    probe = np.concatenate(seen(large.parts["probe"].shape, FRONT))
+    assert probe.min(axis=0) == pytest.approx([-9.5, -3.0], abs=1e-6)
+    assert probe.max(axis=0) == pytest.approx([9.5, 150.0], abs=1e-6)
+    _, faces = cut(large.parts["clamp_ring"].shape)
+    a = large.adapter
+    inner, outer, height = 1e3 * a.ring_bore_d / 2, 1e3 * a.body_d / 2, 1e3 * a.ring_thickness
+    widening = 1e3 * (a.ring_bore_top_d - a.ring_bore_d) / 2
+    area = (outer - inner) * height - widening * height / 2
+    drawn = [abs(_area(loop)) for loops in faces for loop in loops]
+    assert drawn == pytest.approx([area, area], rel=1e-9)  # straight edges
+
+
+def _area(loop: Any) -> float:
+    x, y = loop[:, 0], loop[:, 1]
+    return float(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2
+
+
+ODD = {
+    "thin and flat": "length_mm = 30.0\nbase_d_mm = 3.0\ntip_d_mm = 1.2\nsection = 'elliptic'\nflatness = 0.8",
+    "long and wide": "length_mm = 400.0\nbase_d_mm = 25.0\ntip_d_mm = 3.0\nsection = 'hollow'\nbore_ratio = 0.5",
+    "many knots": "shape = 'profile'\nlength_mm = 100.0\nbase_d_mm = 10.0\nprofile_mm = ["
+    + ", ".join(f"[{s}.0, {10 - 0.06 * s:g}]" for s in range(0, 101, 2))
+    + "]",
+}
+
+
+@pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
+def test_nothing_leaves_the_paper(make_design: Callable[..., Design], probe: str) -> None:
+    for name, sheet in sheets_of(draw(make_design(probe))).items():
+        root = ET.fromstring(sheet)
+        for element in root.iter():
+            for x, y in _points(element):
+                assert 0.0 <= x <= WIDTH and 0.0 <= y <= HEIGHT, (name, ET.tostring(element)[:200])
+        notes = [e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "")]
+        heights = sorted(float(e.get("y", "")) for e in notes)
+        assert all(b - a > 3.0 for a, b in pairwise(heights))  # no note on another
+
+
+def _points(element: ET.Element) -> list[tuple[float, float]]:
+    """Corners of a path, ends of a text of the usual width."""
+    if element.tag == f"{SVG}path" and element.get("stroke-width") != "0.18":
+        numbers = [float(n) for n in re.findall(r"-?[\d.]+", element.get("d", ""))]
+        return list(zip(numbers[::2], numbers[1::2], strict=True))
+    if element.tag == f"{SVG}text" and not element.get("transform"):
+        x, y, wide = float(element.get("x", "")), float(element.get("y", "")), 0.5 * len(element.text or "")
+        wide *= float(element.get("font-size", ""))
+        left = {"start": x, "middle": x - wide / 2, "end": x - wide}[element.get("text-anchor", "start")]
+        return [(left, y), (left + wide, y)]
+    return []
+
+
+# ---- the page
+
+
+class Page(HTMLParser):
+    """What a browser would fetch, show and outline."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.words: list[str] = []
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.fetched += [value for name, value in attrs if name in ("src", "href", "srcset") and value]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in self.open:
+            while self.open.pop() != tag:
+                pass
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+
+def test_the_page_needs_nothing_else(exported: Exported) -> None:
+    text = (exported[0] / "assembly.html").read_text("utf-8")
+    page = Page(text)
+    assert page.fetched and all(url.startswith("data:image/png;base64,") for url in page.fetched)
+    assert "<script" not in text and "@import" not in text and "url(" not in text
+    assert (
+        len(page.fetched) == len(exported[1]["assembly_order"]) + 1
+    )  # a picture a step, and the exploded one
+
+
+def test_the_page_says_what_the_bench_must_know(exported: Exported, large: Drawing) -> None:
+    said = " ".join(" ".join(Page((exported[0] / "assembly.html").read_text("utf-8")).words).split())
+    assert said.index("by more than 3.5 mm destroys it") < said.index("Parts")  # before anything else
+    assert f"{1e3 * large.adapter.T_sensor_base[2, 3]:.2f} mm above the tool face" in said
+    for item in bill_of(large):
+        assert item.title in said and (item.file or item.what) in said
+    for step in exported[1]["assembly_order"]:
+        assert step[1:] in said
+    for tool in ("hexagon key 1.5 mm (M2)", "hexagon key 5 mm (M6)", "calipers"):
+        assert tool in said
+    assert large.geometry.fingerprint in said and "assumed" in said
+
+
+def test_names_from_outside_are_words_not_markup(make_design: Callable[..., Design]) -> None:
+    from probedesign.cad.page import _head
+
+    design = make_design().model_copy(update={"name": "<b>&"})
+    drawing = draw(make_design())
+    assert "<b>&" not in _head(Drawing(design, *(getattr(drawing, f) for f in _FIELDS)))
+
+
+_FIELDS = ("geometry", "adapter", "plate", "screws", "parts")
+
+
+# ---- 3MF
+
+
+def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Exported) -> None:
+    wanted = {"probe.3mf": {"probe"}, "adapters.3mf": set(PRINTED) - {"probe"}}
+    fingerprint = exported[1]["fingerprint"]
+    for file, names in wanted.items():
+        found, warnings = read_back((exported[0] / file).read_bytes())
+        assert warnings == 0 and {piece.name for piece, _ in found} == names
+        assert all(piece.part_number == f"large-{fingerprint}-{piece.name}" for piece, _ in found)
+        boxes = [[m.vertices.min(axis=0) + p, m.vertices.max(axis=0) + p] for (_, p), m in
+                 zip(found, (piece.mesh for piece, _ in found), strict=True)]  # fmt: skip
+        assert min(low.min() for low, _ in boxes) == pytest.approx(
+            0.0, abs=1e-4
+        )  # the plate; 3MF cuts digits
+        for (_, high), (low, _) in pairwise(boxes):
+            assert low[0] - high[0] > 4.9  # millimetres
+        assert np.allclose(places_of([piece for piece, _ in found]), [p for _, p in found], atol=1e-3)
+
+
+def test_another_reader_sees_the_same_parts(exported: Exported) -> None:
+    scene = trimesh.load(exported[0] / "adapters.3mf")
+    for name in set(PRINTED) - {"probe"}:
+        mesh = next(m for key, m in scene.geometry.items() if key.startswith(name))
+        mesh.merge_vertices()
+        assert mesh.is_watertight
+        # Half of the mesh's own limit: 3MF writes decimals.
+        assert 1e-9 * mesh.volume == pytest.approx(exported[1]["parts"][name]["volume_m3"], rel=5e-4)
+
+
+def test_meshes_keep_the_solids_volume(exported: Exported) -> None:
+    for name in PRINTED:
+        mesh = trimesh.load(exported[0] / f"{name}.stl")
+        assert mesh.is_watertight and mesh.is_winding_consistent
+        assert abs(1e-9 * mesh.volume / exported[1]["parts"][name]["volume_m3"] - 1.0) < 5e-4

@@ -1,0 +1,129 @@
+"""A folder that is written whole: what a kill, a Ctrl-C or a full disk leaves, and what the next export finds."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from probedesign.cad.staging import staged
+from probedesign.errors import InputError
+
+posix = pytest.mark.skipif(os.name == "nt", reason="signals and locks of POSIX")
+
+
+def write(staging: Path, name: str, text: str = "new") -> None:
+    (staging / name).write_text(text)
+
+
+def manifest(*files: str) -> str:
+    return json.dumps({"files": {name: {} for name in files}})
+
+
+def run(folder: Path, inside: str) -> subprocess.CompletedProcess[str]:
+    """A process that stages one file and then does something."""
+    code = (
+        "import os, signal, sys; from pathlib import Path; from probedesign.cad.staging import staged\n"
+        "with staged(Path(sys.argv[1])) as staging:\n"
+        "    (staging / 'probe.stl').write_text('half'); " + inside
+    )
+    return subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True)
+
+
+@posix
+def test_a_killed_process_leaves_a_hidden_folder_that_the_next_one_removes(tmp_path: Path) -> None:
+    folder = tmp_path / "large"
+    killed = run(folder, "os.kill(os.getpid(), signal.SIGKILL)")
+    assert killed.returncode == -signal.SIGKILL
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".large.") and left.name.endswith(".partial")
+    with staged(folder) as staging:
+        write(staging, "manifest.json", manifest())
+    assert [path.name for path in tmp_path.iterdir()] == ["large"]
+
+
+@posix
+def test_a_killed_process_leaves_an_older_export_as_it_was(tmp_path: Path) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    write(folder, "probe.stl", "old")
+    write(folder, "manifest.json", manifest("probe.stl"))
+    run(folder, "os.kill(os.getpid(), signal.SIGKILL)")
+    assert {p.name: p.read_text() for p in folder.iterdir()} == {
+        "probe.stl": "old", "manifest.json": manifest("probe.stl"),
+    }  # fmt: skip
+
+
+@posix
+def test_an_interrupted_process_leaves_nothing(tmp_path: Path) -> None:
+    interrupted = run(tmp_path / "large", "signal.raise_signal(signal.SIGINT)")
+    assert "KeyboardInterrupt" in interrupted.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_an_export_that_runs_now_is_not_swept_away(tmp_path: Path) -> None:
+    folder = tmp_path / "large"
+    with staged(folder) as first:
+        write(first, "manifest.json", "first")
+        second = run(folder, "(staging / 'manifest.json').write_text('second')")
+        assert second.returncode == 0, second.stderr
+        assert first.is_dir()
+        assert {p.name for p in folder.iterdir()} == {"manifest.json", "probe.stl"}
+    assert (folder / "manifest.json").read_text() == "first"  # the last to finish
+
+
+@posix
+def test_ctrl_c_waits_for_the_last_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    write(folder, "a", "old")
+    move = Path.replace
+
+    def interrupted(path: Path, target: Path) -> Path:
+        signal.raise_signal(signal.SIGINT)
+        return move(path, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), staged(folder) as staging:
+        for name in ("a", "b", "manifest.json"):
+            write(staging, name)
+    assert {p.name: p.read_text() for p in folder.iterdir()} == dict.fromkeys(
+        ("a", "b", "manifest.json"), "new"
+    )
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_the_last_export_made_goes_and_all_else_stays(tmp_path: Path) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    write(tmp_path, "mine", "keep")
+    for name in ("old.stl", "large.probe.json"):
+        write(folder, name, "old")
+    write(folder, "manifest.json", manifest("old.stl", "../mine"))
+    with staged(folder) as staging:
+        write(staging, "manifest.json", manifest())
+    assert {p.name for p in folder.iterdir()} == {"large.probe.json", "manifest.json"}
+    assert (tmp_path / "mine").read_text() == "keep"  # a manifest names files of its own folder only
+
+
+@pytest.mark.parametrize("nonsense", ["", "[]", '{"files": 3}', "\x00"])
+def test_an_older_manifest_that_does_not_read_is_no_hindrance(tmp_path: Path, nonsense: str) -> None:
+    folder = tmp_path / "large"
+    folder.mkdir()
+    write(folder, "manifest.json", nonsense)
+    with staged(folder) as staging:
+        write(staging, "manifest.json", manifest())
+    assert (folder / "manifest.json").read_text() == manifest()
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InputError, match=r"cannot be written: No space left on device$"),
+        staged(tmp_path / "large"),
+    ):
+        raise OSError(28, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
