@@ -8,9 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from probedesign.cross_section import CrossSection
 from probedesign.design_problems import Inconsistent
 from probedesign.materials import Provenance
+from probedesign.tip import rounded, rounding_height_mm
 
 Shape = Literal["cone", "cylinder", "profile"]
 Section = Literal["round", "hollow", "elliptic"]
+Tip = Literal["blunt", "rounded"]
 MAX_GRAVITY = 30.0
 """More than this in m/s² [m/s²] is a slip of units: nothing but a centrifuge pulls harder."""
 MAX_PROFILE_POINTS = 64
@@ -43,6 +45,7 @@ class ProbeTable(Table):
     base_d_mm: Diameter
     tip_d_mm: Diameter | None = None
     profile_mm: tuple[tuple[float, float], ...] | None = None
+    tip: Tip = "blunt"
     section: Section = "round"
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
@@ -66,6 +69,7 @@ class ProbeTable(Table):
             case "profile":
                 self._check_profile()
         self._check_section()
+        self._check_tip()
         return self
 
     def _check_cone(self) -> None:
@@ -116,6 +120,20 @@ class ProbeTable(Table):
             if not given and self.section == section:
                 raise Inconsistent(key, f"is missing; {needed}")
 
+    def _check_tip(self) -> None:
+        if self.tip == "blunt":
+            return
+        if self.section == "hollow":
+            raise Inconsistent("tip", '= "rounded" would close the bore of a hollow probe; use tip = "blunt"')
+        before, last = self.blunt_mm[-2:]
+        straight, height = last[0] - before[0], rounding_height_mm(before, last)
+        if straight < height:
+            raise Inconsistent(
+                "tip",
+                f'= "rounded" takes the last {height:g} mm and only {straight:g} mm are straight; '
+                f'at most {last[1] * straight / height:g} mm wide there, or tip = "blunt"',
+            )
+
     def _check_equal(self, what: str, value: float, name: str, wanted: float) -> None:
         if value != wanted:
             raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {name} = {wanted!r}")
@@ -123,6 +141,16 @@ class ProbeTable(Table):
     @property
     def knots_mm(self) -> tuple[tuple[float, float], ...]:
         """(s, diameter) where the taper may change [mm]."""
+        return self.blunt_mm if self.tip == "blunt" else rounded(self.blunt_mm)
+
+    @property
+    def flank_end_mm(self) -> float:
+        """Where the flank ends and a rounded tip begins [mm]; the length of a blunt one."""
+        return self.knots_mm[len(self.blunt_mm) - 1][0]
+
+    @property
+    def blunt_mm(self) -> tuple[tuple[float, float], ...]:
+        """The same of a body with a flat end."""
         if self.profile_mm is not None:
             return self.profile_mm
         tip = self.base_d_mm if self.tip_d_mm is None else self.tip_d_mm

@@ -74,6 +74,7 @@ class Probe:
             rigid_length=root_rigid_radii * self.geometry.base_radius,
             factors=self.geometry.cross_section.factors,
             finite_strain=root_rigid_radii != 0.0 and self.geometry.cross_section.full_round,
+            rounded_from=self.geometry.rounded_from,
         )
 
     @cached_property

@@ -230,7 +230,7 @@ class Estimator:
         """The code of the best candidate beside its rivals."""
         best = listed[0]
         if best.chi2 > chdtri(best.dof, INCONSISTENT):
-            return "out_of_range" if best.s_contact in (0.0, self.model.rod.length) else "inconsistent"
+            return "out_of_range" if best.s_contact in (0.0, self.model.rod.flank_end) else "inconsistent"
         if not self.locates(best.std_s, best.force_base, readings):
             return "unobservable" if best.lever < LEAST_LEVER else "too_light"
         rivals = [c for c in listed[1:] if c.chi2 < best.chi2 + AMBIGUOUS]

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtri
 
-from probedesign.estimator import fit, spread
+from probedesign.estimator import fit, round_end, spread
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.locate import candidates, starts
 from probedesign.estimator.observation import Observation
@@ -50,6 +50,8 @@ def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[C
         # The scan may be too coarse where the probe gives way.
         exact = candidates(rod, seen.gravity, seen.force, seen.wrench[3:6])
         places += fitter.places((eq.tip, seen.force, eq.s_contact) for eq in exact)
+    if rod.rounded_from is not None:
+        places += fitter.at_round_end(places)
     return places or fitter.stalled
 
 
@@ -80,12 +82,24 @@ class _Fitter:
                 found.append(place)
         return found
 
+    def at_round_end(self, places: list[Candidate]) -> list[Candidate]:
+        """The touch of a round end, if it explains the reading where no touch of the flank close to it does."""
+        end = round_end.touch(self.rod, self.seen)
+        if end is None or not self.explains(end):
+            return []
+        near = (
+            abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s)
+            for p in places
+            if self.explains(p)
+        )
+        return [] if any(near) else [end]
+
     def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
         """The fit from one guess; None if there is no least misfit near."""
         state, answer, seen = np.empty(fit.STATE), np.empty(spread.ANSWER), self.seen
         state[: fit.PUSH], state[fit.PUSH : fit.PLACE], state[fit.PLACE] = tip, force, s
         status = spread.locate_contact(
-            self.rod.body, seen.gravity, seen.weight, seen.wrench, seen.whiten, 0.0, self.rod.length,
+            self.rod.body, seen.gravity, seen.weight, seen.wrench, seen.whiten, 0.0, self.rod.flank_end,
             *self._scratch, state, answer,
         )  # fmt: skip
         if status == fit.LOST:
