@@ -81,7 +81,7 @@ class Probe:
     def model(self) -> ProbeModel:
         """All that estimation needs of it."""
         d = self.design
-        adapter = sensor_adapter_for(self.geometry, d.sensor_model)
+        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name)
         calibration = d.calibration
         return ProbeModel(
             name=d.name,

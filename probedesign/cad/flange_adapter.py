@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.kernel import block, cylinder, single
+from probedesign.cad.kernel import block, cylinder, engraved, single
 from probedesign.frames import Array, pose, rotation_z
 from probedesign.mounting.adapter import on_circle
+from probedesign.mounting.engraving import HEIGHT, Engraving, between, engrave
 from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
 from probedesign.mounting.prism import Point
 from probedesign.robot_flange import RobotFlange
@@ -21,8 +22,11 @@ from probedesign.units import MM
 ENTRY_MARGIN = 0.5 * MM
 """The robot bolts stay that far short of the deepest entry: the plate may print thin."""
 PAD_HEIGHT = 1.0 * MM
-"""The sensor sits on a pad of its own diameter, so that its cable clears the plate."""
+"""The sensor sits on a pad, so that its cable clears the plate."""
+PAD_EDGE = 0.5 * MM
+"""The pad stays that far inside the sensor's rim: air to the cable, which leaves just above it."""
 EDGE = 1.8 * MM  # wall outside the pin slot
+LETTER_EDGE = 0.2 * MM  # beside the characters; below the pad's edge and the bolts' heads
 HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head
 
 
@@ -35,6 +39,7 @@ class FlangeAdapter:
         plate_d, plate_top: the plate from the robot's face to `plate_top`.
         pad_d, pad_top: the sensor's seat.
         p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
+        on_plate: what is engraved around the pad; nothing where there is no room between it and the bolts.
         T_sensor_robotflange: pose of this frame in the sensor frame, (4, 4).
     """
 
@@ -45,6 +50,7 @@ class FlangeAdapter:
     pad_top: float
     p_mounting_screws: tuple[Point, ...]
     p_bolts: tuple[Point, ...]
+    on_plate: Engraving
     T_sensor_robotflange: Array
 
     @property
@@ -53,8 +59,10 @@ class FlangeAdapter:
         return self.pad_top - M2_GRIP
 
 
-def flange_adapter_for(sensor: SensorModel, robot: RobotFlange) -> FlangeAdapter:
-    """The plate for that sensor on that robot."""
+def flange_adapter_for(
+    sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = ""
+) -> FlangeAdapter:
+    """The plate for that sensor on that robot, engraved with a geometry's fingerprint and a design's name."""
     plate_top = robot.bolt_length - (robot.max_bolt_entry - ENTRY_MARGIN)
     pad_top = plate_top + PAD_HEIGHT
     # The cable bisects the first two bolts; the dowel's azimuth in the sensor frame follows.
@@ -69,14 +77,25 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange) -> FlangeAdapter
         robot=robot,
         plate_d=2 * rim,
         plate_top=plate_top,
-        pad_d=sensor.body_d,
+        pad_d=sensor.body_d - 2 * PAD_EDGE,
         pad_top=pad_top,
         p_mounting_screws=on_circle(
             sensor.mounting.bolt_circle_d, (a - dowel_deg for a in sensor.mounting.azimuths_deg)
         ),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
+        on_plate=_engraving(sensor, robot, fingerprint, name, plate_top),
         T_sensor_robotflange=pose(rotation_z(np.radians(dowel_deg)), [0.0, 0.0, -sensor.height - pad_top]),
     )
+
+
+def _engraving(sensor: SensorModel, robot: RobotFlange, fingerprint: str, name: str, top: float) -> Engraving:
+    """Around the pad, from the dowel's side on."""
+    inner = sensor.body_d / 2
+    outer = robot.bolt_circle_d / 2 - max(robot.bolt_head_d, robot.pin_slot[1]) / 2
+    radius = (inner + outer) / 2
+    if outer - inner < HEIGHT + 2 * LETTER_EDGE:
+        fingerprint = name = ""
+    return engrave(fingerprint, name, radius, top, between(radius, (0.0,), 1.0 * MM))
 
 
 def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:
@@ -92,5 +111,6 @@ def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:
         *(cylinder(a.robot.bolt_clearance_d, 0.0, a.plate_top, p) for p in a.p_bolts),
         *(cylinder(M2_COUNTERBORE_D, -spigot_height, a.counterbore_top, p) for p in a.p_mounting_screws),
         *(cylinder(M2_CLEARANCE_D, a.counterbore_top, a.pad_top, p) for p in a.p_mounting_screws),
+        *engraved(a.on_plate),
     ]
     return single(body.cut(*holes))

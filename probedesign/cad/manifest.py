@@ -8,6 +8,7 @@ import numpy as np
 from probedesign.cad.assembly import Part
 from probedesign.cad.drawing import Drawing
 from probedesign.cad.kernel import mass_of
+from probedesign.cad.reach import STEPS
 from probedesign.cad.verify import Findings
 from probedesign.frames import Array
 from probedesign.mass import MassProperties, combined
@@ -17,14 +18,7 @@ from probedesign.units import MM
 
 SCHEMA = 1
 
-ASSEMBLY_ORDER = (
-    "screw the flange adapter to the sensor's mounting side from below: 3 M2x6, never longer",
-    "bolt the flange adapter to the robot: 4 bolts from above, dowel pin in the slot",
-    "press M2 nuts into the four pockets of the sensor adapter and dowel pins into its underside",
-    "screw the sensor adapter to the tool side from above through its recess: 3 M2x6, never longer",
-    "lay the flange into the recess, its hole over the peg: peg and the flat on the rim are at +X",
-    "slip the clamp ring over the tip and screw it down with its 4 M2 until it sits on the wall",
-)
+ASSEMBLY_ORDER = tuple(step.text for step in STEPS)
 
 
 def manifest_of(drawing: Drawing, files: dict[str, dict[str, Any]], findings: Findings) -> dict[str, Any]:
@@ -51,6 +45,7 @@ def manifest_of(drawing: Drawing, files: dict[str, dict[str, Any]], findings: Fi
         "mass": _mass(drawing),
         "screws": [use.as_record() for use in drawing.screws],
         "also_needed": {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(drawing.adapter.p_dowels)},
+        "engraved": _engraved(drawing),
         "assembly_order": list(ASSEMBLY_ORDER),
         "base": _base(drawing),
         "verification": findings,
@@ -91,6 +86,17 @@ def _body(body: MassProperties) -> dict[str, Any]:
         "mass_kg": body.mass,
         "p_com_m": body.p_com.tolist(),
         "inertia_kg_m2": body.inertia.tolist(),
+    }
+
+
+def _engraved(drawing: Drawing) -> dict[str, str]:
+    """What is cut into each printed part: the fingerprint, then as much of the name as there was room for."""
+    a = drawing.adapter
+    return {
+        "probe": a.on_flange.text,
+        "sensor_adapter": a.on_wall.text,
+        "clamp_ring": a.on_ring.text,
+        "flange_adapter": drawing.plate.on_plate.text,
     }
 
 

@@ -66,7 +66,7 @@ def test_manifest_weighs_what_the_mechanics_weigh(
     _, manifest = exported
     design = make_design()
     geometry = build_geometry(design)
-    adapter = sensor_adapter_for(geometry, design.sensor_model)
+    adapter = sensor_adapter_for(geometry, design.sensor_model, design.name)
     rigid = hanging_mass(geometry, adapter, design.density.value)
     whole = combined([rigid, flexible_part(geometry, design.density.value).moved(adapter.T_sensor_base)])
     for name, formula in (("rigid", rigid), ("whole", whole)):

@@ -11,14 +11,17 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 
 import cadquery as cq
 
-from probedesign.cad.assembly import IN_SENSOR_FRAME, overlaps
+from probedesign.cad.assembly import IN_SENSOR_FRAME, Part, overlaps
 from probedesign.cad.drawing import Drawing, draw
 from probedesign.cad.mesh import Mesh, mesh_of, stl_bytes
+from probedesign.cad.probe_solid import probe_solid
+from probedesign.cad.reach import STEPS, obstructed
 from probedesign.cad.threemf import threemf_bytes
 from probedesign.cad.verify import verify
 from probedesign.design import Design
 from probedesign.errors import CheckFailedError
-from probedesign.frames import Array, pose
+from probedesign.frames import Array, pose, rotation_z
+from probedesign.mounting.engraving import Engraving
 
 Meshes = tuple[dict[str, Mesh], bytes]
 PROFILE = (
@@ -28,6 +31,7 @@ PROFILE = (
 
 HOLLOW = 'section = "hollow"\nbore_ratio = 0.5\n'
 ELLIPTIC = 'section = "elliptic"\nflatness = 0.6\n'
+NOTHING_CUT = Engraving("", 0.0, (), 0.0)
 NEARLY_A_CYLINDER = "length_mm = 400.0\nbase_d_mm = 12.0\ntip_d_mm = 11.98"
 
 
@@ -93,6 +97,42 @@ def test_clocking_is_at_plus_x_only(large: Drawing) -> None:
     for azimuth in (90, 180, 270):
         assert not filled(adapter.shape, at(azimuth, r, mid_flange))
         assert filled(probe.shape, at(azimuth, r, mid_flange), probe.T_sensor_part)
+
+
+@pytest.mark.parametrize("turn_deg", [120.0, 240.0])
+def test_dowels_fix_the_turn_of_the_adapter(large: Drawing, turn_deg: float) -> None:
+    """The tool side's screws repeat every 120°; turned so, a pin would stand on the sensor's face."""
+    turn = pose(rotation_z(np.radians(turn_deg)))
+    pins, sensor = large.parts["dowel_pins"], large.parts["sensor"]
+    turned = replace(pins, T_sensor_part=turn @ pins.T_sensor_part)
+    assert overlaps({"sensor": sensor, "dowel_pins": pins}) == {"sensor & dowel_pins": 0.0}
+    assert overlaps({"sensor": sensor, "dowel_pins": turned})["sensor & dowel_pins"] > 1e-9
+
+
+def test_x_of_the_base_is_x_of_the_sensor_through_the_dowel(large: Drawing) -> None:
+    """From the sensor's dowel hole at 0° by the pin and the peg to the hole in the flange, all at +X of the sensor."""
+    T = large.adapter.T_sensor_base
+    assert T[:3, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
+    sensor, pins, adapter = (large.parts[n].shape for n in ("sensor", "dowel_pins", "sensor_adapter"))
+    pin_at_x = next(pin for pin in pins.Solids() if filled(pin, at(0, 6.25, 1.0)))
+    assert filled(pin_at_x, at(0, 6.25, -2.9)) and not filled(
+        sensor, at(0, 6.25, -2.9)
+    )  # in the sensor's hole
+    assert not filled(adapter, at(0, 6.25, 2.9))  # and in the adapter's
+    r = 1e3 * large.adapter.peg_x
+    mark = np.linalg.solve(T, np.append(1e-3 * at(0, r, 6.7), 1.0))[:3]
+    assert mark[:2] == pytest.approx([large.adapter.peg_x, 0.0], abs=1e-15)  # +x of the base
+    assert not filled(large.parts["probe"].shape, 1e3 * mark, pose())
+
+
+@pytest.mark.parametrize("turn_deg", [1.5, 90.0, 180.0, 270.0])
+def test_the_peg_fixes_the_turn_of_the_probe(large: Drawing, turn_deg: float) -> None:
+    """By its clearance of 0.05 mm at 7.75 mm it may turn by 0.4°, no more."""
+    probe, adapter = large.parts["probe"], large.parts["sensor_adapter"]
+    for degrees, free in ((0.3, True), (turn_deg, False)):
+        turned = replace(probe, T_sensor_part=probe.T_sensor_part @ pose(rotation_z(np.radians(degrees))))
+        (shared,) = overlaps({"probe": turned, "sensor_adapter": adapter}).values()
+        assert (shared == 0.0) == free
 
 
 def test_nothing_wide_reaches_below_the_tool_face(large: Drawing) -> None:
@@ -167,6 +207,40 @@ def test_a_longer_screw_is_refused(large: Drawing) -> None:
         replace(use, length=8e-3).check()
     with pytest.raises(CheckFailedError, match="no stock length"):
         replace(use, length=6.3e-3).check()
+
+
+# ---- the way in
+
+
+def ways(drawing: Drawing, **moved: Part) -> dict[str, float]:
+    return obstructed(
+        {**drawing.parts, **moved}, drawing.screws, drawing.adapter, drawing.design.sensor_model
+    )
+
+
+def test_keys_screws_nuts_and_pins_get_to_their_places(large: Drawing) -> None:
+    free = ways(large)
+    assert set(free) == {use.name for use in large.screws} | {"ring_nuts", "dowel_pins", "clamp_ring"}
+    assert set(free.values()) == {0.0}
+
+
+def test_a_screw_that_is_covered_is_seen(large: Drawing) -> None:
+    """The ring a screw's width aside; a plate held over everything."""
+    ring, plate = large.parts["clamp_ring"], large.parts["flange_adapter"]
+    aside = replace(ring, T_sensor_part=pose(p=[2e-3, 0.0, 0.0]) @ ring.T_sensor_part)
+    assert ways(large, clamp_ring=aside)["ring_screws"] > 0.0
+    over = replace(plate, T_sensor_part=pose(p=[0.0, 0.0, 50e-3]) @ plate.T_sensor_part)
+    assert ways(large, flange_adapter=over)["sensor_adapter_screws"] > 0.0
+
+
+def test_every_part_is_mounted_once_and_onto_what_is_there(large: Drawing) -> None:
+    there = {"sensor", "sensor_adapter"}
+    for step in STEPS:
+        assert set(step.onto) <= there | set(step.comes)
+        there |= set(step.comes)
+    assert there == set(large.parts)
+    comes = [name for step in STEPS for name in step.comes]
+    assert len(set(comes)) == len(comes)
 
 
 # ---- the whole
@@ -275,7 +349,8 @@ def test_verify_sees_an_open_mesh(large: Drawing, large_meshes: Meshes) -> None:
 
 def test_overlap_is_seen(large: Drawing) -> None:
     """The ring pressed 0.2 mm into the lip shares with it an annulus of that height."""
-    probe, ring = large.parts["probe"], large.parts["clamp_ring"]
+    ring, plain = large.parts["clamp_ring"], replace(large.adapter, on_flange=NOTHING_CUT)
+    probe = replace(large.parts["probe"], shape=probe_solid(large.geometry, plain))
     pressed = replace(ring, T_sensor_part=ring.T_sensor_part @ pose(p=[0.0, 0.0, -0.2e-3]))
     (shared,) = overlaps({"probe": probe, "clamp_ring": pressed}).values()
     a = large.adapter
