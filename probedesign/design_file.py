@@ -199,12 +199,14 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
     for table, values in document.items():
         if table in top:
             continue
-        provenance = values.pop("provenance", {})
+        provenance, flange = values.pop("provenance", {}), values.pop("flange", None) or {}
         given = {key: value for key, value in values.items() if value is not None and value != ()}
         yield table, given
         told = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
         if told:
             yield f"{table}.provenance", told
+        if flange:
+            yield f"{table}.flange", {key: value for key, value in flange.items() if value is not None}
 
 
 def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from probedesign.cross_section import CrossSection
 from probedesign.design_problems import Inconsistent
 from probedesign.materials import Provenance
+from probedesign.robot_flange import OWN
 from probedesign.tip import rounded, rounding_height_mm
 
 Shape = Literal["cone", "cylinder", "profile"]
@@ -191,10 +192,38 @@ class SensorTable(Table):
     averaging_samples: Annotated[int, Field(ge=1, le=70000)] = 36
 
 
+Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
+
+
+class FlangeTable(Table):
+    """`[mount.flange]`: a robot flange that is not known by name. Azimuths count from its dowel."""
+
+    bolt: Literal["M4", "M5", "M6", "M8"]
+    bolt_circle_d_mm: Millimetres
+    bolt_azimuths_deg: tuple[float, ...]
+    max_bolt_entry_mm: Millimetres
+    bolt_length_mm: Millimetres
+    face_d_mm: Millimetres
+    pin_slot_mm: tuple[Millimetres, Millimetres] | None = None
+    spigot_mm: tuple[Millimetres, Millimetres] | None = None
+
+    @field_validator("bolt_azimuths_deg", "pin_slot_mm", "spigot_mm", mode="before")
+    @classmethod
+    def _tuples(cls, value: Any) -> Any:
+        return _as_tuple(value)
+
+    @model_validator(mode="after")
+    def _bolted(self) -> Self:
+        if not 2 <= len(self.bolt_azimuths_deg) <= 12:
+            raise Inconsistent("bolt_azimuths_deg", "needs 2 to 12 angles from the dowel")
+        return self
+
+
 class MountTable(Table):
     """`[mount]`: how the probe hangs on the robot."""
 
     robot_flange: str = "iso-9409-1-50-4-m6"
+    flange: FlangeTable | None = None
     gravity_base_m_s2: tuple[float, float, float] = (9.81, 0.0, 0.0)
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
 
@@ -208,6 +237,10 @@ class MountTable(Table):
         if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
             given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
             raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
+        if (self.flange is not None) != (self.robot_flange == OWN):
+            missing = f"is missing beside robot_flange = {OWN!r}"
+            unused = f"is only for robot_flange = {OWN!r}; remove it or change robot_flange"
+            raise Inconsistent("flange", missing if self.flange is None else unused)
         return self
 
 

@@ -1,5 +1,6 @@
 """Printers as data: what fits into them. Source: PreForm's build volumes."""
 
+import difflib
 from dataclasses import dataclass
 
 from probedesign.errors import InputError
@@ -45,4 +46,7 @@ def printer_named(name: str) -> Printer:
     try:
         return PRINTERS[name]
     except KeyError:
-        raise InputError(f"print.printer: unknown '{name}'; known: {', '.join(sorted(PRINTERS))}") from None
+        near = difflib.get_close_matches(name, PRINTERS, 1, 0.0)[0]
+        raise InputError(
+            f"print.printer: unknown '{name}'; nearest is '{near}'; known: {', '.join(sorted(PRINTERS))}"
+        ) from None

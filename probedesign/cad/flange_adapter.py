@@ -10,10 +10,11 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.kernel import block, cylinder, engraved, single
+from probedesign.errors import InputError
 from probedesign.frames import Array, pose, rotation_z
 from probedesign.mounting.adapter import on_circle
 from probedesign.mounting.engraving import HEIGHT, Engraving, between, engrave
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
+from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, SCREWS
 from probedesign.mounting.prism import Point
 from probedesign.robot_flange import RobotFlange
 from probedesign.sensor import SensorModel
@@ -63,6 +64,7 @@ def flange_adapter_for(
     sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = ""
 ) -> FlangeAdapter:
     """The plate for that sensor on that robot, engraved with a geometry's fingerprint and a design's name."""
+    _check_room(sensor, robot)
     plate_top = robot.bolt_length - (robot.max_bolt_entry - ENTRY_MARGIN)
     pad_top = plate_top + PAD_HEIGHT
     # The cable bisects the first two bolts; the dowel's azimuth in the sensor frame follows.
@@ -88,6 +90,51 @@ def flange_adapter_for(
     )
 
 
+def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
+    """Refuse, in the words of the design file, a pattern that leaves sensor, screws or cable no room.
+
+    Raises:
+        InputError: naming the key, what it may be, and the nearest that works.
+    """
+    reach, head, screw = robot.bolt_circle_d / 2, robot.bolt_head_d / 2, SCREWS[robot.bolt]
+    least_reach = sensor.body_d / 2 + head + 0.5 * MM
+    if reach < least_reach:
+        _refuse(
+            "bolt_circle_d", reach * 2, f"at least {2 * least_reach / MM:g} mm, or heads touch the sensor"
+        )
+    least_entry = 0.8 * float(robot.bolt[1:]) * MM + ENTRY_MARGIN
+    if robot.max_bolt_entry < least_entry - 1e-9:
+        _refuse(
+            "max_bolt_entry",
+            robot.max_bolt_entry,
+            f"at least {least_entry / MM:g} mm, or the thread is too short",
+        )
+    thinnest = robot.max_bolt_entry - ENTRY_MARGIN + M2_GRIP
+    stock = [n for n in screw.stock_mm if n * MM >= thinnest]
+    if not any(abs(robot.bolt_length - n * MM) < 1e-9 for n in stock):
+        _refuse("bolt_length", robot.bolt_length, f"{robot.bolt} of {', '.join(map(str, stock))} mm will do")
+    seats = max(
+        float(np.hypot(*p)) for p in on_circle(sensor.mounting.bolt_circle_d, sensor.mounting.azimuths_deg)
+    )
+    least_spigot = 2 * (seats + M2_COUNTERBORE_D / 2) + 1.0 * MM
+    if 0.0 < robot.spigot[0] < least_spigot:
+        _refuse("spigot", robot.spigot[0], f"at least {least_spigot / MM:g} mm, or none")
+    first, second = robot.bolt_azimuths_deg[:2]
+    least_apart = 2 * (sensor.cable_half_width_deg + float(np.degrees(np.arcsin(head / reach))))
+    if not least_apart <= (second - first) % 360.0 <= 360.0 - least_apart:
+        _refuse(
+            "bolt_azimuths",
+            None,
+            f"the first two at least {np.ceil(least_apart):g}° apart: the cable leaves between",
+        )
+
+
+def _refuse(key: str, value: float | None, allowed: str) -> None:
+    unit = "deg" if key == "bolt_azimuths" else "mm"
+    given = "" if value is None else f" = {value / MM:g}"
+    raise InputError(f"mount.flange.{key}_{unit}{given} leaves no room; {allowed}")
+
+
 def _engraving(sensor: SensorModel, robot: RobotFlange, fingerprint: str, name: str, top: float) -> Engraving:
     """Around the pad, from the dowel's side on."""
     inner = sensor.body_d / 2
@@ -103,14 +150,16 @@ def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:
     spigot_d, spigot_height = a.robot.spigot
     width, length = a.robot.pin_slot
     reach = a.robot.bolt_circle_d / 2
-    body = cylinder(a.plate_d, 0.0, a.plate_top).fuse(
-        cylinder(spigot_d, -spigot_height, 0.0), cylinder(a.pad_d, a.plate_top, a.pad_top)
-    )
+    body = cylinder(a.plate_d, 0.0, a.plate_top).fuse(cylinder(a.pad_d, a.plate_top, a.pad_top))
+    if spigot_height:
+        body = body.fuse(cylinder(spigot_d, -spigot_height, 0.0))
     holes = [
-        block((reach - length / 2, reach + length / 2), (-width / 2, width / 2), (0.0, a.plate_top)),
         *(cylinder(a.robot.bolt_clearance_d, 0.0, a.plate_top, p) for p in a.p_bolts),
         *(cylinder(M2_COUNTERBORE_D, -spigot_height, a.counterbore_top, p) for p in a.p_mounting_screws),
         *(cylinder(M2_CLEARANCE_D, a.counterbore_top, a.pad_top, p) for p in a.p_mounting_screws),
         *engraved(a.on_plate),
     ]
+    if width:
+        sides = (reach - length / 2, reach + length / 2), (-width / 2, width / 2)
+        holes.append(block(*sides, (0.0, a.plate_top)))
     return single(body.cut(*holes))

@@ -30,11 +30,15 @@ class SocketScrew:
 
 # Source: ISO 4762 (heads, sockets, lengths), ISO 724 (pitch diameters), ISO 2936 (keys).
 M2 = SocketScrew("M2", 3.8 * MM, 2.0 * MM, 1.5 * MM, 1.0 * MM, 1.740 * MM, 46.5 * MM, (3, 4, 5, 6, 8, 10, 12))
+M4 = SocketScrew("M4", 7.0 * MM, 4.0 * MM, 3.0 * MM, 2.0 * MM, 3.545 * MM, 66.0 * MM, (8, 10, 12, 16, 20, 25))
 M5 = SocketScrew("M5", 8.5 * MM, 5.0 * MM, 4.0 * MM, 2.5 * MM, 4.480 * MM, 74.0 * MM, (8, 10, 12, 16, 20, 25))
 M6 = SocketScrew(
     "M6", 10.0 * MM, 6.0 * MM, 5.0 * MM, 3.0 * MM, 5.350 * MM, 85.0 * MM, (10, 12, 16, 20, 25, 30)
 )
-SCREWS = {s.thread: s for s in (M2, M5, M6)}
+M8 = SocketScrew(
+    "M8", 13.0 * MM, 8.0 * MM, 6.0 * MM, 4.0 * MM, 7.188 * MM, 96.0 * MM, (12, 16, 20, 25, 30, 35)
+)
+SCREWS = {s.thread: s for s in (M2, M4, M5, M6, M8)}
 
 M2_CLEARANCE_D = 2.4 * MM
 M2_COUNTERBORE_D = M2.head_d + 0.4 * MM

@@ -18,8 +18,9 @@ from probedesign.cad.probe_solid import probe_solid
 from probedesign.cad.reach import STEPS, obstructed
 from probedesign.cad.threemf import threemf_bytes
 from probedesign.cad.verify import verify
-from probedesign.design import Design
-from probedesign.errors import CheckFailedError
+from probedesign.design import Design, parse_design
+from probedesign.design_file import render_design
+from probedesign.errors import CheckFailedError, InputError
 from probedesign.frames import Array, pose, rotation_z
 from probedesign.mounting.engraving import Engraving
 
@@ -172,6 +173,53 @@ def test_robot_side(make_design: Callable[..., Design], flange: str, reach: floa
     assert filled(plate, at(180, reach, 0.1))  # and only one of them
     assert filled(plate, at(20, spigot_r - 0.1, -3.9)) and not filled(plate, at(20, spigot_r + 0.1, -0.1))
     assert drawing.shared_volumes and max(drawing.shared_volumes.values()) == 0.0
+
+
+OWN_FLANGE = """robot_flange = "own"
+[mount.flange]
+bolt = "M4"
+bolt_circle_d_mm = 36.0
+bolt_azimuths_deg = [60.0, 180.0, 300.0]
+max_bolt_entry_mm = 6.0
+bolt_length_mm = 12.0
+face_d_mm = 45.0
+spigot_mm = [20.0, 2.0]
+pin_slot_mm = [4.2, 7.0]
+"""
+
+
+def with_flange(text: str) -> Design:
+    probe = "length_mm = 30.0\nbase_d_mm = 6.0\ntip_d_mm = 2.0"
+    return parse_design(f'schema = 1\nname = "g"\n[probe]\n{probe}\n[mount]\n{text}')
+
+
+def test_a_flange_of_the_users_own() -> None:
+    design = with_flange(OWN_FLANGE)
+    assert parse_design(render_design(design)) == design
+    drawing = draw(design)
+    plate = drawing.parts["flange_adapter"].shape
+    for azimuth in (60, 180, 300):
+        assert not any(filled(plate, at(azimuth, 18.0, z)) for z in (0.1, 3.0, 6.4))
+    assert not filled(plate, at(0, 18.0, 0.1)) and filled(plate, at(30, 18.0, 0.1))
+    assert filled(plate, at(20, 9.8, -1.9)) and not filled(plate, at(20, 10.2, -0.1))
+    assert max(drawing.shared_volumes.values()) == 0.0
+    assert set(ways(drawing).values()) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "wrong", "said"),
+    [
+        ("36.0", "20.0", r"bolt_circle_d_mm = 20 .* at least 25 mm"),
+        ("entry_mm = 6.0", "entry_mm = 3.0", r"max_bolt_entry_mm = 3 .* at least 3\.7 mm"),
+        ("length_mm = 12.0", "length_mm = 11.0", r"bolt_length_mm = 11 .* M4 of 10, 12"),
+        ("[60.0, 180.0", "[60.0, 120.0", r"bolt_azimuths_deg .* at least 73° apart"),
+        ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
+    ],
+)
+def test_a_flange_without_room_is_one_line(given: str, wrong: str, said: str) -> None:
+    with pytest.raises(InputError, match=r"^mount\.flange\." + said) as error:
+        draw(with_flange(OWN_FLANGE.replace(given, wrong, 1)))
+    assert "\n" not in str(error.value)
 
 
 def test_cable_leaves_midway_between_two_bolts(large: Drawing) -> None:
