@@ -46,7 +46,7 @@ def printer_named(name: str) -> Printer:
     try:
         return PRINTERS[name]
     except KeyError:
-        near = difflib.get_close_matches(name, PRINTERS, 1, 0.0)[0]
+        near = difflib.get_close_matches(name.lower(), PRINTERS, 1, 0.0)[0]
         raise InputError(
             f"print.printer: unknown '{name}'; nearest is '{near}'; known: {', '.join(sorted(PRINTERS))}"
         ) from None

@@ -113,7 +113,7 @@ def robot_flange_named(name: str) -> RobotFlange:
         return ROBOT_FLANGES[name]
     except KeyError:
         known = [*sorted(ROBOT_FLANGES), OWN]
-        near = difflib.get_close_matches(name, known, 1, 0.0)[0]
+        near = difflib.get_close_matches(name.lower(), known, 1, 0.0)[0]
         raise InputError(
             f"mount.robot_flange: unknown '{name}'; nearest is '{near}'; known: {', '.join(known)}"
         ) from None
