@@ -10,6 +10,7 @@ from probedesign.design import Design, check_design
 from probedesign.errors import InputError
 from probedesign.geometry import build_geometry
 from probedesign.mass import flexible_part
+from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.tip import DEVIATION_MM
@@ -135,6 +136,16 @@ def test_a_load_beyond_the_flank_is_no_touch() -> None:
     assert eq.ok  # the rod holds it, and thin as it is there, nothing jumps
     assert np.linalg.norm(eq.p_at(probe.length) - eq.p_at(probe.geometry.flank_end)) < 1.5e-3
     assert probe.estimator().estimate(eq.wrench_base).result in ("inconsistent", "out_of_range")
+
+
+def test_what_is_predicted_at_the_tip_is_a_touch_of_the_flank() -> None:
+    """A facet's slope must not turn up as the lean of a push: there the blunt probe feels the same."""
+    rounded, blunt = (build_probe(design_of(tip)) for tip in ("rounded", "blunt"))
+    tip = predict_touch(rounded.estimator(), 1.0, 0.005, "+y")
+    same = predict_touch(blunt.estimator(), rounded.geometry.flank_end / blunt.length, 0.005, "+y")
+    # A milligram less at the tip bends it by a few parts in a thousand less.
+    assert tip.moment_per_N_Nmm == pytest.approx(same.moment_per_N_Nmm, rel=0.005)
+    assert tip.predicted_error_mm == pytest.approx(same.predicted_error_mm, rel=0.02)
 
 
 def test_a_frozen_probe_keeps_its_round_end(tmp_path) -> None:
