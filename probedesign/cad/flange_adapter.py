@@ -28,6 +28,7 @@ PAD_EDGE = 0.5 * MM
 """The pad stays that far inside the sensor's rim: air to the cable, which leaves just above it."""
 EDGE = 1.8 * MM  # wall outside the pin slot
 LETTER_EDGE = 0.2 * MM  # beside the characters; below the pad's edge and the bolts' heads
+_NANO = 1e-9  # for the rounding of sums [m]
 HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head
 
 
@@ -94,45 +95,38 @@ def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
     """Refuse, in the words of the design file, a pattern that leaves sensor, screws or cable no room.
 
     Raises:
-        InputError: naming the key, what it may be, and the nearest that works.
+        InputError: naming the key, its value and the nearest that works.
     """
-    reach, head, screw = robot.bolt_circle_d / 2, robot.bolt_head_d / 2, SCREWS[robot.bolt]
-    least_reach = sensor.body_d / 2 + head + 0.5 * MM
-    if reach < least_reach:
-        _refuse(
-            "bolt_circle_d", reach * 2, f"at least {2 * least_reach / MM:g} mm, or heads touch the sensor"
-        )
-    least_entry = 0.8 * float(robot.bolt[1:]) * MM + ENTRY_MARGIN
-    if robot.max_bolt_entry < least_entry - 1e-9:
-        _refuse(
-            "max_bolt_entry",
-            robot.max_bolt_entry,
-            f"at least {least_entry / MM:g} mm, or the thread is too short",
-        )
+    reach, head = robot.bolt_circle_d / 2, robot.bolt_head_d / 2
+    circle = 2 * (sensor.body_d / 2 + head + 0.5 * MM)
+    entry = 0.8 * float(robot.bolt[1:]) * MM + ENTRY_MARGIN
     thinnest = robot.max_bolt_entry - ENTRY_MARGIN + M2_GRIP
-    stock = [n for n in screw.stock_mm if n * MM >= thinnest]
-    if not any(abs(robot.bolt_length - n * MM) < 1e-9 for n in stock):
-        _refuse("bolt_length", robot.bolt_length, f"{robot.bolt} of {', '.join(map(str, stock))} mm will do")
-    seats = max(
-        float(np.hypot(*p)) for p in on_circle(sensor.mounting.bolt_circle_d, sensor.mounting.azimuths_deg)
-    )
-    least_spigot = 2 * (seats + M2_COUNTERBORE_D / 2) + 1.0 * MM
-    if 0.0 < robot.spigot[0] < least_spigot:
-        _refuse("spigot", robot.spigot[0], f"at least {least_spigot / MM:g} mm, or none")
-    first, second = robot.bolt_azimuths_deg[:2]
-    least_apart = 2 * (sensor.cable_half_width_deg + float(np.degrees(np.arcsin(head / reach))))
-    if not least_apart <= (second - first) % 360.0 <= 360.0 - least_apart:
-        _refuse(
-            "bolt_azimuths",
-            None,
-            f"the first two at least {np.ceil(least_apart):g}° apart: the cable leaves between",
-        )
-
-
-def _refuse(key: str, value: float | None, allowed: str) -> None:
-    unit = "deg" if key == "bolt_azimuths" else "mm"
-    given = "" if value is None else f" = {value / MM:g}"
-    raise InputError(f"mount.flange.{key}_{unit}{given} leaves no room; {allowed}")
+    stock = [n for n in SCREWS[robot.bolt].stock_mm if n * MM >= thinnest]
+    spigot = sensor.mounting.bolt_circle_d + M2_COUNTERBORE_D + 1.0 * MM
+    azimuths = robot.bolt_azimuths_deg
+    cable = 2 * (sensor.cable_half_width_deg + float(np.degrees(np.arcsin(min(1.0, head / reach)))))
+    between_first = (azimuths[1] - azimuths[0]) % 360.0
+    p = np.array(on_circle(robot.bolt_circle_d, azimuths))
+    apart = np.linalg.norm(p[:, None] - p[None], axis=2) + 1.0 * np.eye(len(p))
+    on_slot = np.hypot(np.maximum(np.abs(p[:, 0] - reach) - robot.pin_slot[1] / 2, 0.0), p[:, 1])
+    slot_clear = robot.pin_slot[0] / 2 + robot.bolt_clearance_d / 2 + 1.0 * MM
+    for wrong, key, value, allowed in (
+        (robot.bolt_circle_d < circle, "bolt_circle_d_mm", robot.bolt_circle_d / MM,
+         f"at least {circle / MM:g} mm, or heads touch the sensor"),
+        (robot.max_bolt_entry < entry - _NANO, "max_bolt_entry_mm", robot.max_bolt_entry / MM,
+         f"at least {entry / MM:g} mm, or the thread is too short"),
+        (not any(abs(robot.bolt_length - n * MM) < _NANO for n in stock), "bolt_length_mm", robot.bolt_length / MM,
+         f"of {robot.bolt} these will do: {', '.join(map(str, stock))} mm"),
+        (0.0 < robot.spigot[0] < spigot, "spigot_mm", robot.spigot[0] / MM, f"at least {spigot / MM:g} mm, or none"),
+        (not cable <= between_first <= 360.0 - cable, "bolt_azimuths_deg", between_first,
+         f"the first two at least {np.ceil(cable):g}° apart: the cable leaves between"),
+        (float(apart.min()) < robot.bolt_head_d, "bolt_azimuths_deg", float(apart.min()) / MM,
+         f"heads at least {robot.bolt_head_d / MM:g} mm apart"),
+        (robot.pin_slot[0] > 0.0 and float(on_slot.min()) < slot_clear, "bolt_azimuths_deg", float(on_slot.min()) / MM,
+         f"bolts at least {slot_clear / MM:g} mm from the pin's slot"),
+    ):  # fmt: skip
+        if wrong:
+            raise InputError(f"mount.flange.{key} = {value:g} leaves no room; {allowed}")
 
 
 def _engraving(sensor: SensorModel, robot: RobotFlange, fingerprint: str, name: str, top: float) -> Engraving:

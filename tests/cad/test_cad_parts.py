@@ -211,8 +211,18 @@ def test_a_flange_of_the_users_own() -> None:
     [
         ("36.0", "20.0", r"bolt_circle_d_mm = 20 .* at least 25 mm"),
         ("entry_mm = 6.0", "entry_mm = 3.0", r"max_bolt_entry_mm = 3 .* at least 3\.7 mm"),
-        ("length_mm = 12.0", "length_mm = 11.0", r"bolt_length_mm = 11 .* M4 of 10, 12"),
+        ("length_mm = 12.0", "length_mm = 11.0", r"bolt_length_mm = 11 .* M4 these will do: 10, 12"),
         ("[60.0, 180.0", "[60.0, 120.0", r"bolt_azimuths_deg .* at least 73° apart"),
+        (
+            "180.0, 300.0]",
+            "180.0, 300.0, 305.0]",
+            r"bolt_azimuths_deg = 1\.57\d* .* heads at least 7 mm apart",
+        ),
+        (
+            "[60.0, 180.0, 300.0]",
+            "[10.0, 180.0]",
+            r"bolt_azimuths_deg .* bolts at least 5\.35 mm from the pin",
+        ),
         ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
     ],
 )
