@@ -72,18 +72,13 @@ def hexagon(af: float, z0: float, z1: float, p: Point) -> cq.Solid:
 
 
 def engraved(engraving: Engraving) -> list[cq.Solid]:
-    """What an engraving takes away, a solid for each polygon that is not an island."""
-    solids = []
-    for loops in engraving.outlines():
-        wires = [
-            cq.Wire.makePolygon([_vector(p, engraving.top - DEPTH) for p in loop], close=True)
-            for loop in loops
-        ]
-        cuts = [wire for wire, loop in zip(wires, loops, strict=True) if _turns(loop) > 0.0]
-        islands = [wire for wire, loop in zip(wires, loops, strict=True) if _turns(loop) < 0.0]
-        # Of the alphabet only characters of one piece have islands.
-        up = cq.Vector(0, 0, DEPTH / MM)
-        solids += [cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up) for cut in cuts]
+    """What an engraving takes away, a solid a character."""
+    solids, up = [], cq.Vector(0, 0, DEPTH / MM)
+    for loops in filter(None, engraving.outlines()):
+        # Every character is of one piece, and what turns the other way is an island in it.
+        corners = [[_vector(p, engraving.top - DEPTH) for p in loop] for loop in sorted(loops, key=_turns)]
+        *islands, cut = [cq.Wire.makePolygon(points, close=True) for points in corners]
+        solids.append(cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up))
     return solids
 
 
