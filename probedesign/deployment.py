@@ -55,6 +55,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
             "rigid_length_m": rod.rigid_length,
             "finite_strain": rod.finite_strain,
             "shear_coefficient": rod.shear_coefficient,
+            **({} if rod.rounded_from is None else {"rounded_from_m": rod.rounded_from}),
         },
         "flange": {"diameter_m": model.flange.diameter, "thickness_m": model.flange.thickness},
         "material": {
@@ -175,6 +176,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
             rigid_length=rod["rigid_length_m"],
             factors=section.factors,
             finite_strain=data["schema"] != ROUND_SCHEMA and rod["finite_strain"] is True,
+            rounded_from=None if rod.get("rounded_from_m") is None else float(rod["rounded_from_m"]),
         ),
         gravity_base=_numbers(data["gravity_base_m_s2"], 3),
         T_sensor_base=_numbers(data["T_sensor_base"], 4, 4),

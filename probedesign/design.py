@@ -17,9 +17,9 @@ from probedesign.design_tables import MaterialTable, MountTable, PrintTable, Pro
 from probedesign.errors import InputError
 from probedesign.materials import Quantity, Resin, resin_named
 from probedesign.printer import Printer, printer_named
-from probedesign.robot_flange import RobotFlange, robot_flange_named
+from probedesign.robot_flange import RobotFlange, own_flange, robot_flange_named
 from probedesign.sensor import Calibration, SensorModel, sensor_named
-from probedesign.units import MPA
+from probedesign.units import MM, MPA
 
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
@@ -79,8 +79,18 @@ class Design(Table):
 
     @property
     def robot_flange(self) -> RobotFlange:
-        """The named robot flange."""
-        return robot_flange_named(self.mount.robot_flange)
+        """The named robot flange, or that of `[mount.flange]`."""
+        own = self.mount.flange
+        if own is None:
+            return robot_flange_named(self.mount.robot_flange)
+        slot, spigot = (
+            None if pair is None else (pair[0] * MM, pair[1] * MM)
+            for pair in (own.pin_slot_mm, own.spigot_mm)
+        )
+        return own_flange(
+            own.bolt, own.bolt_circle_d_mm * MM, own.bolt_azimuths_deg, own.max_bolt_entry_mm * MM,
+            own.bolt_length_mm * MM, own.face_d_mm * MM, slot, spigot,
+        )  # fmt: skip
 
     @property
     def printer(self) -> Printer:

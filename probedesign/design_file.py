@@ -22,6 +22,7 @@ COMMENTS = {
     "probe.shape": "cone | cylinder | profile",
     "probe.length_mm": "of the flexible part, base to tip",
     "probe.profile_mm": 's, diameter; only for shape = "profile"',
+    "probe.tip": "blunt | rounded: a round end within the same length",
     "probe.section": "round | hollow | elliptic",
     "probe.bore_ratio": "inner over outer diameter, all along",
     "probe.flatness": "diameter along y over that along x; the diameters here are along x",
@@ -108,6 +109,7 @@ def draft_design(
     length_mm: float,
     base_d_mm: float,
     tip_d_mm: float | None = None,
+    tip: str = "blunt",
     section: str = "round",
     bore_ratio: float | None = None,
     flatness: float | None = None,
@@ -123,6 +125,7 @@ def draft_design(
         length_mm: of the flexible part [mm].
         base_d_mm: diameter at the base [mm].
         tip_d_mm: diameter at the tip [mm]; None for the default.
+        tip: blunt or rounded.
         section: round, hollow or elliptic.
         bore_ratio: of a hollow section, inner over outer diameter.
         flatness: of an elliptic section, its diameter along y over that along x.
@@ -148,6 +151,7 @@ def draft_design(
         "length_mm": length_mm,
         "base_d_mm": base_d_mm,
         "tip_d_mm": tip_d_mm,
+        "tip": tip,
         "section": section,
         "bore_ratio": bore_ratio,
         "flatness": flatness,
@@ -155,6 +159,7 @@ def draft_design(
     if name is None:
         ratio = flatness if bore_ratio is None else bore_ratio
         name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)
+        name += "" if tip == "blunt" else f"-{tip}"
     data = {
         "schema": 1,
         "name": name,
@@ -198,16 +203,18 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
     for table, values in document.items():
         if table in top:
             continue
-        provenance = values.pop("provenance", {})
+        provenance, flange = values.pop("provenance", {}), values.pop("flange", None) or {}
         given = {key: value for key, value in values.items() if value is not None and value != ()}
         yield table, given
         told = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
         if told:
             yield f"{table}.provenance", told
+        if flange:
+            yield f"{table}.flange", {key: value for key, value in flange.items() if value is not None}
 
 
 def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:
-    (s0, d0), (s1, d1) = design.probe.knots_mm
+    (s0, d0), (s1, d1) = design.probe.blunt_mm
     return (s0, d0), ((s0 + s1) / 2, (d0 + d1) / 2), (s1, d1)
 
 

@@ -8,9 +8,12 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from probedesign.cross_section import CrossSection
 from probedesign.design_problems import Inconsistent
 from probedesign.materials import Provenance
+from probedesign.robot_flange import OWN
+from probedesign.tip import rounded, rounding_height_mm
 
 Shape = Literal["cone", "cylinder", "profile"]
 Section = Literal["round", "hollow", "elliptic"]
+Tip = Literal["blunt", "rounded"]
 MAX_GRAVITY = 30.0
 """More than this in m/s² [m/s²] is a slip of units: nothing but a centrifuge pulls harder."""
 MAX_PROFILE_POINTS = 64
@@ -45,6 +48,7 @@ class ProbeTable(Table):
     base_d_mm: Diameter
     tip_d_mm: Diameter | None = None
     profile_mm: tuple[tuple[float, float], ...] | None = None
+    tip: Tip = "blunt"
     section: Section = "round"
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
@@ -68,6 +72,7 @@ class ProbeTable(Table):
             case "profile":
                 self._check_profile()
         self._check_section()
+        self._check_tip()
         return self
 
     def _check_cone(self) -> None:
@@ -118,6 +123,20 @@ class ProbeTable(Table):
             if not given and self.section == section:
                 raise Inconsistent(key, f"is missing; {needed}")
 
+    def _check_tip(self) -> None:
+        if self.tip == "blunt":
+            return
+        if self.section == "hollow":
+            raise Inconsistent("tip", '= "rounded" would close the bore of a hollow probe; use tip = "blunt"')
+        before, last = self.blunt_mm[-2:]
+        straight, height = last[0] - before[0], rounding_height_mm(before, last)
+        if straight < height:
+            raise Inconsistent(
+                "tip",
+                f'= "rounded" takes the last {height:g} mm and only {straight:g} mm are straight; '
+                f'at most {last[1] * straight / height:g} mm wide there, or tip = "blunt"',
+            )
+
     def _check_equal(self, what: str, value: float, name: str, wanted: float) -> None:
         if value != wanted:
             raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {name} = {wanted!r}")
@@ -125,6 +144,16 @@ class ProbeTable(Table):
     @property
     def knots_mm(self) -> tuple[tuple[float, float], ...]:
         """(s, diameter) where the taper may change [mm]."""
+        return self.blunt_mm if self.tip == "blunt" else rounded(self.blunt_mm)
+
+    @property
+    def flank_end_mm(self) -> float:
+        """Where the flank ends and a rounded tip begins [mm]; the length of a blunt one."""
+        return self.knots_mm[len(self.blunt_mm) - 1][0]
+
+    @property
+    def blunt_mm(self) -> tuple[tuple[float, float], ...]:
+        """The same of a body with a flat end."""
         if self.profile_mm is not None:
             return self.profile_mm
         tip = self.base_d_mm if self.tip_d_mm is None else self.tip_d_mm
@@ -165,10 +194,38 @@ class SensorTable(Table):
     averaging_samples: Annotated[int, Field(ge=1, le=70000)] = 36
 
 
+Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
+
+
+class FlangeTable(Table):
+    """`[mount.flange]`: a robot flange that is not known by name. Azimuths count from its dowel."""
+
+    bolt: Literal["M4", "M5", "M6", "M8"]
+    bolt_circle_d_mm: Millimetres
+    bolt_azimuths_deg: tuple[float, ...]
+    max_bolt_entry_mm: Millimetres
+    bolt_length_mm: Millimetres
+    face_d_mm: Millimetres
+    pin_slot_mm: tuple[Millimetres, Millimetres] | None = None
+    spigot_mm: tuple[Millimetres, Millimetres] | None = None
+
+    @field_validator("bolt_azimuths_deg", "pin_slot_mm", "spigot_mm", mode="before")
+    @classmethod
+    def _tuples(cls, value: Any) -> Any:
+        return _as_tuple(value)
+
+    @model_validator(mode="after")
+    def _bolted(self) -> Self:
+        if not 2 <= len(self.bolt_azimuths_deg) <= 12:
+            raise Inconsistent("bolt_azimuths_deg", "needs 2 to 12 angles from the dowel")
+        return self
+
+
 class MountTable(Table):
     """`[mount]`: how the probe hangs on the robot."""
 
     robot_flange: str = "iso-9409-1-50-4-m6"
+    flange: FlangeTable | None = None
     gravity_base_m_s2: tuple[float, float, float] = (9.81, 0.0, 0.0)
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
 
@@ -182,6 +239,10 @@ class MountTable(Table):
         if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
             given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
             raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
+        if (self.flange is not None) != (self.robot_flange == OWN):
+            missing = f"is missing beside robot_flange = {OWN!r}"
+            unused = f"is only for robot_flange = {OWN!r}; remove it or change robot_flange"
+            raise Inconsistent("flange", missing if self.flange is None else unused)
         return self
 
 

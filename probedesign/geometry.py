@@ -40,12 +40,15 @@ class ProbeGeometry:
         radius: at the knots [m], (K,), positive; of a flattened probe along x.
         flange: the disc that the adapter holds.
         cross_section: full and round, hollow or flattened.
+        rounded_from: where the rounding of the tip begins [m], a knot; None for a blunt tip. It says nothing that
+            the knots do not, so the fingerprint leaves it out.
     """
 
     s: Array
     radius: Array
     flange: Flange
     cross_section: CrossSection = FULL_ROUND
+    rounded_from: float | None = None
 
     @property
     def length(self) -> float:
@@ -63,14 +66,19 @@ class ProbeGeometry:
         return float(self.radius[-1])
 
     @property
+    def flank_end(self) -> float:
+        """Where the flank ends [m]: the length, or where a rounded tip begins."""
+        return self.length if self.rounded_from is None else self.rounded_from
+
+    @property
     def bore_radius(self) -> float:
         """Of the hole through the flange, and of a hollow probe at s = 0 [m]; 0 without a bore."""
         return self.cross_section.bore_ratio * self.base_radius
 
     @property
     def thinnest(self) -> float:
-        """The least thickness that must print: a wall of a hollow probe, else a diameter [m]."""
-        section, radius = self.cross_section, float(self.radius.min())
+        """The least thickness that must print: a wall of a hollow probe, else a diameter of the flank [m]."""
+        section, radius = self.cross_section, float(self.radius[self.s <= self.flank_end].min())
         return (1.0 - section.bore_ratio) * radius if section.hollow else 2.0 * section.flatness * radius
 
     def radius_at(self, s: ArrayLike) -> Array:
@@ -109,5 +117,9 @@ def build_geometry(design: "Design") -> ProbeGeometry:
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0
     return ProbeGeometry(
-        knots[:, 0], radius, flange_for(2.0 * float(radius[0])), design.probe.cross_section
-    )  # fmt: skip
+        knots[:, 0],
+        radius,
+        flange_for(2.0 * float(radius[0])),
+        design.probe.cross_section,
+        None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
+    )

@@ -17,7 +17,7 @@ def unknown(key: str, name: str, known: Iterable[str], of: str = "") -> InputErr
     """
     names = sorted(known)
     plain = "-".join(name.lower().replace("_", " ").split())
-    near = difflib.get_close_matches(plain, names, 1, 0.6)
+    near = difflib.get_close_matches(plain, names, 1, 0.3)
     hint = f"did you mean '{near[0]}'? known: " if near else "known: "
     shown = repr(name) if len(name) <= 60 else repr(name[:57]) + "..."
     return InputError(f"{key}: unknown {shown}{f' for {of}' if of else ''}; {hint}{', '.join(names)}")

@@ -74,13 +74,14 @@ class Probe:
             rigid_length=root_rigid_radii * self.geometry.base_radius,
             factors=self.geometry.cross_section.factors,
             finite_strain=root_rigid_radii != 0.0 and self.geometry.cross_section.full_round,
+            rounded_from=self.geometry.rounded_from,
         )
 
     @cached_property
     def model(self) -> ProbeModel:
         """All that estimation needs of it."""
         d = self.design
-        adapter = sensor_adapter_for(self.geometry, d.sensor_model)
+        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name)
         calibration = d.calibration
         return ProbeModel(
             name=d.name,

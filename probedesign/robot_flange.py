@@ -18,8 +18,8 @@ class RobotFlange:
         bolt_head_d: of a socket head screw (ISO 4762).
         max_bolt_entry: deepest that a screw may enter the robot.
         bolt_length: the stock screw that the adapter's thickness is made for.
-        pin_slot: width and radial length of the slot that takes the dowel pin.
-        spigot: diameter and height of the centring boss.
+        pin_slot: width and radial length of the slot that takes the dowel pin; zeros for none.
+        spigot: diameter and height of the centring boss; zeros for none.
         face_d: diameter of the flange's face.
         source: where the numbers come from.
     """
@@ -73,6 +73,35 @@ ROBOT_FLANGES = {
 }
 
 
+OWN = "own"
+"""What `mount.robot_flange` says where the pattern stands in the design file itself, in `[mount.flange]`."""
+BOLTS = {
+    "M4": (4.5 * MM, 7.0 * MM),
+    "M5": (5.5 * MM, 8.5 * MM),
+    "M6": (6.6 * MM, 10.0 * MM),
+    "M8": (9.0 * MM, 13.0 * MM),
+}
+"""Clearance hole (ISO 273, medium) and head (ISO 4762) by thread."""
+
+
+def own_flange(
+    bolt: str,
+    circle_d: float,
+    azimuths_deg: tuple[float, ...],
+    max_entry: float,
+    length: float,
+    face_d: float,
+    pin_slot: tuple[float, float] | None,
+    spigot: tuple[float, float] | None,
+) -> RobotFlange:
+    """A pattern that only its user knows; arguments as the attributes of `RobotFlange` [m]."""
+    none = (0.0, 0.0)
+    return RobotFlange(
+        OWN, circle_d, azimuths_deg, bolt, *BOLTS[bolt], max_entry, length, pin_slot or none, spigot or none, face_d,
+        "design file, mount.flange",
+    )  # fmt: skip
+
+
 def robot_flange_named(name: str) -> RobotFlange:
     """The flange of that name.
 
@@ -82,4 +111,4 @@ def robot_flange_named(name: str) -> RobotFlange:
     try:
         return ROBOT_FLANGES[name]
     except KeyError:
-        raise unknown("mount.robot_flange", name, ROBOT_FLANGES) from None
+        raise unknown("mount.robot_flange", name, [*ROBOT_FLANGES, OWN]) from None

@@ -20,6 +20,8 @@ from probedesign.mounting.fasteners import STEEL_DENSITY
 from probedesign.sensor import ScrewPattern, SensorModel
 from probedesign.units import MM
 
+AIR = 0.5 * MM
+"""Least air beside the sensor's body and its cable: what bridges the split line takes load past the gauges."""
 IN_SENSOR_FRAME = pose()
 SECTOR_REACH = 40.0 * MM
 """How far out the cable's sector is checked; beyond every part of ours."""
@@ -109,6 +111,16 @@ def _dowel_pins(a: SensorAdapter, sensor: SensorModel) -> cq.Compound:
     )
 
 
+def air_of(sensor: SensorModel) -> list[cq.Shape]:
+    """What must stay empty around the sensor's body, up past the tool face, and around its cable's exit."""
+    h, r = sensor.height, sensor.body_d / 2
+    width, reach, (low, high) = CABLE_BLOCK
+    shell = cylinder(2 * (r + AIR), -h, AIR).cut(cylinder(2 * r, -h, AIR))
+    side = width / 2 + AIR
+    exit_room = block((r - AIR, reach + AIR), (-side, side), (low - AIR - h, high + AIR - h))
+    return [shell, exit_room.rotate((0, 0, 0), (0, 0, 1), sensor.cable_azimuth_deg)]
+
+
 def cable_sector(sensor: SensorModel) -> cq.Shape:
     """The room about the cable that only the sensor itself may use, in the sensor frame."""
     width, z = 2 * sensor.cable_half_width_deg, -sensor.height
@@ -122,8 +134,8 @@ def cable_sector(sensor: SensorModel) -> cq.Shape:
 def overlaps(parts: dict[str, Part]) -> dict[str, float]:
     """Volume shared by each two parts whose boxes meet [m³]; contact is zero."""
     shapes = {name: part.placed for name, part in parts.items()}
-    boxes = {name: _box(shape) for name, shape in shapes.items()}
-    pairs = ((a, b) for a, b in combinations(shapes, 2) if _meet(boxes[a], boxes[b]))
+    boxes = {name: box_of(shape) for name, shape in shapes.items()}
+    pairs = ((a, b) for a, b in combinations(shapes, 2) if boxes_meet(boxes[a], boxes[b]))
     return {f"{a} & {b}": shared_volume(shapes[a], shapes[b]) for a, b in pairs}
 
 
@@ -132,12 +144,14 @@ def shared_volume(a: cq.Shape, b: cq.Shape) -> float:
     return float(sum(solid.Volume() for solid in a.intersect(b).Solids())) * MM**3
 
 
-def _box(shape: cq.Shape) -> Array:
+def box_of(shape: cq.Shape) -> Array:
+    """Lowest and highest corner of the box around a shape [mm], (2, 3); telling takes as long as a small cut."""
     b = shape.BoundingBox()
     return np.array([[b.xmin, b.ymin, b.zmin], [b.xmax, b.ymax, b.zmax]])
 
 
-def _meet(a: Array, b: Array) -> bool:
+def boxes_meet(a: Array, b: Array) -> bool:
+    """Whether two boxes share a point."""
     return bool((a[0] <= b[1]).all() and (b[0] <= a[1]).all())
 
 

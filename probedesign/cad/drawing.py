@@ -72,8 +72,8 @@ def draw(design: Design) -> Drawing:
         CheckFailedError: a screw would enter too deep, or a part is not one valid solid.
     """
     geometry, sensor = build_geometry(design), design.sensor_model
-    adapter = sensor_adapter_for(geometry, sensor)
-    plate = flange_adapter_for(sensor, design.robot_flange)
+    adapter = sensor_adapter_for(geometry, sensor, design.name)
+    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name)
     screws = screws_of(adapter, plate, sensor)
     parts = build_parts(geometry, design.density.value, sensor, adapter, plate, screws)
     return Drawing(design, geometry, adapter, plate, screws, parts)

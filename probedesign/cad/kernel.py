@@ -17,6 +17,7 @@ from OCP.TColStd import TColStd_Array1OfReal
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
 from probedesign.mass import MassProperties
+from probedesign.mounting.engraving import DEPTH, Engraving
 from probedesign.mounting.prism import Point
 from probedesign.units import MM
 
@@ -68,6 +69,22 @@ def hexagon(af: float, z0: float, z1: float, p: Point) -> cq.Solid:
     return single(
         outline.val().rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0).moved(cq.Location(_vector(p, z0)))
     )
+
+
+def engraved(engraving: Engraving) -> list[cq.Solid]:
+    """What an engraving takes away, a solid a character."""
+    solids, up = [], cq.Vector(0, 0, DEPTH / MM)
+    for loops in filter(None, engraving.outlines()):
+        # Every character is of one piece, and what turns the other way is an island in it.
+        corners = [[_vector(p, engraving.top - DEPTH) for p in loop] for loop in sorted(loops, key=_turns)]
+        *islands, cut = [cq.Wire.makePolygon(points, close=True) for points in corners]
+        solids.append(cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up))
+    return solids
+
+
+def _turns(loop: list[Point]) -> float:
+    """Twice the signed area of a polygon."""
+    return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
 
 
 def block(x: Point, y: Point, z: Point) -> cq.Solid:

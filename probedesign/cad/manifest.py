@@ -48,6 +48,7 @@ def manifest_of(
         "bill_of_materials": as_records(documents.bill),
         "screws": [use.as_record() for use in drawing.screws],
         "also_needed": {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(drawing.adapter.p_dowels)},
+        "engraved": _engraved(drawing),
         "assembly_order": documents.steps,
         "base": _base(drawing),
         "verification": findings,
@@ -88,6 +89,17 @@ def _body(body: MassProperties) -> dict[str, Any]:
         "mass_kg": body.mass,
         "p_com_m": body.p_com.tolist(),
         "inertia_kg_m2": body.inertia.tolist(),
+    }
+
+
+def _engraved(drawing: Drawing) -> dict[str, str]:
+    """What is cut into each printed part: the fingerprint, then as much of the name as there was room for."""
+    a = drawing.adapter
+    return {
+        "probe": a.on_flange.text,
+        "sensor_adapter": a.on_wall.text,
+        "clamp_ring": a.on_ring.text,
+        "flange_adapter": drawing.plate.on_plate.text,
     }
 
 

@@ -2,7 +2,7 @@
 
 import cadquery as cq
 
-from probedesign.cad.kernel import cylinder, frusta, revolved, single
+from probedesign.cad.kernel import cylinder, engraved, frusta, revolved, single
 from probedesign.geometry import ProbeGeometry
 from probedesign.mounting import SensorAdapter
 from probedesign.mounting.prism import Point
@@ -13,14 +13,15 @@ def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
 
     Args:
         geometry: of the probe.
-        adapter: whose peg passes through the flange: the hole at +x is the clocking mark.
+        adapter: whose peg passes through the flange: the hole at +x is the clocking mark; and which knows what is
+            engraved on the lip.
 
     Returns:
         The solid in millimetres in the base frame: flexible part above z = 0, flange below.
     """
     mark = cylinder(adapter.peg_hole_d, -geometry.flange.thickness, 0.0, (adapter.peg_x, 0.0))
     body = _turned(geometry) if geometry.cross_section.full_round else _ruled(geometry)
-    return single(body.cut(mark))
+    return single(body.cut(mark, *engraved(adapter.on_flange)))
 
 
 def _turned(geometry: ProbeGeometry) -> cq.Shape:

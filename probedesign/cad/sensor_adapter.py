@@ -2,7 +2,7 @@
 
 import cadquery as cq
 
-from probedesign.cad.kernel import block, cylinder, hexagon, revolved, single
+from probedesign.cad.kernel import block, cylinder, engraved, hexagon, revolved, single
 from probedesign.mounting import SensorAdapter
 from probedesign.mounting.adapter import PEG_D
 from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
@@ -22,6 +22,7 @@ def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
         *(cylinder(a.dowel_d, 0.0, a.dowel_depth, p) for p in a.p_dowels),
         *(cylinder(M2_CLEARANCE_D, a.nut_pocket_top, a.body_top, p) for p in a.p_ring_screws),
         *(hexagon(a.nut_pocket_af, a.foot_height, a.nut_pocket_top, p) for p in a.p_ring_screws),
+        *engraved(a.on_wall),
     ]
     peg = cylinder(PEG_D, a.floor, a.peg_top, (a.peg_x, 0.0))
     return single(revolved(outline).cut(*holes).fuse(peg))
@@ -34,5 +35,6 @@ def clamp_ring_solid(a: SensorAdapter) -> cq.Solid:
     body = cylinder(a.body_d, 0.0, height).cut(
         revolved([(0.0, 0.0), (bore, 0.0), (top, height), (0.0, height)]),
         *(cylinder(M2_CLEARANCE_D, 0.0, height, p) for p in a.p_ring_screws),
+        *engraved(a.on_ring),
     )
     return single(body)

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 
 from probedesign import section
-from probedesign.cad.assembly import cable_sector, shared_volume
+from probedesign.cad.assembly import air_of, cable_sector, shared_volume
 from probedesign.cad.drawing import Drawing
 from probedesign.cad.kernel import mass_of, section_of
 from probedesign.cad.mesh import Mesh
 from probedesign.cad.packages import pieces_of
+from probedesign.cad.reach import obstructed
 from probedesign.cad.threemf import read_back
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
@@ -26,8 +27,8 @@ SECTION_LIMIT = 1e-6
 """Relative."""
 MESH_LIMIT = 5e-4
 """Relative. Facets that turn by at most δ = 0.05 rad leave out δ²/6 = 4.2e-4 of a round body, and nothing else."""
-OVERLAP_LIMIT = 1e-12
-"""Of volume [m³]: a thousandth of a cubic millimetre; touching faces share none."""
+OVERLAP_LIMIT = 0.0
+"""Of volume [m³]: touching faces share none, and no fit is drawn pressed."""
 STATIONS = 9
 
 
@@ -51,6 +52,7 @@ def verify(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, bytes]
         **_meshes(drawing, meshes),
         **_packages(drawing, meshes, packages),
         **_room(drawing),
+        **_reach(drawing),
     }
     failed = [
         f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
@@ -142,14 +144,26 @@ def _room(drawing: Drawing) -> Findings:
     ours = [part for part in drawing.parts.values() if part.name != "sensor"]
     sector = cable_sector(drawing.design.sensor_model)
     in_sector = sum(shared_volume(sector, part.placed) for part in ours)
+    in_air = sum(
+        shared_volume(air, part.placed) for air in air_of(drawing.design.sensor_model) for part in ours
+    )
     wide = ("probe", "sensor_adapter", "clamp_ring", "ring_screws", "ring_nuts")
     lowest = min(drawing.parts[name].placed.BoundingBox().zmin for name in wide) * MM
     return {
         "overlap": _finding(max(drawing.shared_volumes.values()), OVERLAP_LIMIT, "m³, worst pair of parts"),
         "cable_sector": _finding(in_sector, OVERLAP_LIMIT, "m³ of our parts where the cable must be free"),
+        "air": _finding(
+            in_air, OVERLAP_LIMIT, "m³ of our parts within 0.5 mm of the sensor's body and cable"
+        ),
         # A nanometre: the kernel's boxes are wider than the part by its tolerance of 1e-10 m.
         "below_tool_face": _finding(max(0.0, -lowest), 1e-9, "m that wide parts reach below the tool face"),
     }
+
+
+def _reach(drawing: Drawing) -> Findings:
+    ways = obstructed(drawing.parts, drawing.screws, drawing.adapter, drawing.design.sensor_model)
+    what = "m³ of what is mounted before in the way in, and in the way of the key"
+    return {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in ways.items()}
 
 
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:

@@ -13,6 +13,7 @@ OPTIONS = {
     "probe.length_mm": "--length",
     "probe.base_d_mm": "--base-d",
     "probe.tip_d_mm": "--tip-d",
+    "probe.tip": "--tip",
     "probe.section": "--section",
     "probe.bore_ratio": "--bore-ratio",
     "probe.flatness": "--flatness",
@@ -30,6 +31,7 @@ def new(
     length: float,
     base_d: float,
     tip_d: float | None = None,
+    tip: Literal["blunt", "rounded"] = "blunt",
     shape: Literal["cone", "cylinder"] = "cone",
     section: Literal["round", "hollow", "elliptic"] = "round",
     bore_ratio: float | None = None,
@@ -47,6 +49,7 @@ def new(
         length: of the flexible part, base to tip [mm].
         base_d: diameter at the base [mm].
         tip_d: diameter at the tip [mm]; by default a sixth of the base, at least 2 mm.
+        tip: rounded ends in a sphere within the same length.
         shape: a cylinder has one diameter.
         section: round is full; hollow needs --bore-ratio, elliptic needs --flatness.
         bore_ratio: of a hollow section, inner over outer diameter, 0.05 ... 0.9.
@@ -66,6 +69,7 @@ def new(
             length_mm=length,
             base_d_mm=base_d,
             tip_d_mm=tip_d,
+            tip=tip,
             section=section,
             bore_ratio=bore_ratio,
             flatness=flatness,
@@ -81,7 +85,7 @@ def new(
         from probedesign import pipeline
 
         summary = pipeline.summary(design)
-    document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.knots_mm[-1][1], **summary}
+    document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **summary}
     if as_json:
         print_json(document)
     else:

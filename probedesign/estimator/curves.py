@@ -44,7 +44,7 @@ def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve
         moment: read at the base [N·m], (3,).
         T_world_base: pose of the base, (4, 4).
     """
-    stations = np.linspace(NEAREST, 1.0, STATIONS) * rod.length
+    stations = np.linspace(NEAREST, 1.0, STATIONS) * rod.flank_end
     points, pushes = np.full((STATIONS, 3), np.nan), []
     for j, s in enumerate(stations):
         eq = _under_moment(rod, gravity, moment, float(s))

@@ -231,7 +231,7 @@ class Estimator:
         """The code of the best candidate beside its rivals."""
         best = listed[0]
         if best.chi2 > MOST_CHI2[best.dof]:
-            return "out_of_range" if best.s_contact in (0.0, self.model.rod.length) else "inconsistent"
+            return "out_of_range" if best.s_contact in (0.0, self.model.rod.flank_end) else "inconsistent"
         if not self.locates(best.std_s, best.force_base, readings):
             return "unobservable" if best.lever < LEAST_LEVER else "too_light"
         for rival in listed[1:]:

@@ -44,7 +44,7 @@ def room_for(knots: int) -> int:
 
 
 @merged
-def _fit(body, gravity, weight, wrench, whiten, most, work, row):
+def _fit(body, end, gravity, weight, wrench, whiten, most, work, row):
     """Fit from the guess in a row, and fill it."""
     a = LOAD
     b = a + STEP_WORK
@@ -56,29 +56,29 @@ def _fit(body, gravity, weight, wrench, whiten, most, work, row):
     for q in range(a):
         work[q] = 0.0
     row[FITTED] = locate_contact(
-        body, gravity, weight, wrench, whiten, 0.0, body.knots[-1], most, work[:a], work[a:b], work[g:g], work[b:c],
+        body, gravity, weight, wrench, whiten, 0.0, end, most, work[:a], work[a:b], work[g:g], work[b:c],
         work[c:d], work[d:e], work[e:f].reshape((3, UNKNOWNS)), work[f:g].reshape((15, UNKNOWNS + 1)),
         work[g : g + SPREAD_WORK], row[FOUND:TOLD], row[TOLD:],
     )  # fmt: skip
 
 
 @kernel
-def fit_near(body, gravity, weight, wrench, whiten, work, row):
+def fit_near(body, end, gravity, weight, wrench, whiten, work, row):
     """Fit a contact from a guess.
 
     Args:
-        body: of the rod.
+        body: of the rod; end: the furthest arclength at which a touch acts [m].
         gravity: [m/s²], (3,); weight: of the flexible part [N], (3,).
         wrench: read at the base, (6,).
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
         work: scratch, (WORK,) or more.
         row: the guess where its unknowns stand, filled, (ROW,).
     """
-    _fit(body, gravity, weight, wrench, whiten, MAX_ITERATIONS, work, row)
+    _fit(body, end, gravity, weight, wrench, whiten, MAX_ITERATIONS, work, row)
 
 
 @kernel
-def fit_everywhere(body, gravity, weight, wrench, whiten, work, rows):
+def fit_everywhere(body, end, gravity, weight, wrench, whiten, work, rows):
     """Fit contacts wherever the trace says that one may lie, the likeliest place first.
 
     Args:
@@ -91,17 +91,17 @@ def fit_everywhere(body, gravity, weight, wrench, whiten, work, rows):
     """
     room = work[WORK:]
     force, g = minus(take(wrench, 0), take(weight, 0)), take(gravity, 0)
-    reached = trace.trace(body, g, force, take(wrench, 3), work, room)
-    places, fitted = _places(body, wrench, whiten, room, reached, rows), 0
+    reached = trace.trace(body, end, g, force, take(wrench, 3), work, room)
+    places, fitted = _places(end, wrench, whiten, room, reached, rows), 0
     for k in range(places):
         s, likely = rows[k, FOUND], rows[k, TOLD] > 0.0
         if k > 0 and not likely:
             continue
         for back in BACK:
-            row, start, status = rows[fitted], max(s - back * body.knots[-1], 0.0), LOST
-            if trace.guess(body, g, force, work, room, start, reached, row[FOUND:TOLD]):
+            row, start, status = rows[fitted], max(s - back * end, 0.0), LOST
+            if trace.guess(body, end, g, force, work, room, start, reached, row[FOUND:TOLD]):
                 most = MAX_ITERATIONS if k == 0 else FEW
-                _fit(body, gravity, weight, wrench, whiten, most, work, row)
+                _fit(body, end, gravity, weight, wrench, whiten, most, work, row)
                 status = int(row[FITTED])
             if k > 0 or status in (FIT, AT_END):
                 break
@@ -110,13 +110,13 @@ def fit_everywhere(body, gravity, weight, wrench, whiten, work, rows):
 
 
 @inner
-def _places(body, wrench, whiten, room, reached, rows):
+def _places(end, wrench, whiten, room, reached, rows):
     """Where the trace says that a contact may lie: score, arclength, and whether it is likely, into rows, best first;
     returns how many."""
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     for j in range(reached):
         if trace.is_least(room, j, reached):
-            off, s = trace.least(body, room, j, reached)
+            off, s = trace.least(end, room, j, reached)
             score = off / math.sqrt(1.0 / whiten[3, 3] ** 2 + (s / whiten[0, 0]) ** 2)
             likely = score < LIKELY or off < SHARE * moment
             places = _ranked(rows, places, s, score, likely)

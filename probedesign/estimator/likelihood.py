@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import chdtri
 
-from probedesign.estimator import everywhere, fit, spread
+from probedesign.estimator import everywhere, fit, round_end, spread
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.locate import candidates, starts
 from probedesign.estimator.observation import Observation
@@ -42,14 +42,15 @@ def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[C
         if found is not None and fitter.explains(found):
             return [found]
     places = fitter.traced()
-    if any(fitter.explains(place) for place in places):
-        return places
-    scanned = starts(rod, seen.gravity, seen.force, seen.wrench[3:6])
-    places = fitter.places((tip, seen.force, s) for s, tip in scanned)
+    if not any(fitter.explains(place) for place in places):
+        scanned = starts(rod, seen.gravity, seen.force, seen.wrench[3:6])
+        places = fitter.places((tip, seen.force, s) for s, tip in scanned)
     if not any(fitter.explains(place) for place in places):
         # The scan may be too coarse where the probe gives way.
         exact = candidates(rod, seen.gravity, seen.force, seen.wrench[3:6])
         places += fitter.places((eq.tip, seen.force, eq.s_contact) for eq in exact)
+    if rod.rounded_from is not None:
+        places += fitter.at_round_end(places)
     return places or fitter.stalled
 
 
@@ -71,7 +72,15 @@ class _Fitter:
         """The memory that the kernels work in."""
         seen = self.seen
         self._work = np.empty(everywhere.room_for(len(self.rod.s)))
-        self._reading = (self.rod.body, seen.gravity, seen.weight, seen.wrench, seen.whiten, self._work)
+        self._reading = (
+            self.rod.body,
+            self.rod.flank_end,
+            seen.gravity,
+            seen.weight,
+            seen.wrench,
+            seen.whiten,
+            self._work,
+        )
 
     def explains(self, place: Candidate) -> bool:
         """Whether a contact there may well have made the reading."""
@@ -86,6 +95,18 @@ class _Fitter:
     def places(self, guesses: Iterable[tuple[Array, Array, float]]) -> list[Candidate]:
         """What is found from each guess, each place once."""
         return self._distinct(self.fit(*guess) for guess in guesses)
+
+    def at_round_end(self, places: list[Candidate]) -> list[Candidate]:
+        """The touch of a round end, if it explains the reading where no touch of the flank close to it does."""
+        end = round_end.touch(self.rod, self.seen)
+        if end is None or not self.explains(end):
+            return []
+        near = (
+            abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s)
+            for p in places
+            if self.explains(p)
+        )
+        return [] if any(near) else [end]
 
     def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
         """The fit from one guess; None if there is no least misfit near."""

@@ -46,7 +46,7 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
         Arclengths [m] (j,), squared misfit [N²·m²] (j,) and the tips' sections (j, 6), as far as equilibria exist.
     """
     count = _stations(rod, force)
-    stations = np.linspace(0.0, rod.length, count)
+    stations = np.linspace(0.0, rod.flank_end, count)
     loads = np.tile(rod.load(gravity, force, 0.0), (count, 1))
     loads[:, -1] = stations
     found = np.empty((count, kernels.FOUND))
@@ -66,7 +66,8 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
 
 def _stations(rod: Rod, force: Array) -> int:
     """How many arclengths to scan."""
-    stiffness = rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * float(rod.radius.min())
+    thinnest = float(rod.radius[rod.s <= rod.flank_end].min())
+    stiffness = rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * thinnest
     bend = math.sqrt(force @ force) * rod.length**2 / stiffness
     return next((count for most, count in LIGHT if bend < most), STATIONS)
 
@@ -115,7 +116,7 @@ def refine(
         s = min(max(at + step, low), high)
         if best is None or abs(s - at) <= _CLOSE * rod.length:
             break
-    inside = at not in (low, high) or at in (0.0, rod.length) or abs(step) <= _CLOSE * rod.length
+    inside = at not in (low, high) or at in (0.0, rod.flank_end) or abs(step) <= _CLOSE * rod.length
     return best if inside and not blocked else None
 
 
@@ -132,7 +133,7 @@ def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Eq
     found: list[Equilibrium] = []
     reach = REACH * rod.length / (STATIONS - 1)
     for s, tip in starts(rod, gravity, force, moment):
-        low, high = max(s - reach, 0.0), min(s + reach, rod.length)
+        low, high = max(s - reach, 0.0), min(s + reach, rod.flank_end)
         eq = refine(rod, gravity, force, moment, s, low, high, tip)
         if eq is not None and not any(_same_place(eq, other) for other in found):
             found.append(eq)

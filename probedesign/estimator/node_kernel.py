@@ -119,21 +119,21 @@ def seen_at(row, x):
 
 
 @inner
-def _moved(row, x, length, around_by_force):
+def _moved(row, x, end, around_by_force):
     """The push moved to where the unknowns put the fixed point, to first order."""
     more = x[STIFFNESS] - row[LOG_STIFFNESS]
     way = add(add(seen_at(row, x), 1.0, take(row, SHIFT)), -1.0, take(row, FIXED))
     way = add(way, -more, take(row, FIXED_BY_STIFFNESS))
     o = BY_POINT
     step = (dot(take(row, o), way), dot(take(row, o + 3), way), dot(take(row, o + 6), way))
-    share = min(1.0, 0.1 * length / max(abs(step[0]), 1e-300))
+    share = min(1.0, 0.1 * end / max(abs(step[0]), 1e-300))
     if not around_by_force:
         share = min(share, MOST_AROUND / max(abs(step[1]), 1e-300))
     for q in range(3):
         b = BY_PUSH + 4 * q
         by = row[b] * step[0] + row[b + 1] * step[1] + row[b + 2] * step[2] + row[b + 3] * more
         row[FORCE + q] += row[TOWARDS + q] + share * by
-    row[PLACE] = min(max(row[PLACE] + share * step[0], NEAREST * length), length)
+    row[PLACE] = min(max(row[PLACE] + share * step[0], NEAREST * end), end)
     if around_by_force:
         along, aside = row[MAGNITUDE] + share * step[2], share * step[1]
         row[ANGLE] += math.atan2(aside, along)
@@ -144,11 +144,11 @@ def _moved(row, x, length, around_by_force):
 
 
 @kernel
-def linearise(body, mass, x, move, around_by_force, row, work):
+def linearise(body, end, mass, x, move, around_by_force, row, work):
     """Solve a node's touch and linearise it.
 
     Args:
-        body: of the rod; mass: of the flexible part [kg].
+        body: of the rod; end: the furthest arclength at which a touch acts [m]; mass: of the flexible part [kg].
         x: the unknowns, (UNKNOWNS,).
         move: whether the push is first moved to where they put the fixed point, or taken as it stands.
         around_by_force: whether the centreline's point is the one that stands still.
@@ -170,7 +170,7 @@ def linearise(body, mass, x, move, around_by_force, row, work):
     i = h + press_kernel.ANSWER
     answer, constants = work[h:i], work[i : i + CONSTANTS]
     if move:
-        _moved(row, x, body.knots[-1], around_by_force)
+        _moved(row, x, end, around_by_force)
     softer = math.exp(-x[STIFFNESS])
     for q in range(CONSTANTS):
         constants[q] = body.constants[q]

@@ -58,7 +58,7 @@ class Pressed:
 
     Attributes:
         push: the guess.
-        length: of the rod [m].
+        length: up to which touches act [m].
         fixed: which point stands still.
         wrench: at the base [N, N·m], (6,); d_wrench: by θ, (6, 4).
         p_contact, p_surface: [m], (3,).
@@ -166,7 +166,7 @@ def press(rod: Rod, gravity: Array, push: Push, fixed: Fixed, log_stiffness: flo
     d_wrench[:3] = d_force
     d_wrench[3:] = answer[kernel.D_MOMENT : kernel.POINT].reshape(3, 4)
     return Pressed(
-        push, rod.length, fixed, wrench, d_wrench, answer[kernel.POINT : kernel.D_POINT],
+        push, rod.flank_end, fixed, wrench, d_wrench, answer[kernel.POINT : kernel.D_POINT],
         answer[kernel.SURFACE : kernel.D_SURFACE], answer[kernel.D_POINT : kernel.SURFACE].reshape(3, 4),
         answer[kernel.D_SURFACE : kernel.D_FORCE].reshape(3, 4), d_force, towards, tip, log_stiffness,
     )  # fmt: skip

@@ -37,7 +37,7 @@ CHI2, STD, LEVER, POINT, COV, SURFACE = 0, 1, 2, 3, 6, 15
 """Where in an answer stand the misfit, the standard deviation of s [m], how much the base moment changes with s over
 the force, the contact's point [m], (3,), its covariance [m²], (9,), and the touched point [m], (3,)."""
 ANSWER = 18
-WORK = FIT_WORK + 28 + 111
+WORK = FIT_WORK + 32 + 111
 """Numbers that locating works in."""
 ASIDE = math.sqrt(3.0)
 NUMERICAL, NUMERICAL_SHARE = 5e-9, 3e-5
@@ -98,13 +98,13 @@ def refitted(gradient, out, H, b, change, off):
 
 @inner
 def _look(
-    body, gravity, weight, wrench, whiten, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives,
-    work, state, step, point, tangent,
+    body, gravity, weight, wrench, whiten, high, load, sweep_work, nodes, blocks, y, contact, fitted_turns,
+    derivatives, work, state, step, point, tangent,
 ):  # fmt: skip
     """The contact's point (3,), how it goes on with s (3,) and the variance of s after a step of force and arclength,
     (4,), the force then fitted anew; infinite where that is off the probe or has no equilibrium."""
     place = state[PLACE] + step[3]
-    if not 0.0 < place <= body.knots[-1]:
+    if not 0.0 < place <= high:
         return math.inf
     there, J, r, gradient = work[0:STATE], work[10:34], work[34:40], work[40:44]
     H, b, change, cov = work[44:53], work[53:56], work[56:59], work[59:75]
@@ -225,12 +225,12 @@ def locate_contact(
     for q in range(3):
         for j in range(UNKNOWNS):
             fitted_turns[q, j] = turns[q, j]
-    side = ASIDE if state[PLACE] + ASIDE * std <= body.knots[-1] else -ASIDE
+    side = ASIDE if state[PLACE] + ASIDE * std <= high else -ASIDE
     for j in range(UNKNOWNS):
         step[j] = side * cov[UNKNOWNS * j + 3] / std
     wide = _look(
-        body, gravity, weight, wrench, whiten, load, sweep_work, nodes, blocks, y, contact, fitted_turns, derivatives,
-        own[28:], state, step, seen, tangent,
+        body, gravity, weight, wrench, whiten, high, load, sweep_work, nodes, blocks, y, contact, fitted_turns,
+        derivatives, own[32:], state, step, seen, tangent,
     )  # fmt: skip
     if math.isfinite(wide):
         _curved(point, along, seen, tangent, std, side, wide / cov[15], cov_p)

@@ -84,11 +84,11 @@ def _carry(body, s, end, work, force, gravity, on):
 
 
 @inner
-def trace(body, gravity, force, moment, work, room):
+def trace(body, end, gravity, force, moment, work, room):
     """Draw the probe from its clamp.
 
     Args:
-        body: of the rod.
+        body: of the rod; end: the furthest arclength at which a touch acts [m], where the last station lies.
         gravity: [m/s²], (3,) tuple; force: of the contact [N], moment: read at the base [N·m], (3,) tuples.
         work: scratch of a step, (steps.WORK,).
         room: (ROOM + knots,): states at the stations, then what the moment there is more than the free part makes.
@@ -96,7 +96,6 @@ def trace(body, gravity, force, moment, work, room):
     Returns:
         How many stations were reached.
     """
-    length = body.knots[-1]
     knot_moments = room[ROOM:]
     _moments_at_knots(body, knot_moments)
     put(work, T, (0.0, 0.0, 1.0))
@@ -104,8 +103,8 @@ def trace(body, gravity, force, moment, work, room):
     put(work, P, (0.0, 0.0, 0.0))
     put(work, D, (1.0, 0.0, 0.0))
     for j in range(STATIONS):
-        s = length * j / (STATIONS - 1)
-        if j and not _carry(body, length * (j - 1) / (STATIONS - 1), s, work, force, gravity, 1.0):
+        s = end * j / (STATIONS - 1)
+        if j and not _carry(body, end * (j - 1) / (STATIONS - 1), s, work, force, gravity, 1.0):
             return j
         for q in range(WIDTH):
             room[WIDTH * j + q] = work[q]
@@ -130,7 +129,7 @@ def is_least(room, j, reached):
 
 
 @inner
-def least(body, room, j, reached):
+def least(end, room, j, reached):
     """The least misfit about station j, taken as linear between stations [N·m], and its arclength [m]."""
     at, best, square = take(room, STATIONS * WIDTH + 3 * j), 0.0, _misfit(room, j)
     for way in (-1, 1):
@@ -140,7 +139,7 @@ def least(body, room, j, reached):
             off = add(at, x, slope)
             if dot(off, off) < square:
                 best, square = way * x, dot(off, off)
-    return math.sqrt(square), body.knots[-1] * (j + best) / (STATIONS - 1)
+    return math.sqrt(square), end * (j + best) / (STATIONS - 1)
 
 
 @inner
@@ -172,13 +171,12 @@ def _hang(body, s, t, d, gravity, knot_moments):
 
 
 @inner
-def guess(body, gravity, force, work, room, s, reached, state):
+def guess(body, end, gravity, force, work, room, s, reached, state):
     """The contact at s as a guess to fit from, (fit.STATE,); whether there is one."""
-    length = body.knots[-1]
-    start = min(max(math.floor(s / length * (STATIONS - 1)), 0), reached - 1)
+    start = min(max(math.floor(s / end * (STATIONS - 1)), 0), reached - 1)
     for q in range(WIDTH):
         work[q] = room[WIDTH * start + q]
-    if not _carry(body, length * start / (STATIONS - 1), s, work, force, gravity, 1.0):
+    if not _carry(body, end * start / (STATIONS - 1), s, work, force, gravity, 1.0):
         return False
     for q in range(3):
         state[TIP + q], state[TIP + 3 + q] = work[T + q], work[D + q]

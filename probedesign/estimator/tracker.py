@@ -217,7 +217,7 @@ class Tracker:
     def _linearise(self, k: int, move: bool) -> bool:
         """A node of the touch, its push first moved to where the unknowns put it or not; whether it stands."""
         rod, model = self.estimator.model.rod, self.estimator.model
-        return bool(node.linearise(rod.body, model.mass, self._x, move, self._fixed == "contact",
+        return bool(node.linearise(rod.body, rod.flank_end, model.mass, self._x, move, self._fixed == "contact",
                                    self._touched[k], self._work))  # fmt: skip
 
     def _step(self) -> Fused:

@@ -12,9 +12,11 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.frames import Array, pose
 from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry
+from probedesign.mounting.engraving import Engraving, between, engrave
 from probedesign.mounting.fasteners import (
     HEAD_SUNK,
     M2,
+    M2_CLEARANCE_D,
     M2_COUNTERBORE_D,
     M2_GRIP,
     M2_NUT_AF,
@@ -41,6 +43,10 @@ RING_SCREW_OUT = 2.3 * MM
 """From the flange's rim out to the ring's screws: half a slip, 1.0 mm of wall, half a clearance hole."""
 RIM_OUT = 3.1 * MM
 """From the ring's screws out to the rim: half a nut pocket and 1.0 mm of wall."""
+LETTER_EDGE = 0.8 * MM
+"""From a hole, or from the seat of a head, to the nearest character."""
+LETTERS_OUT = 0.3 * MM
+"""From the ring's screws out to the middle of the characters between them: midway between recess and flat."""
 MARK_FLAT = 0.8 * MM
 """Depth of the flat on the adapter's rim that shows +X from outside."""
 
@@ -63,6 +69,8 @@ class SensorAdapter:
         ring_bore_d, ring_bore_top_d, ring_thickness: of the clamp ring; its rim is `body_d`.
         ring_screw_length: stock length.
         nut_pocket_af, nut_pocket_top: hexagon open at the plate's underside.
+        on_flange, on_wall, on_ring: what is engraved on the flange's lip (base frame), on the wall around the recess
+            (sensor frame) and on the ring's top (its own frame).
     """
 
     tool: ScrewPattern
@@ -86,6 +94,9 @@ class SensorAdapter:
     ring_screw_length: float
     nut_pocket_af: float
     nut_pocket_top: float
+    on_flange: Engraving
+    on_wall: Engraving
+    on_ring: Engraving
 
     @property
     def T_sensor_base(self) -> Array:
@@ -114,12 +125,13 @@ def on_circle(diameter: float, azimuths_deg: Iterable[float]) -> tuple[Point, ..
     return tuple((float(diameter / 2 * np.cos(a)), float(diameter / 2 * np.sin(a))) for a in angles)
 
 
-def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel) -> SensorAdapter:
+def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel, name: str = "") -> SensorAdapter:
     """The adapter that fixes a probe to a sensor.
 
     Args:
         geometry: of the probe.
         sensor: whose tool side it screws to.
+        name: of the design, engraved after the geometry's fingerprint as far as there is room.
 
     Raises:
         InputError: the probe is so much wider further up that no ring over it could hold the flange.
@@ -132,6 +144,13 @@ def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel) -> SensorAd
     bore_d = _ring_bore_d(geometry)
     rim_d = flange.diameter + 2 * (RING_SCREW_OUT + RIM_OUT)
     head_free_d = rim_d - 2 * RIM_OUT - M2_COUNTERBORE_D  # the bore must leave the heads their seat
+    peg_x, peg_hole_d = (flange.diameter - FLANGE_LIP) / 2, PEG_D + 0.1 * MM
+    letters = flange.diameter / 2 + RING_SCREW_OUT + LETTERS_OUT
+
+    def engraved(radius: float, top: float, azimuths_deg: Iterable[float], hole_d: float) -> Engraving:
+        arcs = between(radius, [float(a) for a in np.radians(list(azimuths_deg))], hole_d / 2 + LETTER_EDGE)
+        return engrave(geometry.fingerprint, name, radius, top, arcs)
+
     return SensorAdapter(
         tool=sensor.tool,
         floor=floor,
@@ -145,8 +164,8 @@ def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel) -> SensorAd
         dowel_depth=DOWEL_PIN_LENGTH - sensor.dowel_depth + 0.2 * MM,
         p_dowels=on_circle(sensor.tool.bolt_circle_d, sensor.dowel_azimuths_deg),
         peg_top=floor + flange.thickness - 0.5 * MM,  # stays below the pressed lip
-        peg_x=(flange.diameter - FLANGE_LIP) / 2,
-        peg_hole_d=PEG_D + 0.1 * MM,
+        peg_x=peg_x,
+        peg_hole_d=peg_hole_d,
         flange=flange,
         ring_bore_d=bore_d,
         ring_bore_top_d=min(bore_d + 2 * RING_THICKNESS, head_free_d),
@@ -154,6 +173,9 @@ def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel) -> SensorAd
         ring_screw_length=ring_screw,
         nut_pocket_af=M2_NUT_AF + SLIP,
         nut_pocket_top=seated_top - ring_screw + NUT_PROTRUSION + M2_NUT_HEIGHT,
+        on_flange=engraved(peg_x, 0.0, (0.0,), peg_hole_d),
+        on_wall=engraved(letters, body_top, RING_AZIMUTHS_DEG, M2_CLEARANCE_D),
+        on_ring=engraved(letters, RING_THICKNESS, RING_AZIMUTHS_DEG, M2.head_d),
     )
 
 

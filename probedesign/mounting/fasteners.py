@@ -14,6 +14,7 @@ class SocketScrew:
         head_d, head_height: of the head [m].
         socket_af, socket_depth: hexagon across flats and its depth [m].
         pitch_d: pitch diameter of the thread [m].
+        key_length: long arm of its hexagon key, standard series [m].
         stock_mm: lengths that shops keep [mm].
     """
 
@@ -23,14 +24,21 @@ class SocketScrew:
     socket_af: float
     socket_depth: float
     pitch_d: float
+    key_length: float
     stock_mm: tuple[int, ...]
 
 
-# Source: ISO 4762 (heads, sockets, lengths) and ISO 724 (pitch diameters).
-M2 = SocketScrew("M2", 3.8 * MM, 2.0 * MM, 1.5 * MM, 1.0 * MM, 1.740 * MM, (3, 4, 5, 6, 8, 10, 12))
-M5 = SocketScrew("M5", 8.5 * MM, 5.0 * MM, 4.0 * MM, 2.5 * MM, 4.480 * MM, (8, 10, 12, 16, 20, 25))
-M6 = SocketScrew("M6", 10.0 * MM, 6.0 * MM, 5.0 * MM, 3.0 * MM, 5.350 * MM, (10, 12, 16, 20, 25, 30))
-SCREWS = {s.thread: s for s in (M2, M5, M6)}
+# Source: ISO 4762 (heads, sockets, lengths), ISO 724 (pitch diameters), ISO 2936 (keys).
+M2 = SocketScrew("M2", 3.8 * MM, 2.0 * MM, 1.5 * MM, 1.0 * MM, 1.740 * MM, 46.5 * MM, (3, 4, 5, 6, 8, 10, 12))
+M4 = SocketScrew("M4", 7.0 * MM, 4.0 * MM, 3.0 * MM, 2.0 * MM, 3.545 * MM, 66.0 * MM, (8, 10, 12, 16, 20, 25))
+M5 = SocketScrew("M5", 8.5 * MM, 5.0 * MM, 4.0 * MM, 2.5 * MM, 4.480 * MM, 74.0 * MM, (8, 10, 12, 16, 20, 25))
+M6 = SocketScrew(
+    "M6", 10.0 * MM, 6.0 * MM, 5.0 * MM, 3.0 * MM, 5.350 * MM, 85.0 * MM, (10, 12, 16, 20, 25, 30)
+)
+M8 = SocketScrew(
+    "M8", 13.0 * MM, 8.0 * MM, 6.0 * MM, 4.0 * MM, 7.188 * MM, 96.0 * MM, (12, 16, 20, 25, 30, 35)
+)
+SCREWS = {s.thread: s for s in (M2, M4, M5, M6, M8)}
 
 M2_CLEARANCE_D = 2.4 * MM
 M2_COUNTERBORE_D = M2.head_d + 0.4 * MM

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from probedesign.errors import InputError
 from probedesign.frames import Array, pose, rotation_z
 from probedesign.mounting.adapter import on_circle
-from probedesign.mounting.fasteners import M2_GRIP
+from probedesign.mounting.engraving import HEIGHT, Engraving, between, engrave
+from probedesign.mounting.fasteners import M2_COUNTERBORE_D, M2_GRIP, SCREWS
 from probedesign.mounting.prism import Point
 from probedesign.robot_flange import RobotFlange
 from probedesign.sensor import SensorModel
@@ -19,8 +21,12 @@ from probedesign.units import MM
 ENTRY_MARGIN = 0.5 * MM
 """The robot bolts stay that far short of the deepest entry: the plate may print thin."""
 PAD_HEIGHT = 1.0 * MM
-"""The sensor sits on a pad of its own diameter, so that its cable clears the plate."""
+"""The sensor sits on a pad, so that its cable clears the plate."""
+PAD_EDGE = 0.5 * MM
+"""The pad stays that far inside the sensor's rim: air to the cable, which leaves just above it."""
 EDGE = 1.8 * MM  # wall outside the pin slot
+LETTER_EDGE = 0.2 * MM  # beside the characters; below the pad's edge and the bolts' heads
+_NANO = 1e-9  # for the rounding of sums [m]
 HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head
 
 
@@ -33,6 +39,7 @@ class FlangeAdapter:
         plate_d, plate_top: the plate from the robot's face to `plate_top`.
         pad_d, pad_top: the sensor's seat.
         p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
+        on_plate: what is engraved around the pad; nothing where there is no room between it and the bolts.
         T_sensor_robotflange: pose of this frame in the sensor frame, (4, 4).
     """
 
@@ -43,6 +50,7 @@ class FlangeAdapter:
     pad_top: float
     p_mounting_screws: tuple[Point, ...]
     p_bolts: tuple[Point, ...]
+    on_plate: Engraving
     T_sensor_robotflange: Array
 
     @property
@@ -51,8 +59,11 @@ class FlangeAdapter:
         return self.pad_top - M2_GRIP
 
 
-def flange_adapter_for(sensor: SensorModel, robot: RobotFlange) -> FlangeAdapter:
-    """The plate for that sensor on that robot."""
+def flange_adapter_for(
+    sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = ""
+) -> FlangeAdapter:
+    """The plate for that sensor on that robot, engraved with a geometry's fingerprint and a design's name."""
+    _check_room(sensor, robot)
     plate_top = robot.bolt_length - (robot.max_bolt_entry - ENTRY_MARGIN)
     pad_top = plate_top + PAD_HEIGHT
     # The cable bisects the first two bolts; the dowel's azimuth in the sensor frame follows.
@@ -67,11 +78,60 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange) -> FlangeAdapter
         robot=robot,
         plate_d=2 * rim,
         plate_top=plate_top,
-        pad_d=sensor.body_d,
+        pad_d=sensor.body_d - 2 * PAD_EDGE,
         pad_top=pad_top,
         p_mounting_screws=on_circle(
             sensor.mounting.bolt_circle_d, (a - dowel_deg for a in sensor.mounting.azimuths_deg)
         ),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
+        on_plate=_engraving(sensor, robot, fingerprint, name, plate_top),
         T_sensor_robotflange=pose(rotation_z(np.radians(dowel_deg)), [0.0, 0.0, -sensor.height - pad_top]),
     )
+
+
+def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
+    """Refuse, in the words of the design file, a pattern that leaves sensor, screws or cable no room.
+
+    Raises:
+        InputError: naming the key, its value and the nearest that works.
+    """
+    reach, head = robot.bolt_circle_d / 2, robot.bolt_head_d / 2
+    circle = 2 * (sensor.body_d / 2 + head + 0.5 * MM)
+    entry = 0.8 * float(robot.bolt[1:]) * MM + ENTRY_MARGIN
+    thinnest = robot.max_bolt_entry - ENTRY_MARGIN + M2_GRIP
+    stock = [n for n in SCREWS[robot.bolt].stock_mm if n * MM >= thinnest]
+    spigot = sensor.mounting.bolt_circle_d + M2_COUNTERBORE_D + 1.0 * MM
+    azimuths = robot.bolt_azimuths_deg
+    cable = 2 * (sensor.cable_half_width_deg + float(np.degrees(np.arcsin(min(1.0, head / reach)))))
+    between_first = (azimuths[1] - azimuths[0]) % 360.0
+    p = np.array(on_circle(robot.bolt_circle_d, azimuths))
+    apart = np.linalg.norm(p[:, None] - p[None], axis=2) + 1.0 * np.eye(len(p))
+    on_slot = np.hypot(np.maximum(np.abs(p[:, 0] - reach) - robot.pin_slot[1] / 2, 0.0), p[:, 1])
+    slot_clear = robot.pin_slot[0] / 2 + robot.bolt_clearance_d / 2 + 1.0 * MM
+    for wrong, key, value, allowed in (
+        (robot.bolt_circle_d < circle, "bolt_circle_d_mm", robot.bolt_circle_d / MM,
+         f"at least {circle / MM:g} mm, or heads touch the sensor"),
+        (robot.max_bolt_entry < entry - _NANO, "max_bolt_entry_mm", robot.max_bolt_entry / MM,
+         f"at least {entry / MM:g} mm, or the thread is too short"),
+        (not any(abs(robot.bolt_length - n * MM) < _NANO for n in stock), "bolt_length_mm", robot.bolt_length / MM,
+         f"of {robot.bolt} these will do: {', '.join(map(str, stock))} mm"),
+        (0.0 < robot.spigot[0] < spigot, "spigot_mm", robot.spigot[0] / MM, f"at least {spigot / MM:g} mm, or none"),
+        (not cable <= between_first <= 360.0 - cable, "bolt_azimuths_deg", between_first,
+         f"the first two at least {np.ceil(cable):g}° apart: the cable leaves between"),
+        (float(apart.min()) < robot.bolt_head_d, "bolt_azimuths_deg", float(apart.min()) / MM,
+         f"heads at least {robot.bolt_head_d / MM:g} mm apart"),
+        (robot.pin_slot[0] > 0.0 and float(on_slot.min()) < slot_clear, "bolt_azimuths_deg", float(on_slot.min()) / MM,
+         f"bolts at least {slot_clear / MM:g} mm from the pin's slot"),
+    ):  # fmt: skip
+        if wrong:
+            raise InputError(f"mount.flange.{key} = {value:g} leaves no room; {allowed}")
+
+
+def _engraving(sensor: SensorModel, robot: RobotFlange, fingerprint: str, name: str, top: float) -> Engraving:
+    """Around the pad, from the dowel's side on."""
+    inner = sensor.body_d / 2
+    outer = robot.bolt_circle_d / 2 - max(robot.bolt_head_d, robot.pin_slot[1]) / 2
+    radius = (inner + outer) / 2
+    if outer - inner < HEIGHT + 2 * LETTER_EDGE:
+        fingerprint = name = ""
+    return engrave(fingerprint, name, radius, top, between(radius, (0.0,), 1.0 * MM))

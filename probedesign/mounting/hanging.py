@@ -42,7 +42,7 @@ def hanging_parts(
     flange = flange_part(geometry, probe_density).moved(T)
     peg_hole = cylinder(adapter.peg_hole_d, adapter.floor, T[2, 3], probe_density, (adapter.peg_x, 0.0))
     return {
-        "flange": without(flange, [peg_hole]),
+        "flange": without(flange, [peg_hole, adapter.on_flange.mass(probe_density).moved(T)]),
         "sensor_adapter": _adapter_body(adapter, RIGID_DENSITY),
         "clamp_ring": _clamp_ring(adapter, RIGID_DENSITY).moved(T),
         "fasteners": combined(_fasteners(adapter, STEEL_DENSITY)),
@@ -61,6 +61,7 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
         *(cylinder(a.dowel_d, 0.0, a.dowel_depth, density, p) for p in a.p_dowels),
         *(cylinder(M2_CLEARANCE_D, a.nut_pocket_top, a.body_top, density, p) for p in a.p_ring_screws),
         *(hexagon(a.nut_pocket_af, a.foot_height, a.nut_pocket_top, density, p) for p in a.p_ring_screws),
+        a.on_wall.mass(density),
     ]
     return combined([without(combined([foot, plate]), voids), peg])
 
@@ -69,7 +70,9 @@ def _clamp_ring(a: SensorAdapter, density: float) -> MassProperties:
     """In its own frame, which lies on the base frame while the lip is unpressed."""
     bore = frustum(a.ring_bore_d / 2, a.ring_bore_top_d / 2, a.ring_thickness, 0.0, density)
     holes = [cylinder(M2_CLEARANCE_D, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
-    return without(cylinder(a.body_d, 0.0, a.ring_thickness, density), [bore, *holes])
+    return without(
+        cylinder(a.body_d, 0.0, a.ring_thickness, density), [bore, *holes, a.on_ring.mass(density)]
+    )
 
 
 def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:

@@ -67,7 +67,8 @@ def solve_frictionless(
     Args:
         rod: the rod.
         gravity: in base axes [m/s²], (3,).
-        s_contact: where the force's line meets the axis [m].
+        s_contact: where the force's line meets the axis [m]; beyond the flank, before a rounded tip, no touch acts,
+            and it is taken at the flank's end.
         angle: φ of the push about the tangent, from the section's x axis [rad].
         magnitude: f [N].
         mode: "fast" or "reference".
@@ -76,6 +77,7 @@ def solve_frictionless(
         The contact; numbers come only with result "ok". "not_converged" also stands for a push that the
         rod cannot hold: it bends away.
     """
+    s_contact = min(s_contact, rod.flank_end)
     found = _Push(rod, np.asarray(gravity, dtype=float), s_contact, angle, mode).at(magnitude, None)
     if found.result == "ok":
         return found

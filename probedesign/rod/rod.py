@@ -57,6 +57,8 @@ class Rod:
             linear between; none if None.
         finite_strain: whether sections stiffen and stretch as neo-Hookean ones do in large bending; only of a
             full round rod.
+        rounded_from: where the rounding of the tip begins [m]; None for a blunt tip. The normals of a round end
+            all meet the axis before it, so no touch acts further out.
     """
 
     s: Array
@@ -70,6 +72,7 @@ class Rod:
     factors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     rest_curvature: Array | None = None
     finite_strain: bool = False
+    rounded_from: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("youngs_modulus", "shear_modulus", "shear_coefficient"):
@@ -88,6 +91,10 @@ class Rod:
         _require(
             bool(-r[0] <= self.rigid_length < s[-1]),
             f"rigid_length = {self.rigid_length} must lie between minus the base radius and the rod's length",
+        )
+        _require(
+            self.rounded_from is None or 0.0 < self.rounded_from <= s[-1],
+            f"rounded_from = {self.rounded_from} must lie on the rod",
         )
         self._check_section(s)
 
@@ -112,6 +119,11 @@ class Rod:
     def length(self) -> float:
         """[m]."""
         return float(self.s[-1])
+
+    @property
+    def flank_end(self) -> float:
+        """The furthest arclength at which a touch without friction acts [m]."""
+        return self.length if self.rounded_from is None else self.rounded_from
 
     def taper_at(self, s: float) -> float:
         """tan α = -dr/ds of the frustum that arclength s [m] lies in (the lower one at a knot)."""

@@ -21,12 +21,14 @@ from probedesign.cad import export_parts
 from probedesign.cad.documents import Documents
 from probedesign.cad.drawing import Drawing
 from probedesign.cad.kernel import location
+from probedesign.deployment import freeze
 from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
 from probedesign.mass import MassProperties, combined, flexible_part
 from probedesign.mounting import hanging_mass, sensor_adapter_for
 from probedesign.printing.preform.job import job_of
+from probedesign.probe import build_probe
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
@@ -75,7 +77,7 @@ def test_manifest_weighs_what_the_mechanics_weigh(
     _, manifest = exported
     design = make_design()
     geometry = build_geometry(design)
-    adapter = sensor_adapter_for(geometry, design.sensor_model)
+    adapter = sensor_adapter_for(geometry, design.sensor_model, design.name)
     rigid = hanging_mass(geometry, adapter, design.density.value)
     whole = combined([rigid, flexible_part(geometry, design.density.value).moved(adapter.T_sensor_base)])
     for name, formula in (("rigid", rigid), ("whole", whole)):
@@ -88,6 +90,17 @@ def test_manifest_weighs_what_the_mechanics_weigh(
         assert drawn.p_com == pytest.approx(formula.p_com, abs=1e-11)
         assert drawn.inertia == pytest.approx(formula.inertia, abs=1e-9 * formula.inertia.max())
     assert np.array(manifest["T_sensor_base"]) == pytest.approx(adapter.T_sensor_base, abs=1e-12)
+    frozen = freeze(build_probe(design).model)  # what the estimator subtracts, engraving and all
+    assert frozen["T_sensor_base"] == adapter.T_sensor_base.tolist()
+    assert frozen["hanging"]["mass_kg"] == rigid.mass and frozen["hanging"]["p_com_m"] == rigid.p_com.tolist()
+    assert frozen["hanging"]["inertia_kg_m2"] == rigid.inertia.tolist()
+
+
+def test_parts_carry_the_fingerprint_of_the_manifest(exported: Exported) -> None:
+    _, manifest = exported
+    assert set(manifest["engraved"]) == set(manifest["parts"])
+    for text in manifest["engraved"].values():
+        assert text == f"{manifest['fingerprint']} large"
 
 
 def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> None:

@@ -11,14 +11,18 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 
 import cadquery as cq
 
-from probedesign.cad.assembly import IN_SENSOR_FRAME, overlaps
+from probedesign.cad.assembly import IN_SENSOR_FRAME, Part, overlaps
 from probedesign.cad.drawing import Drawing, draw
 from probedesign.cad.mesh import Mesh, mesh_of, stl_bytes
 from probedesign.cad.packages import packages_of
+from probedesign.cad.probe_solid import probe_solid
+from probedesign.cad.reach import STAGES, obstructed
 from probedesign.cad.verify import verify
-from probedesign.design import Design
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array, pose
+from probedesign.design import Design, parse_design
+from probedesign.design_file import render_design
+from probedesign.errors import CheckFailedError, InputError
+from probedesign.frames import Array, pose, rotation_z
+from probedesign.mounting.engraving import Engraving
 
 Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
 PROFILE = (
@@ -27,7 +31,9 @@ PROFILE = (
 )
 
 HOLLOW = 'section = "hollow"\nbore_ratio = 0.5\n'
+ROUNDED = 'tip = "rounded"\n'
 ELLIPTIC = 'section = "elliptic"\nflatness = 0.6\n'
+NOTHING_CUT = Engraving("", 0.0, (), 0.0)
 NEARLY_A_CYLINDER = "length_mm = 400.0\nbase_d_mm = 12.0\ntip_d_mm = 11.98"
 
 
@@ -95,6 +101,42 @@ def test_clocking_is_at_plus_x_only(large: Drawing) -> None:
         assert filled(probe.shape, at(azimuth, r, mid_flange), probe.T_sensor_part)
 
 
+@pytest.mark.parametrize("turn_deg", [120.0, 240.0])
+def test_dowels_fix_the_turn_of_the_adapter(large: Drawing, turn_deg: float) -> None:
+    """The tool side's screws repeat every 120°; turned so, a pin would stand on the sensor's face."""
+    turn = pose(rotation_z(np.radians(turn_deg)))
+    pins, sensor = large.parts["dowel_pins"], large.parts["sensor"]
+    turned = replace(pins, T_sensor_part=turn @ pins.T_sensor_part)
+    assert overlaps({"sensor": sensor, "dowel_pins": pins}) == {"sensor & dowel_pins": 0.0}
+    assert overlaps({"sensor": sensor, "dowel_pins": turned})["sensor & dowel_pins"] > 1e-9
+
+
+def test_x_of_the_base_is_x_of_the_sensor_through_the_dowel(large: Drawing) -> None:
+    """From the sensor's dowel hole at 0° by the pin and the peg to the hole in the flange, all at +X of the sensor."""
+    T = large.adapter.T_sensor_base
+    assert T[:3, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
+    sensor, pins, adapter = (large.parts[n].shape for n in ("sensor", "dowel_pins", "sensor_adapter"))
+    pin_at_x = next(pin for pin in pins.Solids() if filled(pin, at(0, 6.25, 1.0)))
+    assert filled(pin_at_x, at(0, 6.25, -2.9)) and not filled(
+        sensor, at(0, 6.25, -2.9)
+    )  # in the sensor's hole
+    assert not filled(adapter, at(0, 6.25, 2.9))  # and in the adapter's
+    r = 1e3 * large.adapter.peg_x
+    mark = np.linalg.solve(T, np.append(1e-3 * at(0, r, 6.7), 1.0))[:3]
+    assert mark[:2] == pytest.approx([large.adapter.peg_x, 0.0], abs=1e-15)  # +x of the base
+    assert not filled(large.parts["probe"].shape, 1e3 * mark, pose())
+
+
+@pytest.mark.parametrize("turn_deg", [1.5, 90.0, 180.0, 270.0])
+def test_the_peg_fixes_the_turn_of_the_probe(large: Drawing, turn_deg: float) -> None:
+    """By its clearance of 0.05 mm at 7.75 mm it may turn by 0.4°, no more."""
+    probe, adapter = large.parts["probe"], large.parts["sensor_adapter"]
+    for degrees, free in ((0.3, True), (turn_deg, False)):
+        turned = replace(probe, T_sensor_part=probe.T_sensor_part @ pose(rotation_z(np.radians(degrees))))
+        (shared,) = overlaps({"probe": turned, "sensor_adapter": adapter}).values()
+        assert (shared == 0.0) == free
+
+
 def test_nothing_wide_reaches_below_the_tool_face(large: Drawing) -> None:
     foot_r = 1e3 * large.design.sensor_model.body_d / 2
     adapter = large.parts["sensor_adapter"].shape
@@ -133,6 +175,63 @@ def test_robot_side(make_design: Callable[..., Design], flange: str, reach: floa
     assert drawing.shared_volumes and max(drawing.shared_volumes.values()) == 0.0
 
 
+OWN_FLANGE = """robot_flange = "own"
+[mount.flange]
+bolt = "M4"
+bolt_circle_d_mm = 36.0
+bolt_azimuths_deg = [60.0, 180.0, 300.0]
+max_bolt_entry_mm = 6.0
+bolt_length_mm = 12.0
+face_d_mm = 45.0
+spigot_mm = [20.0, 2.0]
+pin_slot_mm = [4.2, 7.0]
+"""
+
+
+def with_flange(text: str) -> Design:
+    probe = "length_mm = 30.0\nbase_d_mm = 6.0\ntip_d_mm = 2.0"
+    return parse_design(f'schema = 1\nname = "g"\n[probe]\n{probe}\n[mount]\n{text}')
+
+
+def test_a_flange_of_the_users_own() -> None:
+    design = with_flange(OWN_FLANGE)
+    assert parse_design(render_design(design)) == design
+    drawing = draw(design)
+    plate = drawing.parts["flange_adapter"].shape
+    for azimuth in (60, 180, 300):
+        assert not any(filled(plate, at(azimuth, 18.0, z)) for z in (0.1, 3.0, 6.4))
+    assert not filled(plate, at(0, 18.0, 0.1)) and filled(plate, at(30, 18.0, 0.1))
+    assert filled(plate, at(20, 9.8, -1.9)) and not filled(plate, at(20, 10.2, -0.1))
+    assert max(drawing.shared_volumes.values()) == 0.0
+    assert set(ways(drawing).values()) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "wrong", "said"),
+    [
+        ("36.0", "20.0", r"bolt_circle_d_mm = 20 .* at least 25 mm"),
+        ("entry_mm = 6.0", "entry_mm = 3.0", r"max_bolt_entry_mm = 3 .* at least 3\.7 mm"),
+        ("length_mm = 12.0", "length_mm = 11.0", r"bolt_length_mm = 11 .* M4 these will do: 10, 12"),
+        ("[60.0, 180.0", "[60.0, 120.0", r"bolt_azimuths_deg .* at least 73° apart"),
+        (
+            "180.0, 300.0]",
+            "180.0, 300.0, 305.0]",
+            r"bolt_azimuths_deg = 1\.57\d* .* heads at least 7 mm apart",
+        ),
+        (
+            "[60.0, 180.0, 300.0]",
+            "[10.0, 180.0]",
+            r"bolt_azimuths_deg .* bolts at least 5\.35 mm from the pin",
+        ),
+        ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
+    ],
+)
+def test_a_flange_without_room_is_one_line(given: str, wrong: str, said: str) -> None:
+    with pytest.raises(InputError, match=r"^mount\.flange\." + said) as error:
+        draw(with_flange(OWN_FLANGE.replace(given, wrong, 1)))
+    assert "\n" not in str(error.value)
+
+
 def test_cable_leaves_midway_between_two_bolts(large: Drawing) -> None:
     plate = large.parts["flange_adapter"]
     for azimuth in (150 - 45, 150 + 45):
@@ -169,28 +268,62 @@ def test_a_longer_screw_is_refused(large: Drawing) -> None:
         replace(use, length=6.3e-3).check()
 
 
+# ---- the way in
+
+
+def ways(drawing: Drawing, **moved: Part) -> dict[str, float]:
+    return obstructed(
+        {**drawing.parts, **moved}, drawing.screws, drawing.adapter, drawing.design.sensor_model
+    )
+
+
+def test_keys_screws_nuts_and_pins_get_to_their_places(large: Drawing) -> None:
+    free = ways(large)
+    assert set(free) == {use.name for use in large.screws} | {"ring_nuts", "dowel_pins", "clamp_ring"}
+    assert set(free.values()) == {0.0}
+
+
+def test_a_screw_that_is_covered_is_seen(large: Drawing) -> None:
+    """The ring a screw's width aside; a plate held over everything."""
+    ring, plate = large.parts["clamp_ring"], large.parts["flange_adapter"]
+    aside = replace(ring, T_sensor_part=pose(p=[2e-3, 0.0, 0.0]) @ ring.T_sensor_part)
+    assert ways(large, clamp_ring=aside)["ring_screws"] > 0.0
+    over = replace(plate, T_sensor_part=pose(p=[0.0, 0.0, 50e-3]) @ plate.T_sensor_part)
+    assert ways(large, flange_adapter=over)["sensor_adapter_screws"] > 0.0
+
+
+def test_every_part_is_mounted_once_and_onto_what_is_there(large: Drawing) -> None:
+    there = {"sensor", "sensor_adapter"}
+    for stage in STAGES:
+        assert set(stage.onto) <= there | set(stage.comes)
+        there |= set(stage.comes)
+    assert there == set(large.parts)
+    comes = [name for stage in STAGES for name in stage.comes]
+    assert len(set(comes)) == len(comes)
+
+
 # ---- the whole
 
 
 @pytest.mark.parametrize(
     "probe",
     [
-        "length_mm = 60.0\nbase_d_mm = 3.0\ntip_d_mm = 1.0",
+        ROUNDED + "length_mm = 60.0\nbase_d_mm = 3.0\ntip_d_mm = 1.2",
         "length_mm = 150.0\nbase_d_mm = 25.0\ntip_d_mm = 2.0",
         NEARLY_A_CYLINDER,  # to the kernel neither cone nor cylinder
         PROFILE,
         HOLLOW + PROFILE,
         HOLLOW + NEARLY_A_CYLINDER,
-        ELLIPTIC + PROFILE,
+        ROUNDED + ELLIPTIC + PROFILE,
     ],
     ids=[
-        "base 3",
+        "base 3, rounded",
         "base 25",
         "nearly a cylinder",
         "profile",
         "hollow profile",
         "hollow, nearly a cylinder",
-        "elliptic profile",
+        "elliptic profile, rounded",
     ],
 )
 def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], probe: str) -> None:
@@ -200,6 +333,42 @@ def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], prob
     # The promise is 1e-9; the kernel is known to do far better, so growth of this number is news.
     assert max(f["measured"] for name, f in findings.items() if name.endswith(("volume", "centre", "inertia"))
                and "mesh" not in name and "3mf" not in name) < 1e-12  # fmt: skip
+
+
+def waisted(base_d: float, length: float, tip_d: float) -> str:
+    """A profile that swells, narrows and swells again to its tip."""
+    waist = max(0.5 * base_d, 1.2)
+    knots = [[0.0, base_d], [length / 4, base_d + 2.0], [length / 2, waist], [length, tip_d]]
+    return f'shape = "profile"\nprofile_mm = {knots}\n'
+
+
+KINDS = {
+    "round": lambda *_: "",
+    "round, rounded": lambda *_: ROUNDED,
+    "hollow": lambda *_: HOLLOW,
+    "elliptic": lambda *_: ELLIPTIC,
+    "elliptic, rounded": lambda *_: ELLIPTIC + ROUNDED,
+    "profile": waisted,
+    "profile, rounded": lambda *sizes: waisted(*sizes) + ROUNDED,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("base_d", [3.0, 7.5, 12.0, 18.5, 25.0])
+@pytest.mark.parametrize(
+    ("length", "thick"), [(30.0, 0.0), (30.0, 1.0), (100.0, 0.4), (180.0, 0.0), (180.0, 1.0)]
+)
+def test_grid_of_designs(
+    make_design: Callable[..., Design], base_d: float, length: float, thick: float, kind: str
+) -> None:
+    """Every part valid, closed, as the mechanics knows it, free of interference and within reach; `thick` takes the
+    tip from 1.2 mm to the base's diameter."""
+    tip_d = 1.2 + thick * (base_d - 1.2)
+    sizes = f"length_mm = {length}\nbase_d_mm = {base_d}\ntip_d_mm = {tip_d}\n"
+    flange = "iso-9409-1-50-4-m6" if thick else "iso-9409-1-31.5-4-m5"
+    drawing = draw(make_design(sizes + KINDS[kind](base_d, length, tip_d), flange))
+    assert all(f["ok"] for f in verify(drawing, *meshed(drawing)).values())
 
 
 @pytest.mark.slow
@@ -275,7 +444,8 @@ def test_verify_sees_an_open_mesh(large: Drawing, large_meshes: Meshes) -> None:
 
 def test_overlap_is_seen(large: Drawing) -> None:
     """The ring pressed 0.2 mm into the lip shares with it an annulus of that height."""
-    probe, ring = large.parts["probe"], large.parts["clamp_ring"]
+    ring, plain = large.parts["clamp_ring"], replace(large.adapter, on_flange=NOTHING_CUT)
+    probe = replace(large.parts["probe"], shape=probe_solid(large.geometry, plain))
     pressed = replace(ring, T_sensor_part=ring.T_sensor_part @ pose(p=[0.0, 0.0, -0.2e-3]))
     (shared,) = overlaps({"probe": probe, "clamp_ring": pressed}).values()
     a = large.adapter

@@ -18,7 +18,7 @@ from probedesign.mounting import (
     hanging_parts,
     sensor_adapter_for,
 )
-from probedesign.mounting.fasteners import M2_GRIP, M2_LENGTH
+from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, M2_LENGTH
 from probedesign.mounting.prism import cylinder, hexagon, segment, without
 from probedesign.sensor import NANO17
 
@@ -127,3 +127,53 @@ def test_a_probe_too_wide_for_any_ring_is_refused(make_design: Callable[..., Des
 def test_weighing_the_mount_needs_no_cad() -> None:
     code = "import sys, probedesign.mounting; assert not {'cadquery', 'OCP', 'trimesh'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+BASES = np.arange(3.0, 25.01, 0.5)
+LEAST_WALL = 0.4e-3
+"""Of a wall held on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
+
+
+@pytest.mark.parametrize("base_d", BASES)
+def test_no_wall_of_the_adapter_is_too_thin_to_print(
+    make_design: Callable[..., Design], base_d: float
+) -> None:
+    """Holes are circles, a nut's pocket the circle around it; where both are cut at one height, they keep apart."""
+    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
+    pocket_r, recess_r, rim_r = a.nut_pocket_af / np.sqrt(3.0), a.recess_d / 2, a.body_d / 2
+    nuts = np.array(a.p_ring_screws)
+    seats = np.linalg.norm(nuts, axis=1)
+    heads, dowels = np.array(a.p_tool_screws), np.array(a.p_dowels)
+    apart = [
+        np.linalg.norm(p[:, None] - q[None], axis=2).min()
+        for p, q in ((nuts, heads), (nuts, dowels), (heads, dowels))
+    ]
+    walls = {
+        "nut pocket to head": apart[0] - pocket_r - M2_COUNTERBORE_D / 2,
+        "nut pocket to dowel": apart[1] - pocket_r - a.dowel_d / 2,
+        "screw to dowel": apart[2] - M2_CLEARANCE_D / 2 - a.dowel_d / 2,
+        "nut pocket to rim": rim_r - seats.max() - pocket_r,
+        "nut pocket to flat": a.mark_x - nuts[:, 0].max() - pocket_r,
+        "ring screw to recess": seats.min() - M2_CLEARANCE_D / 2 - recess_r,
+        "nut pocket to the wall's top": a.body_top - a.nut_pocket_top,
+        "nut pocket to recess, across": np.hypot(
+            a.floor - a.nut_pocket_top, seats.min() - a.nut_pocket_af / 2 - recess_r
+        ),
+        "dowel to floor": a.floor - a.dowel_depth,
+        "under the heads": M2_GRIP,
+        "ring outside its screws": rim_r - seats.max() - M2_CLEARANCE_D / 2,
+        "ring inside its screws, below": seats.min() - M2_CLEARANCE_D / 2 - a.ring_bore_d / 2,
+        "ring inside its screws, above": seats.min() - M2_CLEARANCE_D / 2 - a.ring_bore_top_d / 2,
+    }
+    assert {name: wall for name, wall in walls.items() if wall < LEAST_WALL} == {}
+    assert a.floor > a.nut_pocket_top  # or pockets would open into the recess
+
+
+@pytest.mark.parametrize("base_d", BASES)
+def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(
+    make_design: Callable[..., Design], base_d: float
+) -> None:
+    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
+    assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)
+    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # what is held
+    assert a.peg_x - a.peg_hole_d / 2 > base_d / 2 * 1e-3 + 0.6e-3  # the mark keeps off the flexible part

@@ -1,0 +1,156 @@
+"""The rounded tip: frusta about a sphere, counted by the mechanics as they are drawn, and touched without nonsense."""
+
+import math
+
+import numpy as np
+import pytest
+
+from probedesign.deployment import freeze, load_model, write_frozen
+from probedesign.design import Design, check_design
+from probedesign.errors import InputError
+from probedesign.geometry import build_geometry
+from probedesign.mass import flexible_part
+from probedesign.prediction.predict import predict_touch
+from probedesign.probe import build_probe
+from probedesign.rod.contact import solve_frictionless
+from probedesign.tip import DEVIATION_MM
+
+BODIES = [
+    {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0},
+    {"length_mm": 30.0, "base_d_mm": 25.0, "tip_d_mm": 1.2},  # the bluntest cone of the grid
+    {"shape": "cylinder", "length_mm": 60.0, "base_d_mm": 12.0},
+    {"shape": "profile", "length_mm": 60.0, "base_d_mm": 6.0, "profile_mm": [[0, 6], [30, 4], [60, 8]]},
+]
+IDS = ["large", "blunt cone", "cylinder", "widening"]
+
+
+def design_of(tip: str = "rounded", **probe: object) -> Design:
+    return check_design({"schema": 1, "name": "g", "probe": {**(probe or BODIES[0]), "tip": tip}})
+
+
+def sphere(body: dict[str, object]) -> tuple[float, float]:
+    """Height of the centre and radius of the sphere that touches flank and end plane [mm], from those two alone."""
+    (s0, d0), (s1, d1) = design_of("blunt", **body).probe.knots_mm[-2:]
+    tan = (d0 - d1) / 2 / (s1 - s0)
+    # The centre at height L - R is R off the flank: (d1/2 + tan R) cos α = R.
+    cos = 1 / math.hypot(1.0, tan)
+    R = d1 / 2 * cos / (1 - tan * cos)
+    return s1 - R, R
+
+
+@pytest.mark.parametrize("body", BODIES, ids=IDS)
+def test_every_facet_touches_the_sphere_and_none_stands_far_off(body) -> None:
+    design, blunt = design_of(**body), design_of("blunt", **body)
+    centre, R = sphere(body)
+    knots = np.array(design.probe.knots_mm) * [1.0, 0.5]
+    start = len(blunt.probe.knots_mm) - 1
+    corners = np.vstack([knots[start - 1 :], [design.probe.length_mm, 0.0]])  # to the middle of the flat end
+    way = np.diff(corners, axis=0)
+    off = np.abs(way[:, 0] * (0.0 - corners[:-1, 1]) - way[:, 1] * (centre - corners[:-1, 0]))
+    assert off / np.linalg.norm(way, axis=1) == pytest.approx(R, rel=1e-9)  # tangent: rounding errors alone
+    stand = np.hypot(knots[start:, 0] - centre, knots[start:, 1]) - R
+    assert 0.0 < stand.max() <= DEVIATION_MM * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("body", BODIES, ids=IDS)
+def test_the_rounding_takes_nothing_of_the_length_and_weighs_as_the_round_body(body) -> None:
+    design = design_of(**body)
+    geometry, blunt = build_geometry(design), build_geometry(design_of("blunt", **body))
+    assert geometry.length == blunt.length and geometry.flange == blunt.flange
+    assert geometry.radius_at(geometry.flank_end) == pytest.approx(
+        blunt.radius_at(geometry.flank_end), rel=1e-12
+    )
+    # Of the sphere's own cap the frusta differ by a shell as thin as the deviation.
+    centre, R = sphere(body)
+    tan = (blunt.radius[-2] - blunt.radius[-1]) / (blunt.s[-1] - blunt.s[-2])
+    touch = centre + R * tan / math.hypot(1.0, tan)  # where sphere and flank touch
+    h = centre + R - touch
+    cap = math.pi * h * h * (R - h / 3)
+    r0, r1 = (1e3 * float(blunt.radius_at(z * 1e-3)) for z in (touch, touch + h))
+    removed = math.pi * h / 3 * (r0 * r0 + r0 * r1 + r1 * r1) - cap
+    thinner = 1e9 * (flexible_part(blunt, 1.0).volume - flexible_part(geometry, 1.0).volume)
+    assert 0.0 <= removed - thinner <= 2 * math.pi * R * h * DEVIATION_MM
+
+
+def test_a_blunt_tip_stays_what_it_was() -> None:
+    blunt = build_geometry(design_of("blunt"))
+    assert blunt.fingerprint == "dbfe02e41516" and blunt.flank_end == blunt.length
+    assert build_geometry(design_of()).fingerprint != blunt.fingerprint
+
+
+def test_the_least_feature_is_that_of_the_flank() -> None:
+    """The end of a sphere is no thin wire: what must print is as wide as the tip."""
+    assert build_geometry(design_of()).thinnest == pytest.approx(2e-3, rel=0.03)
+
+
+def test_a_round_end_that_does_not_fit_is_one_line() -> None:
+    with pytest.raises(
+        InputError, match=r'tip = "rounded" takes the last 4\.\d+ mm and only 2 mm .* at most'
+    ) as error:
+        design_of(shape="profile", length_mm=50.0, base_d_mm=10.0, profile_mm=[[0, 10], [48, 9], [50, 8.5]])
+    assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match=r'would close the bore .* use tip = "blunt"'):
+        design_of(**BODIES[0], section="hollow", bore_ratio=0.5)
+
+
+@pytest.mark.parametrize("s_mm", [120.0, 145.0, 148.9])
+def test_touches_of_the_flank_are_located_up_to_the_rounding(s_mm: float) -> None:
+    probe = build_probe(design_of())
+    touch = solve_frictionless(probe.rod, probe.estimator().model.gravity_base, 1e-3 * s_mm, 0.9, 0.01)
+    found = probe.estimator().estimate(touch.equilibrium.wrench_base)
+    # Noise-free: 0.002 mm, as for blunt tips (tests/estimator/test_location.py).
+    assert found.ok and found.p_contact_base == pytest.approx(touch.equilibrium.p_contact_base, abs=2e-6)
+
+
+STUBBY = {"length_mm": 60.0, "base_d_mm": 12.0, "tip_d_mm": 6.0}
+
+
+@pytest.mark.parametrize("lean_deg", [15.0, 30.0, 60.0, 80.0])
+@pytest.mark.parametrize(("body", "force_N"), [(BODIES[0], 0.005), (STUBBY, 0.02), (STUBBY, 0.15)])
+def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
+    body: dict[str, object], force_N: float, lean_deg: float
+) -> None:
+    """All normals of the end meet the axis there."""
+    probe = build_probe(design_of(**body))
+    s, lean = 1e-3 * sphere(body)[0], math.radians(lean_deg)
+    eq = probe.solve()
+    for _ in range(60):  # the push turns with the bent tip
+        push = math.cos(lean) * eq.R_at(s)[:, 1] - math.sin(lean) * eq.R_at(s)[:, 2]
+        eq = probe.solve(s_contact=s, force_base=force_N * push)
+        assert eq.ok
+    found = probe.estimator().estimate(eq.wrench_base)
+    end = [c for c in found.candidates if abs(c.s_contact - s) < 1e-9]
+    if end:  # a bent probe may be touched elsewhere to the same effect; then it says so
+        assert found.result in ("ok", "ambiguous")
+        assert end[0].force_base == pytest.approx(force_N * push, abs=1e-4 * force_N)
+        assert end[0].p_contact_base == pytest.approx(eq.p_contact_base, abs=2e-6)
+        touched = eq.p_contact_base - push * (probe.length - s)
+        assert end[0].p_surface_base == pytest.approx(touched, abs=1e-5)
+    else:  # too light for the lean to show: the flank close by explains it as well
+        assert found.ok and abs(found.s_contact - s) < 3.0 * found.std_s
+
+
+def test_a_load_beyond_the_flank_is_no_touch() -> None:
+    probe = build_probe(design_of())
+    eq = probe.solve(s_contact=probe.length, force_base=(0.0, 0.05, 0.0))
+    assert eq.ok  # the rod holds it, and thin as it is there, nothing jumps
+    assert np.linalg.norm(eq.p_at(probe.length) - eq.p_at(probe.geometry.flank_end)) < 1.5e-3
+    assert probe.estimator().estimate(eq.wrench_base).result in ("inconsistent", "out_of_range")
+
+
+def test_what_is_predicted_at_the_tip_is_a_touch_of_the_flank() -> None:
+    """A facet's slope must not turn up as the lean of a push: there the blunt probe feels the same."""
+    rounded, blunt = (build_probe(design_of(tip)) for tip in ("rounded", "blunt"))
+    tip = predict_touch(rounded.estimator(), 1.0, 0.005, "+y")
+    same = predict_touch(blunt.estimator(), rounded.geometry.flank_end / blunt.length, 0.005, "+y")
+    # A milligram less at the tip bends it by a few parts in a thousand less.
+    assert tip.moment_per_N_Nmm == pytest.approx(same.moment_per_N_Nmm, rel=0.005)
+    assert tip.predicted_error_mm == pytest.approx(same.predicted_error_mm, rel=0.02)
+
+
+def test_a_frozen_probe_keeps_its_round_end(tmp_path) -> None:
+    model = build_probe(design_of()).model
+    write_frozen(model, tmp_path / "g.probe.json")
+    again = load_model(tmp_path / "g.probe.json")
+    assert again.rod.flank_end == model.rod.flank_end < model.rod.length
+    assert "rounded_from_m" not in freeze(build_probe(design_of("blunt")).model)["rod"]
