@@ -1,5 +1,6 @@
 """All parts of a mounted probe, placed in the sensor frame, and the room that must stay free."""
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -117,7 +118,9 @@ def air_of(sensor: SensorModel) -> list[cq.Shape]:
     width, reach, (low, high) = CABLE_BLOCK
     shell = cylinder(2 * (r + AIR), -h, AIR).cut(cylinder(2 * r, -h, AIR))
     side = width / 2 + AIR
-    exit_room = block((r - AIR, reach + AIR), (-side, side), (low - AIR - h, high + AIR - h))
+    # Inside the rim there is nothing of ours above the mounting face, and from there the air goes aslant.
+    inward = math.sqrt(AIR**2 - low**2)
+    exit_room = block((r - inward, reach + AIR), (-side, side), (low - AIR - h, high + AIR - h))
     return [shell, exit_room.rotate((0, 0, 0), (0, 0, 1), sensor.cable_azimuth_deg)]
 
 

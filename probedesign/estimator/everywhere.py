@@ -22,7 +22,7 @@ MOST = 8
 FITTED, FOUND, TOLD = 0, 1, 1 + STATE
 """Where in a row stand what became of its fit, the unknowns found (STATE), and the answer (ANSWER)."""
 ROW = TOLD + ANSWER
-LIKELY, SHARE = 12.0, 0.05
+LIKELY, SHARE = 8.0, 0.05
 """Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 force's lever together, and over the moment itself. Of 3600 touches of random probes, up to where they give way, no
 place that explains a reading lay beyond."""

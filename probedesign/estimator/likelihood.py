@@ -25,6 +25,8 @@ UNLIKELY = 1e-3
 MOST_CHI2 = float(chdtri(DOF, UNLIKELY))
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
+_ALIKE = 0.05
+"""Likewise over a standard deviation; a fit ends within a hundredth or so."""
 _UNKNOWNS = slice(everywhere.FOUND, everywhere.TOLD)
 
 
@@ -158,4 +160,4 @@ class _Fitter:
         return found
 
     def _same(self, a: Candidate, b: Candidate) -> bool:
-        return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + 1e-2 * min(a.std_s, b.std_s)
+        return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + _ALIKE * min(a.std_s, b.std_s)

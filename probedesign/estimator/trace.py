@@ -27,6 +27,9 @@ ROOM = STATIONS * (WIDTH + 3)
 ROUGH = 1e-3
 """Error of a step [rad] from which it is halved; and how often."""
 _HALVINGS = 4
+CURLED = 0.5
+"""Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact
+the moment that was read curls the thin tip up."""
 DROOPS = 8
 """Steps along the free part."""
 
@@ -105,6 +108,8 @@ def trace(body, end, gravity, force, moment, work, room):
     for j in range(STATIONS):
         s = end * j / (STATIONS - 1)
         if j and not _carry(body, end * (j - 1) / (STATIONS - 1), s, work, force, gravity, 1.0):
+            return j
+        if j and dot(take(work, T), take(room, WIDTH * (j - 1) + T)) < CURLED:
             return j
         for q in range(WIDTH):
             room[WIDTH * j + q] = work[q]

@@ -47,6 +47,8 @@ LETTER_EDGE = 0.8 * MM
 """From a hole, or from the seat of a head, to the nearest character."""
 LETTERS_OUT = 0.3 * MM
 """From the ring's screws out to the middle of the characters between them: midway between recess and flat."""
+PEG_INWARD = 0.1 * MM
+"""From the middle of the lip: outside its hole the soft lip keeps 0.8 mm, twice what a wall needs (assumed)."""
 MARK_FLAT = 0.8 * MM
 """Depth of the flat on the adapter's rim that shows +X from outside."""
 
@@ -144,7 +146,7 @@ def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel, name: str =
     bore_d = _ring_bore_d(geometry)
     rim_d = flange.diameter + 2 * (RING_SCREW_OUT + RIM_OUT)
     head_free_d = rim_d - 2 * RIM_OUT - M2_COUNTERBORE_D  # the bore must leave the heads their seat
-    peg_x, peg_hole_d = (flange.diameter - FLANGE_LIP) / 2, PEG_D + 0.1 * MM
+    peg_x, peg_hole_d = (flange.diameter - FLANGE_LIP) / 2 - PEG_INWARD, PEG_D + 0.1 * MM
     letters = flange.diameter / 2 + RING_SCREW_OUT + LETTERS_OUT
 
     def engraved(radius: float, top: float, azimuths_deg: Iterable[float], hole_d: float) -> Engraving:

@@ -22,8 +22,9 @@ ENTRY_MARGIN = 0.5 * MM
 """The robot bolts stay that far short of the deepest entry: the plate may print thin."""
 PAD_HEIGHT = 1.0 * MM
 """The sensor sits on a pad, so that its cable clears the plate."""
-PAD_EDGE = 0.5 * MM
-"""The pad stays that far inside the sensor's rim: air to the cable, which leaves just above it."""
+PAD_EDGE = 0.42 * MM
+"""The pad stays that far inside the sensor's rim: 0.51 mm of air to the cable, which leaves 0.3 mm above it, and
+0.63 mm of wall outside the screws."""
 EDGE = 1.8 * MM  # wall outside the pin slot
 LETTER_EDGE = 0.2 * MM  # beside the characters; below the pad's edge and the bolts' heads
 _NANO = 1e-9  # for the rounding of sums [m]
