@@ -33,7 +33,7 @@ SLIP = 0.2 * MM  # on the diameter, rigid resin (assumed)
 SQUEEZE = 0.2 * MM
 """The ring stops hard on the wall after pressing the lip by this much (drawn unpressed)."""
 DOWEL_PIN_LENGTH = 6.0 * MM
-PEG_D = 2.0 * MM
+PEG_D = 1.9 * MM
 RING_THICKNESS = 2.5 * MM
 RING_AIR = 0.5 * MM
 """Between the ring's bore and the probe at s = 0; the bore then widens by 45°, so that bending finds air."""
@@ -47,8 +47,9 @@ LETTER_EDGE = 0.8 * MM
 """From a hole, or from the seat of a head, to the nearest character."""
 LETTERS_OUT = 0.3 * MM
 """From the ring's screws out to the middle of the characters between them: midway between recess and flat."""
-PEG_INWARD = 0.1 * MM
-"""From the middle of the lip: outside its hole the soft lip keeps 0.8 mm, twice what a wall needs (assumed)."""
+PEG_INWARD = 0.05 * MM
+"""From the middle of the lip: outside its hole the soft lip keeps 0.8 mm, twice what a wall needs (assumed), and the
+ring presses all around it."""
 MARK_FLAT = 0.8 * MM
 """Depth of the flat on the adapter's rim that shows +X from outside."""
 

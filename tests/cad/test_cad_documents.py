@@ -5,6 +5,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -26,11 +27,13 @@ from probedesign.cad.part_sheets import sheets_of
 from probedesign.cad.picture import Body, Camera, photographed, view_of
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.raster import NOBODY
+from probedesign.cad.sensor_adapter import clamp_ring_solid
 from probedesign.cad.sheet import HEIGHT, WIDTH
 from probedesign.cad.steps import DOWN, EXPLOSION, steps_of
 from probedesign.cad.threemf import places_of, read_back
 from probedesign.design import Design
 from probedesign.frames import pose
+from probedesign.mounting.engraving import Engraving
 
 Exported = tuple[Path, dict[str, Any]]
 PRINTED = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
@@ -213,8 +216,8 @@ def test_edges_are_those_of_the_solid(large: Drawing) -> None:
     probe = np.concatenate(seen(large.parts["probe"].shape, FRONT))
     assert probe.min(axis=0) == pytest.approx([-9.5, -3.0], abs=1e-6)
     assert probe.max(axis=0) == pytest.approx([9.5, 150.0], abs=1e-6)
-    _, faces = cut(large.parts["clamp_ring"].shape)
-    a = large.adapter
+    a = replace(large.adapter, on_ring=Engraving("", 0.0, (), 0.0))
+    _, faces = cut(clamp_ring_solid(a))
     inner, outer, height = 1e3 * a.ring_bore_d / 2, 1e3 * a.body_d / 2, 1e3 * a.ring_thickness
     widening = 1e3 * (a.ring_bore_top_d - a.ring_bore_d) / 2
     area = (outer - inner) * height - widening * height / 2

@@ -27,6 +27,7 @@ def run(folder: Path, inside: str) -> subprocess.CompletedProcess[str]:
     """A process that stages one file and then does something."""
     code = (
         "import os, signal, sys; from pathlib import Path; from probedesign.cad.staging import staged\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in a shell's background
         "with staged(Path(sys.argv[1])) as staging:\n"
         "    (staging / 'probe.stl').write_text('half'); " + inside
     )
@@ -88,13 +89,17 @@ def test_ctrl_c_waits_for_the_last_file(tmp_path: Path, monkeypatch: pytest.Monk
         return move(path, target)
 
     monkeypatch.setattr(Path, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt), staged(folder) as staging:
-        for name in ("a", "b", "manifest.json"):
-            write(staging, name)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a shell's background
+    try:
+        with pytest.raises(KeyboardInterrupt), staged(folder) as staging:
+            for name in ("a", "b", "manifest.json"):
+                write(staging, name)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert {p.name: p.read_text() for p in folder.iterdir()} == dict.fromkeys(
         ("a", "b", "manifest.json"), "new"
     )
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_what_the_last_export_made_goes_and_all_else_stays(tmp_path: Path) -> None:
