@@ -87,10 +87,15 @@ def _fields(model: type[BaseModel], table: str) -> dict[str, Any]:
     inner: Any = model
     for part in filter(None, table.split(".")):
         fields = {f.alias or n: f for n, f in inner.model_fields.items()}
-        inner = fields[part].annotation if part in fields else None
+        inner = _table_of(fields[part].annotation) if part in fields else None
         if not _is_table(inner):
             return {}
     return {f.alias or n: f for n, f in inner.model_fields.items()}
+
+
+def _table_of(annotation: Any) -> Any:
+    """The table in `Table | None`; anything else as it is."""
+    return next((a for a in get_args(annotation) if _is_table(a)), annotation)
 
 
 def _is_table(annotation: Any) -> bool:
@@ -102,7 +107,7 @@ def known_keys(model: type[BaseModel], table: str = "") -> list[str]:
     keys = []
     for name, field in _fields(model, table).items():
         dotted = f"{table}.{name}" if table else name
-        keys += [dotted, *(known_keys(model, dotted) if _is_table(field.annotation) else ())]
+        keys += [dotted, *(known_keys(model, dotted) if _is_table(_table_of(field.annotation)) else ())]
     return keys
 
 
@@ -127,6 +132,7 @@ def _range_of(key: str, model: type[BaseModel]) -> tuple[str, str]:
         metadata += getattr(argument, "__metadata__", ())
     flat = [m for item in metadata for m in (*getattr(item, "metadata", ()), item)]
     low = next((m.ge for m in flat if hasattr(m, "ge")), None)
+    low = next((m.gt for m in flat if hasattr(m, "gt")), None) if low is None else low
     high = next((m.le for m in flat if hasattr(m, "le")), None)
     return ("-inf" if low is None else f"{low:g}", "inf" if high is None else f"{high:g}")
 

@@ -37,6 +37,11 @@ class RobotFlange:
     face_d: float
     source: str
 
+    @property
+    def pin_d(self) -> float:
+        """Diameter of the dowel pin that the slot takes with 0.2 mm of play [m]; 0 without one."""
+        return max(self.pin_slot[0] - 0.2 * MM, 0.0)
+
 
 ROBOT_FLANGES = {
     f.name: f

@@ -39,7 +39,7 @@ def documents_of(drawing: Drawing, meshes: Mapping[str, Mesh]) -> Documents:
         meshes: of the printed parts, by name.
     """
     bodies = {name: body_of(part, meshes.get(name)) for name, part in drawing.parts.items()}
-    bill, steps = bill_of(drawing), steps_of(drawing.screws)
+    bill, steps = bill_of(drawing), steps_of(drawing.screws, drawing.plate.robot.pin_d)
     labels = {item.name: Label(item.number, (item.title, _told(item))) for item in bill}
     seat = float(drawing.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, labels, f"{drawing.design.name}: all parts drawn apart", seat)

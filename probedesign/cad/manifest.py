@@ -47,13 +47,20 @@ def manifest_of(
         "mass": _mass(drawing),
         "bill_of_materials": as_records(documents.bill),
         "screws": [use.as_record() for use in drawing.screws],
-        "also_needed": {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(drawing.adapter.p_dowels)},
+        "also_needed": _also_needed(drawing),
         "engraved": _engraved(drawing),
         "assembly_order": documents.steps,
         "base": _base(drawing),
         "verification": findings,
         "intersections_m3": drawing.shared_volumes,
     }
+
+
+def _also_needed(drawing: Drawing) -> dict[str, int]:
+    """What is neither printed nor a screw."""
+    pin_d = drawing.plate.robot.pin_d / MM
+    robots = {f"dowel pin of {pin_d:g} mm that the robot's flange takes": 1} if pin_d > 0.0 else {}
+    return {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(drawing.adapter.p_dowels), **robots}
 
 
 def _part(part: Part) -> dict[str, Any]:

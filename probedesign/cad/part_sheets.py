@@ -101,7 +101,8 @@ def _flange_adapter(drawing: Drawing, part: Part) -> Sheet:
     ]
     slot = f"slot {_mm(width)} × {_mm(length)} through, middle at x = {_mm(reach)}: the robot's dowel pin"
     bore = f"counterbore ⌀{_mm(M2_COUNTERBORE_D)} up to z = {_mm(p.counterbore_top)}"
-    below = [Holes(p.p_mounting_screws, M2_COUNTERBORE_D, bore), Holes([(reach, 0.0)], 0.0, slot, False)]
+    below = [Holes(p.p_mounting_screws, M2_COUNTERBORE_D, bore)]
+    below += [Holes([(reach, 0.0)], 0.0, slot, False)] if width > 0.0 else []
     heights, bottoms = [-spigot, p.plate_top, p.pad_top], [spigot_d, p.plate_d]
     notes = [f"z = 0 rests on the robot: {p.robot.source}; the sensor sits on the pad ⌀{_mm(p.pad_d)}"]
     return _disc(drawing, part, (-spigot, p.pad_top), heights, [p.pad_d], bottoms, (above, below), notes)

@@ -60,16 +60,17 @@ EXPLOSION = (
 """All parts drawn away from the sensor, in the order of assembly."""
 
 
-def steps_of(screws: list[ScrewUse]) -> list[Step]:
-    """The steps, with the screws that each one takes."""
+def steps_of(screws: list[ScrewUse], pin_d: float) -> list[Step]:
+    """The steps, with the screws that each one takes; pin_d: of the robot's dowel pin [m], 0 if it has none."""
     of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
+    pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
     return [
         Step("screw the flange adapter to the sensor's mounting side from below: "
              f"{of['mounting_screws']}, never longer",
              (EXPLOSION[0], EXPLOSION[1])),
-        Step(f"bolt the flange adapter to the robot: {of['robot_bolts']} from above, dowel pin in the slot",
+        Step(f"bolt the flange adapter to the robot: {of['robot_bolts']} from above{pin}",
              (EXPLOSION[2],)),
-        Step("press M2 nuts into the four pockets of the sensor adapter and dowel pins into its underside",
+        Step("press M2 nuts into the four pockets of the sensor adapter and the 2 mm dowel pins into its underside",
              (Move(("ring_nuts",), "sensor_adapter", DOWN), Move(("dowel_pins",), "sensor_adapter", DOWN)),
              apart=True, seen_from_below=True),
         Step("screw the sensor adapter to the tool side from above through its recess: "

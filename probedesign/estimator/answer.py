@@ -58,16 +58,23 @@ class Solution:
     iterations: int
 
 
-def told(equations: Equations, found: list[Solution], fixed: Fixed, brief: bool = False) -> Fused:
+def told(
+    equations: Equations,
+    found: list[Solution],
+    fixed: Fixed,
+    others: list[Solution],
+    brief: bool = False,
+) -> Fused:
     """The best solution with its code.
 
     Args:
         equations: of the readings.
         found: every place that explains them, best first.
         fixed: which point stands still.
+        others: every place if the other point did.
         brief: without what it would be if something were otherwise.
     """
-    best, code = found[0], _code(equations, found)
+    best, code = found[0], _code(equations, found, others)
     stiffness = math.exp(best.x[STIFFNESS])
     answer = Fused(
         code,
@@ -79,6 +86,9 @@ def told(equations: Equations, found: list[Solution], fixed: Fixed, brief: bool 
         rms=_rms(best),
         rms_without={} if brief else _without(equations, best),
         iterations=best.iterations,
+        candidates_world=np.array(
+            [_centre(equations, place) for place in [*found, *others] if place.chi2 < best.chi2 + RIVAL]
+        ),
     )
     if code != "ok":
         return answer
@@ -101,7 +111,7 @@ def _placed(answer: Fused, equations: Equations, best: Solution) -> Fused:
     )
     return replace(
         answer,
-        p_contact_world=best.x[POINT] + _mean(r.turned(p.p_contact - p.p_fixed) for r, p in touched),
+        p_contact_world=_centre(equations, best),
         p_surface_world=best.x[POINT] + _mean(r.turned(p.p_surface - p.p_fixed) for r, p in touched),
         cov_contact_world=by_unknowns @ best.cov @ by_unknowns.T,
         cov_fixed_world=best.cov[POINT, POINT],
@@ -110,16 +120,33 @@ def _placed(answer: Fused, equations: Equations, best: Solution) -> Fused:
     )
 
 
-def _code(equations: Equations, found: list[Solution]) -> Result:
+def _code(equations: Equations, found: list[Solution], others: list[Solution]) -> Result:
     best, rms = found[0], _rms(found[0])
     pulled = any(p is not None and p.push.magnitude < 0.0 for p in best.pressed)
     if best.chi2 > most_chi2(equations.dof) or pulled:
         return "inconsistent"
     if not rms < equations.model.rod.length / math.sqrt(12.0):
         return "unobservable" if equations.moments_only else "too_light"
-    apart = [np.linalg.norm(other.x[POINT] - best.x[POINT]) for other in found[1:]
-             if other.chi2 < best.chi2 + RIVAL]  # fmt: skip
-    return "ambiguous" if any(distance > 3.0 * rms for distance in apart) else "ok"
+    near = 3.0 * rms
+    if any(_apart(equations, best, rival) > near for rival in found[1:] if rival.chi2 < best.chi2 + RIVAL):
+        return "ambiguous"
+    # Which point stands still moves it by less than the probe is thick; further off it is another touch.
+    near += 2.0 * float(equations.model.rod.radius.max())
+    rivals = [rival for rival in others if rival.chi2 < best.chi2 + RIVAL]
+    far = any(_apart(equations, best, rival) > near + 3.0 * _rms(rival) for rival in rivals)
+    return "ambiguous" if far else "ok"
+
+
+def _apart(equations: Equations, one: Solution, other: Solution) -> float:
+    """How far the centreline's points of two solutions lie apart [m]."""
+    return float(np.linalg.norm(_centre(equations, one) - _centre(equations, other)))
+
+
+def _centre(equations: Equations, found: Solution) -> Array:
+    """The centreline's mean point in the world [m], (3,)."""
+    touched = _touched(equations, found)
+    centre: Array = found.x[POINT] + _mean(r.turned(p.p_contact - p.p_fixed) for r, p in touched)
+    return centre
 
 
 def _without(equations: Equations, best: Solution) -> dict[str, float]:

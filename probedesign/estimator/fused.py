@@ -39,6 +39,8 @@ class Fused:
         rms_with: the same with "one more touch" like the last, a "further press" as far again, or the
             "stiffness" known half as vaguely [m].
         iterations: of Gauss and Newton.
+        candidates_world: the centreline's mean point of every place that explains the readings about as well, best
+            first [m], (j, 3).
     """
 
     result: Result
@@ -57,6 +59,7 @@ class Fused:
     rms_without: dict[str, float] = field(default_factory=dict)
     rms_with: dict[str, float] = field(default_factory=dict)
     iterations: int = 0
+    candidates_world: Array = field(default_factory=lambda: _nan(0, 3))
 
     @property
     def ok(self) -> bool:

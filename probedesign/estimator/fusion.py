@@ -44,15 +44,17 @@ class Fusion:
         solved = self.solved()
         return solved if isinstance(solved, Fused) else told(self.equations, *solved)
 
-    def solved(self) -> tuple[list[Solution], Fixed] | Fused:
-        """Every place that explains the readings, best first, and which point stands still; or why there is none."""
+    def solved(self) -> tuple[list[Solution], Fixed, list[Solution]] | Fused:
+        """Every place that explains the readings, best first, which point stands still, and what were if the other one
+        did; or why there is none."""
         if not self._enough():
             return Fused("unobservable")
         starts, centre = self._starts(), list[Solution]()
         for pushes in starts:
             centre = centre or _distinct(self._run(push, "contact") for push in pushes)
-        # Where the centreline's point cannot stand still, near the tip, the touched one may.
-        again = [_pushes(found) for found in centre] or [push for pushes in starts for push in pushes]
+        # Where the centreline's point cannot stand still, near the tip, or somewhere else, the touched one may.
+        again = [_pushes(found) for found in centre] + [*starts[0], *starts[2]]
+        again += [] if centre else starts[1]
         surface = _distinct(self._run(push, "surface") for push in again)
         return self._choose(centre, surface) if centre or surface else Fused("not_converged")
 
@@ -96,11 +98,13 @@ class Fusion:
         eq = min(places, key=lambda place: place.chi2).shape()
         return Push.under(rod, eq) if eq.ok else None
 
-    def _choose(self, centre: list[Solution], surface: list[Solution]) -> tuple[list[Solution], Fixed]:
+    def _choose(
+        self, centre: list[Solution], surface: list[Solution]
+    ) -> tuple[list[Solution], Fixed, list[Solution]]:
         """The touched point stands still, unless the readings speak for the centreline's."""
         if surface and (not centre or surface[0].chi2 <= centre[0].chi2 + RIVAL):
-            return surface, "surface"
-        return centre, "contact"
+            return surface, "surface", centre
+        return centre, "contact", surface
 
     def _run(self, pushes: tuple[Push | None, ...], fixed: Fixed) -> Solution | None:
         """Gauss and Newton from one guess; None if a touch has no push to start from."""

@@ -73,7 +73,7 @@ class _Fitter:
     def __post_init__(self) -> None:
         """The memory that the kernels work in."""
         seen = self.seen
-        self._work = np.empty(everywhere.room_for(len(self.rod.s)))
+        self._work = np.empty(everywhere.room_for(len(self.rod.body.knots)))
         self._reading = (
             self.rod.body,
             self.rod.flank_end,

@@ -14,6 +14,9 @@ from probedesign.materials import Quantity
 from probedesign.rod.rod import Rod
 from probedesign.sensor import Noise
 
+FULL_SCALE = 1e-3
+"""Of the range: a channel that close to its end is taken for saturated. A step of the resolution is 1/3840 of it."""
+
 
 @dataclass(frozen=True)
 class ProbeModel:
@@ -93,7 +96,12 @@ class ProbeModel:
 
     def reads(self, wrench_sensor: Array) -> bool:
         """Whether the sensor can have read this (6,): finite and within every channel's range."""
-        return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.wrench_range).all())
+        return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.readable).all())
+
+    @cached_property
+    def readable(self) -> Array:
+        """Largest reading of each channel that is not full scale, which a saturated one gives [N, N·m], (6,)."""
+        return np.asarray(self.wrench_range, dtype=float) * (1.0 - FULL_SCALE)
 
     def noise_base(self) -> Array:
         """Covariance of a reading told at the base origin, (6, 6)."""
@@ -115,7 +123,7 @@ class ProbeModel:
         (6,), and the whitening of one reading (6, 6)."""
         contiguous = np.ascontiguousarray
         return (contiguous(self._sensor_from_base), contiguous(self._hanging_by_gravity),
-                contiguous(self.wrench_range, dtype=float), contiguous(self.whiten))  # fmt: skip
+                contiguous(self.readable), contiguous(self.whiten))  # fmt: skip
 
     def with_noise(self, noise: Noise) -> "ProbeModel":
         """The same probe with another noise."""

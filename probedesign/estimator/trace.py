@@ -73,9 +73,9 @@ def _carry(body, s, end, work, force, gravity, on):
         stop = min(stop, reach) if in_root else stop
         frustum, rest = frustum_of(body, i, in_root), rest_of(body, i)
         h = stop - s
-        for _ in range(_HALVINGS + 1):
+        for halved in range(_HALVINGS + 1):
             et, _em, _ep = full_step(s, h, work, frustum, rest, force, gravity, on)
-            if et <= ROUGH:
+            if et <= ROUGH or halved == _HALVINGS:
                 break
             h *= 0.5
         if not et < 1.0:

@@ -36,6 +36,10 @@ SETTLING = 8
 """Steps of Gauss and Newton at the first readings, from the place that one reading by itself tells."""
 _APART = 5e-6
 """Poses nearer than this [m], and their rotations [rad] likewise over a tenth of a metre, are one."""
+_MIXED = 1e-4
+"""Poses further apart than this, measured likewise, are not mixed into one node: their readings differ too much."""
+_HELD = 256
+"""Free readings that are held back before they count: the last ones may be touches that were not told yet."""
 _ANCHOR = 7000.0
 """Most readings that the free probe's mean counts."""
 _LARGE = 1e9
@@ -74,8 +78,9 @@ class Tracker:
         self._detector = Detector(model, self.rate)
         self._channels = channels_of(model, self.moments_about if self.moments_only else None)
         self._time = -math.inf
-        # The free probe's mean first, then the nodes of the touch, and room for one too many.
+        # What free readings are beyond the free probe first, then the nodes of the touch, and room for one too many.
         self._rows = np.zeros((self.nodes + 2, node.NODE))
+        self._held = np.zeros((2, 7))  # sum and number of the readings held back, the younger first
         self._gravity, self._result = np.empty(3), np.empty(normal.RESULT)
         self._forget()
 
@@ -126,7 +131,7 @@ class Tracker:
         self._time = float(time)
         said = self._detector.update(wrench - free.wrench_base)
         if said != "contact":
-            self._release(wrench, T, lost=said == "lost")
+            self._release(wrench - free.wrench_base, lost=said == "lost")
             return Fused("no_contact")
         i = self._place(wrench, T)
         return self._solve(i) if self._x is not None else self._begin()
@@ -147,15 +152,20 @@ class Tracker:
         anchored = self._unknowns.bias_steps > 0.0 and self._rows[0, node.COUNT] > 0.0
         return self._rows[0 if anchored else 1 : 1 + self._kept]
 
-    def _release(self, wrench: Array, T: Array, lost: bool) -> None:
-        """A free reading: it ties the bias down."""
+    def _release(self, beyond: Array, lost: bool) -> None:
+        """A free reading, less what the free probe makes there: it ties the bias down, wherever the base is."""
         if lost or self._kept:
             self._forget()
-        anchor = self._rows[0]
-        if anchor[node.COUNT] == 0.0 or node.apart(anchor, T) > _APART:
-            self._set(anchor, wrench, T, touched=False)
-        else:
-            node.take_in(anchor, wrench, _ANCHOR)
+        self._held[0, :6] += beyond
+        self._held[0, 6] += 1.0
+        if self._held[0, 6] < _HELD:
+            return
+        anchor, (old, count) = self._rows[0], (self._held[1, :6], self._held[1, 6])
+        if count:
+            total = min(anchor[node.COUNT] + count, _ANCHOR)
+            anchor[node.WRENCH : node.ROTATION] += (old - count * anchor[node.WRENCH : node.ROTATION]) / total
+            anchor[node.COUNT] = total
+        self._held[1], self._held[0] = self._held[0], 0.0
 
     def _set(self, row: Array, wrench: Array, T: Array, touched: bool) -> None:
         """A node of one reading."""
@@ -167,6 +177,7 @@ class Tracker:
 
     def _place(self, wrench: Array, T: Array) -> int:
         """Put a reading into the node that it belongs to; which of the touch's nodes that is."""
+        self._held[:] = 0.0
         last = self._rows[self._kept]
         if self._kept and node.apart(last, T) <= _APART:
             node.take_in(last, wrench, _LARGE)
@@ -181,15 +192,17 @@ class Tracker:
         return self._kept - 1
 
     def _join(self) -> None:
-        """Make one of the two neighbours that lie closest."""
+        """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""
         rows = self._touched
         gaps = [node.apart(after, _pose(before)) for before, after in pairwise(rows)]
         i = int(np.argmin(gaps))
         a, b = rows[i], rows[i + 1]
-        total, kept = a[node.COUNT] + b[node.COUNT], (a if a[node.COUNT] >= b[node.COUNT] else b).copy()
-        for part in (slice(node.WRENCH, node.ROTATION), slice(node.ORIGIN, node.GRAVITY)):
-            kept[part] = (a[node.COUNT] * a[part] + b[node.COUNT] * b[part]) / total
-        kept[node.COUNT] = total
+        kept = (a if a[node.COUNT] >= b[node.COUNT] and i + 2 < len(rows) else b).copy()
+        if gaps[i] <= _MIXED:
+            total = a[node.COUNT] + b[node.COUNT]
+            for part in (slice(node.WRENCH, node.ROTATION), slice(node.ORIGIN, node.GRAVITY)):
+                kept[part] = (a[node.COUNT] * a[part] + b[node.COUNT] * b[part]) / total
+            kept[node.COUNT] = total
         rows[i] = kept
         rows[i + 1 : -1] = rows[i + 2 :].copy()
         self._kept -= 1
@@ -272,24 +285,28 @@ class Tracker:
             self._said = Fused("unobservable")
             return self._said
         self._model_anchor()
-        answer = self._from_one()
-        if answer.result not in ("ok", "too_light") and self._kept > 1:  # of one pose, a batch knows no more
+        # Moments alone may have rivals that one reading does not show; of one pose, a batch knows no more.
+        answer = Fused("not_converged") if self.moments_only else self._from_one()
+        if answer.result not in ("ok", "too_light") and self._kept > 1:
             answer = self._from_batch()
         return self._say(answer)
 
     def _model_anchor(self) -> None:
-        """What the free probe reads where its mean was taken, and that by log stiffness."""
-        anchor = self._rows[0]
-        eq = self.estimator.model.rod.solve(anchor[node.GRAVITY : node.COUNT].copy(), columns="all")
-        if anchor[node.COUNT] > 0.0 and eq.sensitivity is not None:
+        """How what free readings are beyond the free probe goes with its stiffness."""
+        anchor, gravity = self._rows[0], self._touched[-1, node.GRAVITY : node.COUNT].copy()
+        anchor[node.GRAVITY : node.COUNT] = gravity
+        anchor[node.ROTATION : node.GRAVITY] = self._touched[-1, node.ROTATION : node.GRAVITY]
+        eq = self.estimator.model.rod.solve(gravity, columns="all")
+        if eq.sensitivity is not None:
             by, names = eq.sensitivity.d_wrench, eq.sensitivity.names
-            anchor[node.MODELLED : node.BY_PLACE] = eq.wrench_base
             anchor[node.BY_STIFFNESS : node.FIXED] = by[:, names.index("log_E")] + by[:, names.index("log_G")]
 
     def _from_one(self) -> Fused:
         """Start from the place that the last node's reading tells by itself."""
         last, rod = self._touched[-1], self.estimator.model.rod
         found = self.estimator.estimate(last[node.WRENCH : node.ROTATION], last[node.GRAVITY : node.COUNT])
+        if found.result == "ambiguous":
+            return Fused("ambiguous")
         if not found.candidates or not (eq := found.candidates[0].shape()).ok:
             return Fused("not_converged")
         push, self._fixed = Push.under(rod, eq), "surface"
@@ -307,12 +324,18 @@ class Tracker:
             answer = self._step()
         return answer
 
+    def _free_wrench(self, row: Array) -> Array:
+        """What the free probe makes where a row is the free readings' mean, which is kept without it; else nothing."""
+        if row[node.TOUCHED]:
+            return np.zeros(6)
+        return self.estimator.free(row[node.GRAVITY : node.COUNT].copy()).wrench_base
+
     def _from_batch(self) -> Fused:
         """Start from the whole batch."""
         self._x, model, rows = None, self.estimator.model, self._counting
         cov = model.noise_base() * model.averaging_samples
         readings = tuple(
-            Reading(row[: node.ROTATION].copy(), cov / row[node.COUNT], _pose(row),
+            Reading(row[: node.ROTATION] + self._free_wrench(row), cov / row[node.COUNT], _pose(row),
                     row[node.GRAVITY : node.COUNT].copy(), bool(row[node.TOUCHED]))
             for row in rows
         )  # fmt: skip
@@ -320,8 +343,8 @@ class Tracker:
         solved = Fusion(equations).solved()
         if isinstance(solved, Fused):
             return solved
-        found, self._fixed = solved
-        answer = told(equations, found, self._fixed, brief=True)
+        found, self._fixed, others = solved
+        answer = told(equations, found, self._fixed, others, brief=True)
         if answer.ok:
             self._x = found[0].x
             for k, pressed in enumerate(found[0].pressed[len(rows) - self._kept :]):

@@ -26,6 +26,8 @@ PAD_EDGE = 0.42 * MM
 """The pad stays that far inside the sensor's rim: 0.51 mm of air to the cable, which leaves 0.3 mm above it, and
 0.63 mm of wall outside the screws."""
 EDGE = 1.8 * MM  # wall outside the pin slot
+DEEPEST_SPIGOT = 10.0 * MM
+"""No flange's recess is deeper than that; ISO 9409-1 has 4 to 6 mm (assumed)."""
 LETTER_EDGE = 0.2 * MM  # beside the characters; below the pad's edge and the bolts' heads
 _NANO = 1e-9  # for the rounding of sums [m]
 HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head
@@ -109,23 +111,36 @@ def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
     apart = np.linalg.norm(p[:, None] - p[None], axis=2) + 1.0 * np.eye(len(p))
     on_slot = np.hypot(np.maximum(np.abs(p[:, 0] - reach) - robot.pin_slot[1] / 2, 0.0), p[:, 1])
     slot_clear = robot.pin_slot[0] / 2 + robot.bolt_clearance_d / 2 + 1.0 * MM
+    longest = max(SCREWS[robot.bolt].stock_mm) * MM - M2_GRIP + ENTRY_MARGIN
+    widest = 2 * (reach - max(robot.bolt_clearance_d, robot.pin_slot[1]) / 2) - 1.0 * MM
+    slot = 2 * (reach - sensor.body_d / 2 - 0.5 * MM)
+    given, mm = ", ".join(f"{a:g}" for a in azimuths), float(apart.min()) / MM
     for wrong, key, value, allowed in (
-        (robot.bolt_circle_d < circle, "bolt_circle_d_mm", robot.bolt_circle_d / MM,
+        (robot.bolt_circle_d < circle, "bolt_circle_d_mm", f"{robot.bolt_circle_d / MM:g}",
          f"at least {circle / MM:g} mm, or heads touch the sensor"),
-        (robot.max_bolt_entry < entry - _NANO, "max_bolt_entry_mm", robot.max_bolt_entry / MM,
+        (robot.max_bolt_entry < entry - _NANO, "max_bolt_entry_mm", f"{robot.max_bolt_entry / MM:g}",
          f"at least {entry / MM:g} mm, or the thread is too short"),
-        (not any(abs(robot.bolt_length - n * MM) < _NANO for n in stock), "bolt_length_mm", robot.bolt_length / MM,
-         f"of {robot.bolt} these will do: {', '.join(map(str, stock))} mm"),
-        (0.0 < robot.spigot[0] < spigot, "spigot_mm", robot.spigot[0] / MM, f"at least {spigot / MM:g} mm, or none"),
-        (not cable <= between_first <= 360.0 - cable, "bolt_azimuths_deg", between_first,
+        (robot.max_bolt_entry > longest + _NANO, "max_bolt_entry_mm", f"{robot.max_bolt_entry / MM:g}",
+         f"at most {longest / MM:g} mm, or no stock {robot.bolt} is long enough"),
+        (not any(abs(robot.bolt_length - n * MM) < _NANO for n in stock), "bolt_length_mm",
+         f"{robot.bolt_length / MM:g}", f"of {robot.bolt} these will do: {', '.join(map(str, stock))} mm"),
+        (0.0 < robot.spigot[0] < spigot, "spigot_mm", f"{robot.spigot[0] / MM:g}",
+         f"at least {spigot / MM:g} mm, or none"),
+        (robot.spigot[0] > widest, "spigot_mm", f"{robot.spigot[0] / MM:g}",
+         f"at most {widest / MM:g} mm, or it meets bolts or pin"),
+        (robot.spigot[1] > DEEPEST_SPIGOT, "spigot_mm", f"{robot.spigot[1] / MM:g}",
+         f"at most {DEEPEST_SPIGOT / MM:g} mm high"),
+        (robot.pin_slot[1] > slot, "pin_slot_mm", f"{robot.pin_slot[1] / MM:g}",
+         f"at most {slot / MM:g} mm long, or it meets the sensor's pad"),
+        (not cable <= between_first <= 360.0 - cable, "bolt_azimuths_deg", given,
          f"the first two at least {np.ceil(cable):g}° apart: the cable leaves between"),
-        (float(apart.min()) < robot.bolt_head_d, "bolt_azimuths_deg", float(apart.min()) / MM,
-         f"heads at least {robot.bolt_head_d / MM:g} mm apart"),
-        (robot.pin_slot[0] > 0.0 and float(on_slot.min()) < slot_clear, "bolt_azimuths_deg", float(on_slot.min()) / MM,
-         f"bolts at least {slot_clear / MM:g} mm from the pin's slot"),
+        (float(apart.min()) < robot.bolt_head_d, "bolt_azimuths_deg", given,
+         f"heads {mm:.3g} mm apart, at least {robot.bolt_head_d / MM:g} mm"),
+        (robot.pin_slot[0] > 0.0 and float(on_slot.min()) < slot_clear, "bolt_azimuths_deg", given,
+         f"a bolt {float(on_slot.min()) / MM:.3g} mm from the pin's slot, at least {slot_clear / MM:g} mm"),
     ):  # fmt: skip
         if wrong:
-            raise InputError(f"mount.flange.{key} = {value:g} leaves no room; {allowed}")
+            raise InputError(f"mount.flange.{key} = {value} leaves no room; {allowed}")
 
 
 def _engraving(sensor: SensorModel, robot: RobotFlange, fingerprint: str, name: str, top: float) -> Engraving:

@@ -83,20 +83,18 @@ def _plate_walls(p: FlangeAdapter) -> Iterator[Wall]:
     width, length = robot.pin_slot
     yield Wall("thickness", p.plate_top, free=True)
     yield Wall("between bolt and rim", rim - bolts - robot.bolt_clearance_d / 2, free=True)
-    yield Wall("between pin slot and rim", rim - math.hypot(bolts + length / 2, width / 2), free=True)
+    if width > 0.0:
+        yield Wall("between pin slot and rim", rim - math.hypot(bolts + length / 2, width / 2), free=True)
     yield Wall("between sensor screw and edge of the pad", pad - screws - M2_CLEARANCE_D / 2, free=True)
-    yield Wall(
-        "between a head's room and edge of the spigot", robot.spigot[0] / 2 - screws - M2_COUNTERBORE_D / 2
-    )
+    if robot.spigot[0] > 0.0:
+        edge = robot.spigot[0] / 2 - screws - M2_COUNTERBORE_D / 2
+        yield Wall("between a head's room and edge of the spigot", edge)
     yield Wall("under the heads of the sensor screws", M2_GRIP)
 
 
 def _plate_holes(p: FlangeAdapter) -> dict[str, float]:
-    return {
-        "sensor screw hole": M2_CLEARANCE_D,
-        "bolt hole": p.robot.bolt_clearance_d,
-        "pin slot": p.robot.pin_slot[0],
-    }
+    slot = {"pin slot": p.robot.pin_slot[0]} if p.robot.pin_slot[0] > 0.0 else {}
+    return {"sensor screw hole": M2_CLEARANCE_D, "bolt hole": p.robot.bolt_clearance_d, **slot}
 
 
 def _reach(points: Iterable[Point]) -> float:

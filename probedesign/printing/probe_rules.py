@@ -18,7 +18,12 @@ def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
     """What the rules say of the body above the flange, as drawn."""
     s, d = geometry.s / MM, 2.0 * geometry.radius / MM
     thin = geometry.cross_section.flatness * d
-    findings = [_tip(s, thin), _slenderness(s, thin), _overhang(s, d, geometry.cross_section.bore_ratio)]
+    flank = s <= geometry.flank_end / MM  # a round end is no wire
+    findings = [
+        _tip(s[flank], thin[flank]),
+        _slenderness(s, thin),
+        _overhang(s, d, geometry.cross_section.bore_ratio),
+    ]
     if geometry.cross_section.hollow:
         findings += _bore(s, d, geometry.cross_section.bore_ratio)
     return findings

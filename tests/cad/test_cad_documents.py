@@ -81,7 +81,9 @@ def test_hand_torque_spares_the_resin(large: Drawing) -> None:
 def test_every_part_has_its_step_and_its_place_in_the_exploded_picture(large: Drawing) -> None:
     exploded = [name for move in EXPLOSION for name in move.parts]
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
-    assert {name for step in steps_of(large.screws) for name in step.parts} == set(exploded)
+    assert {name for step in steps_of(large.screws, large.plate.robot.pin_d) for name in step.parts} == set(
+        exploded
+    )
 
 
 def test_parts_drawn_apart_do_not_meet(large: Drawing) -> None:

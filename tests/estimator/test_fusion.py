@@ -170,6 +170,35 @@ def test_an_object_that_moved_is_inconsistent(large, gravity):
     assert np.isnan(c.p_contact_world).all() and np.isnan(c.s_contact).all()
 
 
+def test_two_places_that_explain_the_readings_are_both_told(large):
+    """A base that turns about the probe's own axis: moments alone know the touch at another height as well."""
+    world = np.array([0.0, 0.0, -9.81])
+    wrenches, Ts = [], []
+    for k in range(3):
+        c, s = np.cos(0.12 * k), np.sin(0.12 * k)
+        R = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T @ np.eye(3)
+        R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ R
+        wrench, T, _ = presses(large, R.T @ world, 0.1, 1.57, [0.01], turn=R)
+        wrenches, Ts = [*wrenches, wrench[0]], [*Ts, T[0]]
+    f = large.estimator().fuse(
+        wrenches, Ts, world, moments_only=True, moments_about="sensor", unknowns=Unknowns.none()
+    )
+    if f.ok:  # then it must be the right one
+        assert np.linalg.norm(f.p_surface_world) <= 5.0 * f.rms
+    else:
+        assert f.result == "ambiguous" and len(f.candidates_world) >= 2
+
+
+def test_a_channel_at_full_scale_is_saturated(large, gravity):
+    wrenches, Ts, _ = presses(large, gravity, 0.6 * large.length, 1.57, np.linspace(2e-3, 2e-2, 3))
+    model = large.model
+    full = model.to_sensor(wrenches, gravity)
+    full[1, 3] = model.wrench_range[3] * (1.0 - 1e-13)
+    c = large.estimator().fuse(model.to_base(full, gravity), Ts, gravity, moments_only=True)
+    assert c.result == "out_of_range"
+    assert large.estimator().estimate(model.to_base(full[1], gravity), gravity).result == "out_of_range"
+
+
 def test_a_bias_step_is_inconsistent(large, gravity):
     wrenches, Ts, _ = presses(large, gravity, 0.6 * large.length, 1.57, np.linspace(2e-3, 2e-2, 5))
     wrenches[3:, 4] += 5e-4

@@ -97,6 +97,31 @@ def test_memory_is_bounded_while_the_base_moves_on(large, gravity, pressed):
         assert feed.tracker.kept <= 4
 
 
+def test_many_poses_of_a_turning_base_stay_consistent(large):
+    """More poses than nodes: what lies too far apart is dropped, not mixed."""
+    world = np.array([9.81, 0.0, 0.0])
+    feed = Feed(Tracker(large.estimator(), Unknowns(), world), large.model)
+    codes = []
+    for k in range(12):
+        a = 0.02 * k
+        R = np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
+        wrench, T, _ = presses(large, R.T @ world, 0.105, 1.57, [2e-3 + 1e-3 * k], turn=R)
+        said, _ = feed(wrench[0], T[0], SAMPLES)
+        codes.append(said[-1].result)
+    assert feed.tracker.kept <= 8
+    assert codes[-4:] == ["ok"] * 4
+
+
+def test_light_touches_do_not_spoil_what_free_readings_say_of_the_bias(large, gravity, pressed, free):
+    """A touch is told some readings late; those must not count as free ones."""
+    _, Ts, _ = pressed
+    wrench = presses(large, gravity, 0.08, 1.57, [2e-3])[0][0]
+    feed = Feed(Tracker(large.estimator(), Unknowns(bias_steps=3.0), gravity), large.model)
+    feed(free, Ts[0], 1500)
+    said, _ = feed(wrench, Ts[4], 400)
+    assert "inconsistent" not in {c.result for c in said[-200:]}
+
+
 def test_what_cannot_be_changes_nothing(large, gravity, pressed):
     wrenches, Ts, _ = pressed
     feed = Feed(Tracker(large.estimator(), Unknowns(), gravity), large.model)

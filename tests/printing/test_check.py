@@ -46,6 +46,26 @@ def test_the_papers_probes_print(name):
         assert bool(finding.remedy) == (finding.severity != "ok")
 
 
+def test_a_rounded_tip_is_no_thinner_than_where_it_begins():
+    design = parse_design(
+        'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+        'tip = "rounded"\n'
+    )
+    assert check_print(design).errors == []
+
+
+def test_a_flange_without_pin_and_spigot_has_no_walls_there():
+    design = parse_design(
+        'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+        '[mount]\nrobot_flange = "own"\n[mount.flange]\nbolt = "M6"\nbolt_circle_d_mm = 50.0\n'
+        "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\nmax_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\n"
+        "face_d_mm = 63.0\n"
+    )
+    check = check_print(design)
+    assert check.errors == []
+    assert not any("slot" in f.what or "spigot" in f.what for f in check.findings)
+
+
 # The printer's room
 
 
