@@ -155,7 +155,11 @@ def test_an_endless_integer(digits):
         ('"si-12-0.12"', '"si-12"', "known: si-12-0.12"),
         ('"form-3"', '"form-5"', "did you mean 'form-"),
         ('"form-3"', '"Form 3L"', "did you mean 'form-3l'? known: form-2"),
-        ('"iso-9409-1-50-4-m6"', '"iso-50"', "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-31.5-4-m5"),
+        (
+            '"iso-9409-1-50-4-m6"',
+            '"iso-50"',
+            "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-31.5-4-m5",
+        ),
         ('"iso-9409-1-50-4-m6"', '"own"', "mount.flange is missing beside robot_flange = 'own'"),
         ("[print]", '[mount.flange]\nbolt = "M7"\n[print]', "mount.flange.bolt = 'M7' is not one of"),
         ("assumed", 'tip = "round"\nassumed', "probe.tip = 'round' is not one of 'blunt' or 'rounded'"),
