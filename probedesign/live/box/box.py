@@ -89,6 +89,7 @@ class Box:
         self._ended = threading.Event()
         self._zero = monotonic() - powered / SAMPLES_PER_SECOND
         self._off_until = self._stalled_until = 0.0
+        self._frozen = 0
         self._moving: float | None = None
         self._request, self._next, self._rdt = Request(wire.STOP), 0, 0
 
@@ -130,7 +131,7 @@ class Box:
     def stall(self, seconds: float = OFF) -> None:
         """Send the same sample again and again."""
         with self._lock:
-            self._stalled_until = monotonic() + seconds
+            self._stalled_until, self._frozen = monotonic() + seconds, self._next - 1
 
     def steal(self) -> None:
         """Let another client take the stream."""
@@ -218,7 +219,7 @@ class Box:
     def _records(self, samples: NDArray[np.int64], spacing: int) -> NDArray[np.void]:
         """The records of samples since power-up."""
         if monotonic() < self._stalled_until:
-            samples = np.full(len(samples), samples[0] - 1)
+            samples = np.full(len(samples), self._frozen)
         start = self._moving - self._zero if self._moving else 0.0
         time = np.maximum(samples / SAMPLES_PER_SECOND - start, 0.0)
         counts, status = self._transducer.read(time, spacing / SAMPLES_PER_SECOND, self.configuration)

@@ -186,7 +186,7 @@ def _texts(page: bytes) -> dict[str, str]:
 def _value(name: str, tag: str, text: str) -> str | float | tuple[float, ...]:
     if name in WORDS:
         return " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    parts = re.split(r"[;,\s]+", text.strip(";, ")) if name in ARRAYS else [text]
+    parts = [part for part in re.split(r"[;,\s]+", text) if part] if name in ARRAYS else [text]
     try:
         values = tuple(float(part) for part in parts)
     except ValueError:
