@@ -33,6 +33,13 @@ def box(estimator, settings=NATIVE, load=LOAD, **options) -> Box:
     return Box(Transducer(estimator.model, constant, seed=1, drift=0.0), settings, **options)
 
 
+def until(happened, told=lambda: "", seconds=10.0):
+    deadline = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < deadline, told()
+        time.sleep(0.01)
+
+
 class Reader:
     """A source read in a thread of its own, so that a test may disturb the box meanwhile."""
 
@@ -54,11 +61,8 @@ class Reader:
         finally:
             stream.close()
 
-    def wait(self, happened, seconds=10.0):
-        deadline = time.monotonic() + seconds
-        while not happened():
-            assert time.monotonic() < deadline, (self.lines, len(self.readings), self.error)
-            time.sleep(0.01)
+    def wait(self, happened):
+        until(happened, lambda: (self.lines, len(self.readings), self.error))
 
     def more(self, count=200):
         have = len(self.readings)
@@ -159,7 +163,7 @@ def test_a_number_of_records_is_sent_and_no_more(estimator, asked):
     with box(estimator) as peer:
         datagrams = asked(peer, wire.REALTIME, 5, 5)
         assert [RECORD.unpack(d)[0] for d in datagrams] == [1, 2, 3, 4, 5]
-        assert peer.client is None
+        until(lambda: peer.client is None)  # told a moment after the last record is sent
 
 
 def test_buffered_packets_hold_their_records(estimator, asked):
@@ -185,9 +189,7 @@ def test_bias_makes_zero_and_shows_on_the_page(estimator, asked):
         asked(peer, wire.REALTIME, 70, 70)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
             udp.sendto(Request(wire.BIAS).packed(), peer.address)
-            deadline = time.monotonic() + 5.0
-            while not any(peer.configuration.bias) and time.monotonic() < deadline:
-                time.sleep(0.01)
+            until(lambda: any(peer.configuration.bias))
         source = open_source(peer.source, estimator.model)
         stream = iter(source)
         wrench = mean_of(list(islice(stream, 700)))

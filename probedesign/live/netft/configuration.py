@@ -80,8 +80,8 @@ class Configuration:
     @property
     def scale(self) -> Array:
         """SI of one count of each channel, (6,)."""
-        force = _unit("scfgfu", self.force_unit, FORCE_UNITS) / self.counts_per_force
-        torque = _unit("scfgtu", self.torque_unit, TORQUE_UNITS) / self.counts_per_torque
+        force = unit_of("scfgfu", self.force_unit, FORCE_UNITS) / self.counts_per_force
+        torque = unit_of("scfgtu", self.torque_unit, TORQUE_UNITS) / self.counts_per_torque
         return np.repeat([force, torque], 3)
 
     @property
@@ -91,8 +91,8 @@ class Configuration:
         Displacement first, then rotation about x, the new y and the new z: as ATI's DAQ library turns; that
         the box does likewise is assumed.
         """
-        length = _unit("scfgtdu", self.length_unit, LENGTH_UNITS)
-        angle = _unit("scfgtau", self.angle_unit, ANGLE_UNITS)
+        length = unit_of("scfgtdu", self.length_unit, LENGTH_UNITS)
+        angle = unit_of("scfgtau", self.angle_unit, ANGLE_UNITS)
         x, y, z = angle * np.asarray(self.tool[3:])
         R = _rotation_x(x) @ _rotation_y(y) @ rotation_z(z)
         return pose(R, length * np.asarray(self.tool[:3]))
@@ -196,12 +196,12 @@ def _value(name: str, tag: str, text: str) -> str | float | tuple[float, ...]:
     return values if name in ARRAYS else values[0]
 
 
-def _unit(tag: str, text: str, units: dict[str, float]) -> float:
+def unit_of(tag: str, text: str, units: dict[str, float]) -> float:
     """What one of it is in SI."""
     letters = re.sub(r"[^a-z]", "", text.lower())
     if letters not in units:
         known = ", ".join(units)
-        raise InputError(f"netftapi2.xml: {tag} = {text[:40]!r} is no unit that is known; known: {known}")
+        raise InputError(f"{tag} = {text[:40]!r} is no unit that is known; known: {known}")
     return units[letters]
 
 
