@@ -3,9 +3,12 @@
 Ports are chosen by the system. Waiting ends with what is waited for; the deadlines only keep a broken test short.
 """
 
+import json
+import re
 import socket
 import threading
 import time
+from dataclasses import replace
 from itertools import islice, pairwise
 
 import numpy as np
@@ -106,8 +109,6 @@ def close(estimator, count):
     ],
 )
 def test_the_box_is_read_in_si_and_in_the_sensor_frame_whatever_it_counts_in(estimator, settings):
-    from dataclasses import replace
-
     with box(estimator, replace(NATIVE, **settings)) as peer:
         source = open_source(peer.source, estimator.model)
         stream = iter(source)
@@ -122,12 +123,19 @@ def test_the_box_is_read_in_si_and_in_the_sensor_frame_whatever_it_counts_in(est
 def test_the_transform_turns_about_x_then_the_new_y_then_the_new_z():
     """By hand: of a quarter turn about x and then about the new z, the tool's x lies along the sensor's z... its
     own z has been turned to the sensor's -y first, and x about that."""
-    from dataclasses import replace
-
     T = replace(NATIVE, tool=(1.0, 2.0, 3.0, 90.0, 0.0, 90.0)).T_sensor_tool
     assert np.allclose(T[:3, 2], [0, -1, 0], atol=1e-15)
     assert np.allclose(T[:3, 0], [0, 0, 1], atol=1e-15)
     assert np.allclose(T[:3, 3], [1e-3, 2e-3, 3e-3], atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "noted"), [((12, 12, 17, 120, 120, 120), 0), ((25, 25, 35, 250, 250, 250), 1), ((), 0)]
+)
+def test_a_sensor_of_another_calibration_is_noted(estimator, ranges, noted):
+    with box(estimator, replace(NATIVE, ranges=tuple(map(float, ranges)))) as peer:
+        source = open_source(peer.source, estimator.model)
+    assert sum("another calibration" in note for note in source.notes) == noted
 
 
 def test_pynetft_reads_the_same_from_our_box(estimator):
@@ -167,8 +175,6 @@ def test_a_number_of_records_is_sent_and_no_more(estimator, asked):
 
 
 def test_buffered_packets_hold_their_records(estimator, asked):
-    from dataclasses import replace
-
     with box(estimator, replace(NATIVE, records=40.0)) as peer:
         datagrams = asked(peer, wire.BUFFERED, 0, 3)
     records = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
@@ -177,8 +183,6 @@ def test_buffered_packets_hold_their_records(estimator, asked):
 
 
 def test_the_output_rate_is_7000_over_a_whole_number(estimator, asked):
-    from dataclasses import replace
-
     with box(estimator, replace(NATIVE, rate=1000.0)) as peer:
         ft = [RECORD.unpack(d)[1] for d in asked(peer, wire.REALTIME, 10, 10)]
     assert set(np.diff(ft)) == {7}
@@ -357,8 +361,6 @@ def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
     ],
 )
 def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
-    import re
-
     from probedesign.live.box.page import page_of
 
     wrong = re.sub(rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), page_of(NATIVE))
@@ -421,8 +423,6 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
         arguments = ["live", str(bundle), "--source", peer.source, "--tare-s", "0:0.3", "--average", "36"]
         status = run([*arguments, "--seconds", "1.5", "--rate-hz", "100", "--json"])
     out, err = capsys.readouterr()
-    import json
-
     rows = [json.loads(line) for line in out.splitlines()]
     held = [row for row in rows if row["result"] == "ok"]
     assert status == 0 and "records" in err and "tare from" in err

@@ -85,6 +85,11 @@ class Configuration:
         return np.repeat([force, torque], 3)
 
     @property
+    def counts_of_unit(self) -> Array:
+        """Counts of one unit of each channel, (6,)."""
+        return np.repeat([self.counts_per_force, self.counts_per_torque], 3)
+
+    @property
     def T_sensor_tool(self) -> Array:
         """Pose of the frame that the box reports in, in the sensor's own, (4, 4).
 

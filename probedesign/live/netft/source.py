@@ -72,7 +72,7 @@ class NetFT:
         self.configuration: Configuration = fetch_configuration(self._host, self._http)
         self._name = f"netft://{self._host}:{self._port}"
         self.title = f"{self._name}, {self.configuration.product}"
-        self.notes = self.configuration.notes
+        self.notes = self.configuration.notes + _other_sensor(self.configuration, model)
         self.counts: Counter[str] = Counter()
 
     def __iter__(self) -> Generator[Reading, None, None]:
@@ -248,6 +248,17 @@ def _client(host: str, port: int) -> "Client":
         calibration_override=counts,
     )
     return Client(config, queue_size=QUEUE)
+
+
+def _other_sensor(configuration: Configuration, model: ProbeModel) -> tuple[str, ...]:
+    """A note if the box reaches further or less far than the probe's sensor."""
+    if len(configuration.ranges) != 6:
+        return ()
+    reach = np.array(configuration.ranges) * configuration.scale * configuration.counts_of_unit
+    if np.allclose(reach, model.wrench_range, rtol=0.01):
+        return ()
+    told = ", ".join(f"{value:g}" for value in configuration.ranges)
+    return (f"the box's sensor reaches {told}, not what the frozen probe's does: is it another calibration?",)
 
 
 def _address(place: str) -> tuple[str, int]:
