@@ -1,8 +1,8 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|export ...]`: every part, or those named, in one run."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|export|live ...]`: every part, or those named."""
 
 import sys
 
-from benchmarks import detection, estimation, export, peak, rod, start
+from benchmarks import detection, estimation, export, live, peak, rod, start
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -12,6 +12,7 @@ PARTS = {
     "estimation": estimation.report,
     "detection": detection.report,
     "export": export.report,
+    "live": live.report,
 }
 
 

@@ -15,6 +15,7 @@ ENABLES = {
     "": "everything",
     "plots": "plots of predict",
     "cad": "export: STL, STEP and 3MF of the parts to print",
+    "live": "live on a Net F/T box",
 }
 """What the packages of an extra are for; "" is what the program cannot do without."""
 

@@ -38,7 +38,8 @@ def live(
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
-        source: sim: (a simulated contact that moves along the probe) or replay:FILE (a recording).
+        source: netft://HOST (a Net F/T box), replay:FILE (a recording) or sim: (a simulated contact that moves
+            along the probe).
         record: write every reading to this recording.
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
@@ -63,7 +64,7 @@ def live(
     estimator = load_estimator(bundle, manifest)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    opened = open_source(source, estimator.model)
+    opened = open_source(source, estimator.model, _say)
     warm_up(estimator, _say)
     _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
     for note in opened.notes:

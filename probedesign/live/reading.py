@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
@@ -39,16 +38,23 @@ class Reading:
         wrench_sensor: in the sensor frame, its bias included [N, N·m], (6,).
         gravity_base: vector of gravity in base axes [m/s²], (3,).
         truth: where the contact really is, if the source knows.
+        fault: what is wrong with it, in words; such a reading counts as out of range.
+        stretch: counts what the source read without an interruption; nothing is averaged from one to the next.
+        received: when it reached this program, by `time.monotonic` [s]; NaN if nothing is received.
     """
 
     time: float
     wrench_sensor: Array
     gravity_base: Array
     truth: Truth | None = None
+    fault: str = ""
+    stretch: int = 0
+    received: float = float("nan")
 
 
 def mean(readings: list[Reading]) -> Reading:
-    """The mean of several readings, at their mean time; its truth is free if any of theirs is."""
+    """The mean of several readings, at their mean time, received with the last; its truth is free if any of theirs
+    is, and a fault of one is its fault."""
     truths = [reading.truth for reading in readings if reading.truth is not None]
     truth = Truth(
         float(np.mean([t.s_contact for t in truths])),
@@ -60,16 +66,26 @@ def mean(readings: list[Reading]) -> Reading:
         np.mean([reading.wrench_sensor for reading in readings], axis=0),
         np.mean([reading.gravity_base for reading in readings], axis=0),
         truth,
+        next((reading.fault for reading in readings if reading.fault), ""),
+        readings[-1].stretch,
+        readings[-1].received,
     )
 
 
 def averaged(readings: Iterable[Reading], samples: int) -> Iterator[Reading]:
-    """Means of `samples` readings one after the other; what is left at the end and fills no block is dropped."""
-    stream = iter(readings)
+    """Means of `samples` readings one after the other; what is left at the end of a stretch and fills no block is
+    dropped."""
     if samples == 1:
-        yield from stream
-    while len(block := list(islice(stream, samples))) == samples:
-        yield mean(block)
+        yield from readings
+        return
+    block: list[Reading] = []
+    for reading in readings:
+        if block and block[0].stretch != reading.stretch:
+            block.clear()
+        block.append(reading)
+        if len(block) == samples:
+            yield mean(block)
+            block = []
 
 
 def paced(
@@ -113,7 +129,8 @@ def until(readings: Iterable[Reading], seconds: float) -> Iterator[Reading]:
 
 
 def recorded(readings: Iterable[Reading], recorder: Recorder) -> Iterator[Reading]:
-    """The same readings, each written down before it is passed on."""
+    """The same readings, each written down before it is passed on; one with a fault is left out and makes a gap."""
     for reading in readings:
-        recorder.write(reading.time, reading.wrench_sensor, reading.gravity_base)
+        if not reading.fault:
+            recorder.write(reading.time, reading.wrench_sensor, reading.gravity_base)
         yield reading

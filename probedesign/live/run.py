@@ -80,7 +80,7 @@ def estimate_stream(
 
 def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:
     """The estimate of one reading; a channel at its limit counts as read, before the bias is taken off."""
-    if not estimator.model.reads(read.wrench_sensor):
+    if read.fault or not estimator.model.reads(read.wrench_sensor):
         return Estimate("out_of_range")
     reading = without_bias(read, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)

@@ -15,7 +15,7 @@ from probedesign.rod.rod import Rod
 from probedesign.units import MILLINEWTON, MM
 
 PARAMETERS = {
-    "force_mN": Parameter(math.nan, 1e-3, 1e5),  # see _bearable
+    "force_mN": Parameter(math.nan, 1e-3, 1e5),  # see bearable
     "angle_deg": Parameter(30.0, -360.0, 360.0),
     "period_s": Parameter(20.0, 0.1, 3600.0),
     "seconds": Parameter(20.0, 0.01, 1e7),
@@ -59,7 +59,7 @@ class Simulation:
         self._model = model
         self._force = said["force_mN"] * MILLINEWTON
         if math.isnan(self._force):
-            self._force = _bearable(model.rod)
+            self._force = bearable(model.rod)
         self._angle = math.radians(said["angle_deg"])
         self._period, self._rate, self._speed = said["period_s"], said["rate_hz"], said["speed"]
         self._count = max(1, round(said["seconds"] * said["rate_hz"]))
@@ -110,7 +110,7 @@ class Simulation:
         return eq.wrench_base, Truth(s, eq.p_contact_base, contact.force_base)
 
 
-def _bearable(rod: Rod) -> float:
+def bearable(rod: Rod) -> float:
     """The usual force [N], or a smaller one on a probe that it would bend too far."""
     s = max(WHERE) * rod.length
     radius, base = float(np.interp(s, rod.s, rod.radius)), float(rod.radius[0])

@@ -1,11 +1,12 @@
 """Sources of readings: peers behind one small interface."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Protocol
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.live.netft.source import NetFT
 from probedesign.live.reading import Reading
 from probedesign.live.replay import Replay
 from probedesign.live.simulate import Simulation
@@ -24,18 +25,20 @@ class Source(Protocol):
         ...
 
 
-SOURCES = "sim: and replay:FILE"
+SOURCES = "netft://HOST, replay:FILE and sim:"
 
 
-def open_source(spec: str, model: ProbeModel) -> Source:
+def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambda line: None) -> Source:
     """The source that a specification names.
 
     Args:
-        spec: `sim:?name=value&...` or `replay:FILE?speed=max`.
+        spec: `netft://HOST[:PORT]`, `replay:FILE?speed=max` or `sim:?name=value&...`.
         model: the probe on the sensor.
+        say: takes each line that a user should know while it runs: what is late, lost or broken.
 
     Raises:
-        InputError: there is no such source, or what follows its name is wrong.
+        InputError: there is no such source, what follows its name is wrong, or it does not answer.
+        MissingDependencyError: what it is read with is not installed.
     """
     scheme, colon, rest = spec.partition(":")
     place, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
@@ -46,7 +49,9 @@ def open_source(spec: str, model: ProbeModel) -> Source:
             raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {place!r}")
         case "replay":
             return Replay(model, Path(place), query)
-        case "netft" | "daq":
+        case "netft":
+            return NetFT(model, place, query, say)
+        case "daq":
             raise InputError(f"source {scheme}: is not in this version; there are {SOURCES}")
         case _:
             raise InputError(f"source {spec!r} is not known; there are {SOURCES}")

@@ -82,6 +82,8 @@ def take_tare(readings: list[Reading], window: Window, estimator: Estimator) -> 
     told = f"tare window {window.start:g}:{window.end:g} s"
     if len(readings) < FEWEST:
         raise InputError(f"{told} holds {len(readings)} readings; a tare needs {FEWEST}")
+    if fault := next((reading.fault for reading in readings if reading.fault), ""):
+        raise InputError(f"{told} holds readings with a fault: {fault}")
     excess = np.array([reading.wrench_sensor - _free(reading, estimator) for reading in readings])
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
     noise = np.sqrt(np.diag(estimator.model.noise.covariance()))

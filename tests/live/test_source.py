@@ -11,9 +11,8 @@ from probedesign.live.source import open_source
 @pytest.mark.parametrize(
     ("spec", "told"),
     [
-        ("netft://192.168.1.1", "source netft: is not in this version; there are sim: and replay:FILE"),
-        ("daq://Dev1/ai0:5?cal=FT1.cal", "source daq: is not in this version; there are sim: and replay"),
-        ("serial:COM1", "'serial:COM1' is not known; there are sim: and replay:FILE"),
+        ("daq://Dev1/ai0:5?cal=FT1.cal", "source daq: is not in this version; there are netft://HOST"),
+        ("serial:COM1", "'serial:COM1' is not known; there are netft://HOST, replay:FILE and sim:"),
         ("sim", "'sim' is not known"),
         ("", "'' is not known"),
         ("sim:20", "sim: takes parameters only"),

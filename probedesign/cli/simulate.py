@@ -1,0 +1,89 @@
+"""`probedesign simulate`: a Net F/T box that is not there."""
+
+import time
+from contextlib import suppress
+from pathlib import Path
+
+FOREVER = 1e8
+"""Three years [s]."""
+
+
+def simulate(
+    bundle: Path,
+    /,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 49152,
+    http_port: int = 8080,
+    scene: str = "edges",
+    fault: list[str] | None = None,
+    torque_unit: str = "N-mm",
+    rate_hz: float = 7000.0,
+    records: int = 1,
+    seed: int = 1,
+    seconds: float | None = None,
+) -> None:
+    """Play a Net F/T box with the probe on it, for `live` and any other client.
+
+    The base rests until a client asks for the stream, then presses the objects of the scene one after the
+    other, round after round. It listens on this machine alone unless --host says otherwise, and ends with
+    --seconds or Ctrl-C. Faults and scenes: docs/live.md.
+
+    Args:
+        bundle: the frozen probe, NAME.probe.json.
+        host: address to listen on; 0.0.0.0 is every network of this machine.
+        port: of RDT, UDP; 0 lets the system choose.
+        http_port: of netftapi2.xml, TCP; 0 lets the system choose.
+        scene: edges, points, card-house or free.
+        fault: loss=0.01, reorder=, duplicate=, garbage=, short= of all packets; stall@10, restart@10,
+            stolen@10, units@10, saturate@10 seconds after the stream began; repeat it for several.
+        torque_unit: that the box counts in; the Nano17's own is N-mm.
+        rate_hz: records a second: 7000 over a whole number.
+        records: in a packet of buffered streaming, at most 40.
+        seed: of noise, drift and faults.
+        seconds: end so long after the start.
+    """
+    from dataclasses import replace
+
+    from probedesign.deployment import load_estimator
+    from probedesign.errors import InputError
+    from probedesign.live.box.box import NATIVE, Box
+    from probedesign.live.box.faults import parse_faults
+    from probedesign.live.box.motion import Motion
+    from probedesign.live.box.scene import press_scene
+    from probedesign.live.box.transducer import Transducer
+    from probedesign.live.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
+
+    parts = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0
+    if not parts >= 1.0 or abs(parts - round(parts)) > 1e-3 * parts:
+        raise InputError(f"--rate-hz {rate_hz:g} must be {SAMPLES_PER_SECOND} over a whole number")
+    if not 1 <= records <= MOST_RECORDS:
+        raise InputError(f"--records {records} must be 1 ... {MOST_RECORDS}")
+    if seconds is not None and not seconds > 0.0:
+        raise InputError(f"--seconds {seconds} must be positive")
+    faults = parse_faults(fault or [], seed)
+    model = load_estimator(bundle).model
+    force, moment = model.wrench_range[0], model.wrench_range[3]
+    ranges = (force, force, model.wrench_range[2], *[moment * (1.0 if torque_unit == "N-m" else 1e3)] * 3)
+    configuration = replace(
+        NATIVE,
+        torque_unit=torque_unit,
+        rate=SAMPLES_PER_SECOND / round(parts),
+        records=float(records),
+        ranges=ranges,
+    )
+    things = press_scene(model, scene)
+    transducer = Transducer(model, Motion(model, things).wrench_sensor, seed)
+    with Box(transducer, configuration, host=host, port=port, http_port=http_port, faults=faults) as box:
+        for line in (*(thing.line for thing in things), *_listening(host, box.source, bundle)):
+            print(line, flush=True)
+        with suppress(KeyboardInterrupt):
+            time.sleep(seconds if seconds is not None else FOREVER)
+
+
+def _listening(host: str, source: str, bundle: Path) -> list[str]:
+    lines = [f"listening on {source.removeprefix('netft://')}; read it with",
+             f'  probedesign live {bundle} --source "{source}" --tare-s 0:3 --average 36']  # fmt: skip
+    if not host.startswith("127."):
+        lines.insert(0, f"--host {host}: anyone on that network can read and disturb this box")
+    return lines

@@ -1,0 +1,464 @@
+"""`netft://` against the simulated box over real sockets, with what goes wrong on the wire.
+
+Ports are chosen by the system. Waiting ends with what is waited for; the deadlines only keep a broken test short.
+"""
+
+import json
+import re
+import socket
+import threading
+import time
+from dataclasses import replace
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.errors import InputError
+from probedesign.live.box.box import NATIVE, Box
+from probedesign.live.box.faults import Faults, parse_faults
+from probedesign.live.box.transducer import OFFSET, Transducer
+from probedesign.live.netft import wire
+from probedesign.live.netft.wire import RECORD, RECORDS, Request
+from probedesign.live.run import locate
+from probedesign.live.source import open_source
+
+pynetft = pytest.importorskip("pynetft")
+
+LOAD = np.array([0.05, -0.02, 0.1, 2e-3, 1e-3, -5e-4])
+
+
+def box(estimator, settings=NATIVE, load=LOAD, **options) -> Box:
+    def constant(when):
+        return np.tile(load, (len(when), 1))
+
+    return Box(Transducer(estimator.model, constant, seed=1, drift=0.0), settings, **options)
+
+
+def until(happened, told=lambda: "", seconds=10.0):
+    deadline = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < deadline, told()
+        time.sleep(0.01)
+
+
+class Reader:
+    """A source read in a thread of its own, so that a test may disturb the box meanwhile."""
+
+    def __init__(self, box: Box, estimator, query: str = ""):
+        self.lines, self.readings, self.error = [], [], None
+        self.source = open_source(box.source + query, estimator.model, self.lines.append)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+
+    def _read(self):
+        stream = iter(self.source)
+        try:
+            for reading in stream:
+                self.readings.append(reading)
+                if self._ended.is_set():
+                    break
+        except InputError as error:
+            self.error = error
+        finally:
+            stream.close()
+
+    def wait(self, happened):
+        until(happened, lambda: (self.lines, len(self.readings), self.error))
+
+    def more(self, count=200):
+        have = len(self.readings)
+        self.wait(lambda: len(self.readings) >= have + count)
+
+    def said(self, words):
+        self.wait(lambda: any(words in line for line in self.lines))
+
+    def __enter__(self):
+        self._thread.start()
+        self.more()
+        return self
+
+    def __exit__(self, *_):
+        self._ended.set()
+        self._thread.join(10.0)
+
+
+def mean_of(readings):
+    return np.mean([r.wrench_sensor for r in readings], axis=0)
+
+
+def close(estimator, count):
+    """Six standard deviations of the mean of so many raw samples."""
+    model = estimator.model
+    return 6.0 * np.sqrt(np.diag(model.noise.covariance()) * model.averaging_samples / count)
+
+
+# units and frames
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"torque_unit": "N-m"},
+        {"torque_unit": "Nmm", "counts_per_torque": 64000.0},
+        {"force_unit": "lbf", "torque_unit": "lbf-in"},
+        {"tool": (3.0, -4.0, 25.0, 30.0, -20.0, 70.0)},
+        {"tool": (0.5, 0.0, 1.0, 0.5, 0.0, 0.0), "length_unit": "in", "angle_unit": "radians"},
+    ],
+)
+def test_the_box_is_read_in_si_and_in_the_sensor_frame_whatever_it_counts_in(estimator, settings):
+    with box(estimator, replace(NATIVE, **settings)) as peer:
+        source = open_source(peer.source, estimator.model)
+        stream = iter(source)
+        readings = list(islice(stream, 700))
+        stream.close()
+    off = np.abs(mean_of(readings) - LOAD - OFFSET)
+    rounding = np.abs(source.configuration.to_sensor).sum(axis=1)  # one count of every channel
+    assert (off <= close(estimator, 700) + rounding).all()
+    assert any("folded out" in note for note in source.notes) == ("tool" in settings)
+
+
+def test_the_transform_turns_about_x_then_the_new_y_then_the_new_z():
+    """By hand: of a quarter turn about x and then about the new z, the tool's x lies along the sensor's z... its
+    own z has been turned to the sensor's -y first, and x about that."""
+    T = replace(NATIVE, tool=(1.0, 2.0, 3.0, 90.0, 0.0, 90.0)).T_sensor_tool
+    assert np.allclose(T[:3, 2], [0, -1, 0], atol=1e-15)
+    assert np.allclose(T[:3, 0], [0, 0, 1], atol=1e-15)
+    assert np.allclose(T[:3, 3], [1e-3, 2e-3, 3e-3], atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "noted"), [((12, 12, 17, 120, 120, 120), 0), ((25, 25, 35, 250, 250, 250), 1), ((), 0)]
+)
+def test_a_sensor_of_another_calibration_is_noted(estimator, ranges, noted):
+    with box(estimator, replace(NATIVE, ranges=tuple(map(float, ranges)))) as peer:
+        source = open_source(peer.source, estimator.model)
+    assert sum("another calibration" in note for note in source.notes) == noted
+
+
+def test_pynetft_reads_the_same_from_our_box(estimator):
+    """An independent client, with its own reading of the page."""
+    with box(estimator) as peer:
+        config = pynetft.Config(sensor_host="127.0.0.1", rdt_port=peer.address[1], http_port=peer.http_port)
+        with pynetft.Client(config, queue_size=8192) as client:
+            samples = list(islice(client.samples(timeout=5.0), 700))
+    assert {(s.force_unit.value, s.torque_unit.value) for s in samples} == {("N", "N-mm")}
+    wrench = np.mean([s.wrench for s in samples], axis=0) * ([1.0] * 3 + [1e-3] * 3)
+    assert (np.abs(wrench - LOAD - OFFSET) <= close(estimator, 700) + 1e-6).all()
+    assert [s.rdt_sequence for s in samples[:3]] == [1, 2, 3]
+    assert {b.ft_sequence - a.ft_sequence for a, b in pairwise(samples)} == {1}
+
+
+# the wire, by hand
+
+
+@pytest.fixture
+def asked(estimator):
+    """Asks a box for records and returns its datagrams."""
+
+    def asked(peer: Box, command: int, records: int, packets: int) -> list[bytes]:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            udp.settimeout(5.0)
+            udp.sendto(Request(command, records).packed(), peer.address)
+            return [udp.recv(65536) for _ in range(packets)]
+
+    return asked
+
+
+def test_a_number_of_records_is_sent_and_no_more(estimator, asked):
+    with box(estimator) as peer:
+        datagrams = asked(peer, wire.REALTIME, 5, 5)
+        assert [RECORD.unpack(d)[0] for d in datagrams] == [1, 2, 3, 4, 5]
+        until(lambda: peer.client is None)  # told a moment after the last record is sent
+
+
+def test_buffered_packets_hold_their_records(estimator, asked):
+    with box(estimator, replace(NATIVE, records=40.0)) as peer:
+        datagrams = asked(peer, wire.BUFFERED, 0, 3)
+    records = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
+    assert {len(d) for d in datagrams} == {40 * 36}
+    assert records["rdt"].tolist() == list(range(1, 121))
+
+
+def test_the_output_rate_is_7000_over_a_whole_number(estimator, asked):
+    with box(estimator, replace(NATIVE, rate=1000.0)) as peer:
+        ft = [RECORD.unpack(d)[1] for d in asked(peer, wire.REALTIME, 10, 10)]
+    assert set(np.diff(ft)) == {7}
+
+
+def test_bias_makes_zero_and_shows_on_the_page(estimator, asked):
+    with box(estimator) as peer:
+        asked(peer, wire.REALTIME, 70, 70)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            udp.sendto(Request(wire.BIAS).packed(), peer.address)
+            until(lambda: any(peer.configuration.bias))
+        source = open_source(peer.source, estimator.model)
+        stream = iter(source)
+        wrench = mean_of(list(islice(stream, 700)))
+        stream.close()
+    assert (np.abs(wrench) < 3.0 * close(estimator, 7)).all()  # the bias is the mean of one packet's samples
+    assert any("software bias" in note for note in source.notes)
+
+
+@pytest.mark.parametrize("datagram", [b"", b"\x12", b"\x43\x21\0\2\0\0\0\0", b"\x12\x34\0\2\0\0\0\0x"])
+def test_what_is_no_request_is_not_answered(estimator, datagram):
+    with box(estimator) as peer, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.sendto(datagram, peer.address)
+        udp.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            udp.recv(100)
+
+
+# faults
+
+
+def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
+    faults = Faults(loss=0.02, reorder=0.02, duplicate=0.02, garbage=0.02, short=0.02)
+    with box(estimator, faults=faults) as peer, Reader(peer, estimator) as reader:
+        reader.more(2000)
+    counts = reader.source.counts
+    assert all(counts[name] > 0 for name in ("lost", "late", "doubled", "malformed"))
+    assert counts["lost"] < 0.2 * counts["received"]  # not four thousand millions for one that came late
+    times = np.array([r.time for r in reader.readings])
+    assert (np.diff(times) > 0.0).all()
+    ticks = np.diff(times) * wire.SAMPLES_PER_SECOND
+    assert np.allclose(ticks, np.rint(ticks), atol=1e-6)  # the sensor's own clock
+    assert (np.abs(mean_of(reader.readings) - LOAD - OFFSET) <= close(estimator, 2000) + 1e-6).all()
+
+
+def test_the_clock_passes_the_end_of_its_32_bits(estimator):
+    with box(estimator, powered=2**32 - 1000) as peer, Reader(peer, estimator) as reader:
+        reader.more(3000)
+    times = [r.time for r in reader.readings]
+    assert reader.source.counts["restarts"] == 0
+    assert (np.diff(times) > 0.0).all() and times[-1] < 60.0
+
+
+def test_a_restart_is_survived_marked_and_not_mixed(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.restart(0.3)
+        reader.said("stale")
+        reader.said("tare from before is kept")
+        reader.more()
+    stretches = [r.stretch for r in reader.readings]
+    assert stretches == sorted(stretches) and stretches[-1] > stretches[0]
+    assert (np.diff([r.time for r in reader.readings]) > 0.0).all()
+
+
+def test_a_restart_soon_after_power_up_is_survived(estimator):
+    """pynetft takes a clock that goes back within its first 65536 samples for late records and refuses them all."""
+    with box(estimator, powered=20000) as peer, Reader(peer, estimator) as reader:
+        peer.restart(0.2)
+        reader.said("tare from before is kept")
+        reader.more()
+
+
+def test_a_stall_is_stale_and_gives_no_readings(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.stall(0.4)
+        reader.said("stale")
+        reader.more()
+    assert reader.source.counts["interruptions"] >= 1
+
+
+def test_a_stolen_stream_is_asked_for_again_and_told(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        for _ in range(4):
+            peer.steal()
+            reader.wait(lambda: peer.client is not None)
+            reader.more(20)
+        reader.said("another client")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"torque_unit": "N-m"}, "scfgtu: N-mm, now N-m"),
+        ({"counts_per_force": 1e3}, "cfgcpf: 1000000.0, now 1000.0"),
+        ({"tool": (0.0, 0.0, 10.0, 0.0, 0.0, 0.0)}, "cfgtfx: 0; 0; 0; 0; 0; 0, now 0; 0; 10; 0; 0; 0"),
+        ({"bias": (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "setbias"),
+    ],
+)
+def test_a_configuration_that_changes_ends_the_run(estimator, change, told):
+    with box(estimator) as peer, Reader(peer, estimator, "&check_s=0.1") as reader:
+        peer.configure(**change)
+        reader.wait(lambda: reader.error is not None)
+    assert told in str(reader.error) and "start again" in str(reader.error)
+
+
+def test_a_restart_with_another_configuration_ends_the_run_before_a_reading(estimator):
+    with box(estimator) as peer, Reader(peer, estimator, "&check_s=3600") as reader:
+        peer.restart(0.2)
+        peer.configure(torque_unit="N-m")
+        reader.wait(lambda: reader.error is not None)
+    assert {r.stretch for r in reader.readings} == {0}
+
+
+def test_a_saturated_sample_is_no_reading_to_estimate_from(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.saturate()
+        reader.wait(lambda: reader.readings[-1].fault)
+        saturated = reader.readings[-1]
+        peer.saturate(False)
+        reader.wait(lambda: not reader.readings[-1].fault)
+    assert "transducer saturated" in saturated.fault and "0x80020000" in saturated.fault
+    assert locate(estimator, saturated).result == "out_of_range"
+    reader.said("transducer saturated")
+
+
+def test_a_latched_monitor_condition_is_no_fault(estimator):
+    with box(estimator) as peer:
+        peer._transducer.latched = True
+        with Reader(peer, estimator) as reader:
+            reader.more()
+    assert not any(r.fault for r in reader.readings)
+
+
+def test_datagrams_from_another_address_are_not_read(estimator):
+    with (
+        box(estimator) as peer,
+        Reader(peer, estimator) as reader,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        for i in range(50):
+            stranger.sendto(RECORD.pack(10**6 + i, 10**9 + i, 0, *[10**7] * 6), peer.client)
+        reader.more()
+    assert max(abs(r.wrench_sensor[0]) for r in reader.readings) < 1.0
+    assert reader.source.counts["restarts"] == 0
+
+
+# what is refused
+
+
+@pytest.mark.parametrize(
+    ("page", "told"),
+    [
+        (b"not xml", "no XML"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "no XML that can be trusted"),
+        (b"<netft><scfgfu>N</scfgfu></netft>", "has no scfgtu, cfgcpf, cfgcpt"),
+        (b"x" * 100_000, "too long"),
+    ],
+)
+def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
+    monkeypatch.setattr("probedesign.live.box.box.page_of", lambda configuration: page)
+    with box(estimator) as peer, pytest.raises(InputError) as error:
+        open_source(peer.source, estimator.model)
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("tag", "value", "told"),
+    [
+        ("scfgtu", "N-furlong", "scfgtu = 'N-furlong' is no unit that is known"),
+        ("scfgfu", "", "is no unit that is known"),
+        ("cfgcpf", "0", "cfgcpf = 0 must be positive"),
+        ("cfgcpt", "-1", "must be positive"),
+        ("cfgcpf", "nan", "is no number"),
+        ("cfgtfx", "1;2;3", "cfgtfx holds 3 numbers"),
+        ("cfgtfx", "1;2;3;4;5;six", "is no number"),
+    ],
+)
+def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
+    from probedesign.live.box.page import page_of
+
+    wrong = re.sub(rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), page_of(NATIVE))
+    monkeypatch.setattr("probedesign.live.box.box.page_of", lambda configuration: wrong)
+    with box(estimator) as peer, pytest.raises(InputError) as error:
+        open_source(peer.source, estimator.model)
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("spec", "told"),
+    [
+        ("netft:", "write netft://HOST"),
+        ("netft://", "write netft://HOST"),
+        ("netft://host:0", "write netft://HOST"),
+        ("netft://host:99999", "write netft://HOST"),
+        ("netft://host/path", "write netft://HOST"),
+        ("netft://127.0.0.1?htp=80", "did you mean http?"),
+        ("netft://no.such.host.invalid", "is the box on"),
+        ("netft://127.0.0.1?http=1", "Connection refused"),
+    ],
+)
+def test_an_address_without_a_box_is_refused(estimator, spec, told):
+    with pytest.raises(InputError) as error:
+        open_source(spec, estimator.model)
+    assert told in str(error.value)
+
+
+def test_a_port_in_use_is_told(estimator):
+    with box(estimator) as peer:
+        with pytest.raises(InputError, match="Address already in use; say another --port"):
+            box(estimator, port=peer.address[1])
+        with pytest.raises(InputError, match="Address already in use; say another --http-port"):
+            box(estimator, http_port=peer.http_port)
+
+
+@pytest.mark.parametrize(
+    "text", ["loss", "loss=2", "loss@1", "restart=1", "noise=0.1", "loss=-1", "loss=nan"]
+)
+def test_what_is_no_fault(text):
+    with pytest.raises(InputError, match=r"--fault .* must be one of loss"):
+        parse_faults([text])
+
+
+# the commands
+
+
+def test_simulate_and_live_meet(bundle, estimator, capsys):
+    """The whole way: a scene of the rod, over the wire, tared and located."""
+    from probedesign.live.box.motion import Motion
+    from probedesign.live.box.scene import press_scene
+
+    things = press_scene(estimator.model, "edges")[2:]
+    motion = Motion(estimator.model, things)
+
+    def hurried(when):  # ten times as fast: the rest is over after half a second
+        return motion.wrench_sensor(10.0 * when)
+
+    with Box(Transducer(estimator.model, hurried, seed=1, drift=0.0)) as peer:
+        arguments = ["live", str(bundle), "--source", peer.source, "--tare-s", "0:0.3", "--average", "36"]
+        status = run([*arguments, "--seconds", "1.5", "--rate-hz", "100", "--json"])
+    out, err = capsys.readouterr()
+    rows = [json.loads(line) for line in out.splitlines()]
+    held = [row for row in rows if row["result"] == "ok"]
+    assert status == 0 and "records" in err and "tare from" in err
+    assert len(held) > 5
+    s = np.median([row["s_contact_mm"] for row in held])
+    assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * held[0]["std_s_mm"])
+
+
+def test_a_scene_of_cards_is_pressed_and_left_again(estimator):
+    from probedesign.live.box.motion import MOVE, PRESS, REST, Motion
+    from probedesign.live.box.scene import press_scene
+
+    model = estimator.model
+    things = press_scene(model, "card-house")
+    motion = Motion(model, things)
+    free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
+    rest, held = motion.wrench_sensor(np.array([1.0, REST + MOVE + PRESS + 0.5]))
+    assert np.allclose(rest, free, atol=1e-6)
+    assert np.linalg.norm((held - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
+    assert all(thing.force > 1e-3 for thing in things)
+    after = motion.wrench_sensor(np.array([motion.round + 1.0]))
+    assert np.allclose(after, free, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--rate-hz", "6000"], "must be 7000 over a whole number"),
+        (["--records", "41"], "must be 1 ... 40"),
+        (["--scene", "castle"], "--scene castle is not known; there are edges"),
+        (["--fault", "loss=2"], "--fault 'loss=2' must be one of"),
+        (["--torque-unit", "N-furlong"], "is no unit that is known"),
+        (["--host", "203.0.113.1", "--scene", "free"], "203.0.113.1:49152: "),
+    ],
+)
+def test_simulate_refuses(bundle, capsys, options, told):
+    assert run(["simulate", str(bundle), "--seconds", "0.1", *options]) == 2
+    out, err = capsys.readouterr()
+    assert told in err and err.count("\n") == 1 and out == ""
