@@ -1,0 +1,294 @@
+"""Many frictionless contacts at once, with exact derivatives by everything that the rod is made of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from probedesign.frames import Array
+from probedesign.rod import kernels
+from probedesign.rod.batch import Batch, solve_batch
+from probedesign.rod.rod import Columns, Rod
+
+_MAX_ITERATIONS = 12
+_CLOSE, _ENOUGH = 1e-4, 1e-6
+"""Relative misfit of force and normal from which Newton's next step is the last, and what it must then be below."""
+_LEAST_STEP = 1e-3  # of the magnitude
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Contacts without friction, one a row; rows of numbers are NaN unless `result` is "ok".
+
+    Attributes:
+        result: of each, (n,).
+        s, angle, magnitude: of each touch [m], [rad], [N], (n,).
+        slope: half-angle of the frustum there [rad], (n,).
+        force: base axes [N], (n, 3).
+        tip: of each equilibrium, (n, 6).
+        batch: the equilibria, with whatever columns were asked for.
+    """
+
+    result: NDArray[np.str_]
+    s: Array
+    angle: Array
+    magnitude: Array
+    slope: Array
+    force: Array
+    tip: Array
+    batch: Batch
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Which have an answer, (n,)."""
+        return np.asarray(self.result == "ok")
+
+    @cached_property
+    def _by_frame(self) -> Array:
+        """The push in the section's axes x, y and tangent, (n, 3)."""
+        return _weights(self.slope, self.angle)
+
+    @cached_property
+    def _d_normal(self) -> Array:
+        """Of the push by every column under a dead force [N], (n, 3, k)."""
+        return self.magnitude[:, None, None] * _pushed(self._by_frame, self.batch.d_contact)
+
+    def d_force(self, dead: Array, slope: Array | None = None) -> Array:
+        """Of the force, which turns with the section, by parameters [N], (n, 3, j).
+
+        Args:
+            dead: of the push by them under a dead force, (n, 3, j).
+            slope: of the half-angle by them, (n, j).
+        """
+        if slope is not None:
+            lean = np.stack([-np.sin(self.slope) * np.cos(self.angle), -np.sin(self.slope) * np.sin(self.angle),
+                             -np.cos(self.slope)], axis=-1)  # fmt: skip
+            by_slope = self.magnitude[:, None] * np.einsum("nij,nj->ni", self.axes, lean)
+            dead = dead + by_slope[:, :, None] * slope[:, None, :]
+        found: Array = np.linalg.solve(np.eye(3) - self._d_normal[:, :, 0:3], dead)
+        return found
+
+    @cached_property
+    def axes(self) -> Array:
+        """Of the sections, columns x, y, tangent, (n, 3, 3)."""
+        return _axes(self.batch.frame)
+
+    @cached_property
+    def d_touch(self) -> Array:
+        """Of the force by (s_contact, angle, magnitude), (n, 3, 3)."""
+        x, y = self.axes[:, :, 0], self.axes[:, :, 1]
+        turned = np.cos(self.slope)[:, None] * (
+            np.cos(self.angle)[:, None] * y - np.sin(self.angle)[:, None] * x
+        )
+        push = np.einsum("nij,nj->ni", self.axes, self._by_frame)
+        dead = np.stack([self._d_normal[:, :, 3], self.magnitude[:, None] * turned, push], axis=-1)
+        return self.d_force(dead)
+
+
+def solve_contacts(
+    rods: Rod | Sequence[Rod],
+    gravity: ArrayLike,
+    s_contact: ArrayLike,
+    angle: ArrayLike,
+    magnitude: ArrayLike,
+    *,
+    start: tuple[Array, Array] | None = None,
+    columns: Columns = "load",
+    threads: int | None = None,
+) -> Contacts:
+    """Equilibria of n objects that push without friction, each as `solve_frictionless` has it.
+
+    Args:
+        rods: one for all, or one a case with equally many knots.
+        gravity: base axes [m/s²], (3,) or (n, 3).
+        s_contact, angle, magnitude: of each push [m], [rad], [N], (n,).
+        start: force and tip of neighbouring contacts, (n, 3) and (n, 6).
+        columns: of the sensitivities, "load" at least.
+        threads: all cores if None.
+
+    Returns:
+        The contacts; "not_converged" also stands for a push that the rod cannot hold.
+    """
+    several = [rods] if isinstance(rods, Rod) else list(rods)
+    s, angle, magnitude = (np.array(v, dtype=float) for v in (s_contact, angle, magnitude))
+    which = np.arange(len(s)) if len(several) > 1 else np.zeros(len(s), dtype=np.int64)
+    end = np.array([rod.flank_end for rod in several])[which]
+    pushes = _Pushes(several, which, np.broadcast_to(np.asarray(gravity, dtype=float), (len(s), 3)),
+                     np.minimum(s, end), angle, _slopes(several, which, np.minimum(s, end)), threads)  # fmt: skip
+    return pushes.grown(magnitude, start, columns)
+
+
+def follow_contacts(
+    rod: Rod, gravity: ArrayLike, s_contact: Array, angle: Array, magnitudes: Sequence[float]
+) -> list[Contacts]:
+    """The same touches pressed ever harder, each force starting from the one before it.
+
+    A touch that the rod cannot hold is not tried at a greater force: its branch has ended.
+
+    Args:
+        rod: the rod.
+        gravity: base axes [m/s²], (3,).
+        s_contact, angle: of each touch [m], [rad], (n,).
+        magnitudes: ascending [N], (m,).
+
+    Returns:
+        Contacts of all touches for each force, with all columns.
+    """
+    steps: list[Contacts] = []
+    alive, last = np.arange(len(s_contact)), None
+    for magnitude in magnitudes:
+        size = np.full(len(alive), magnitude)
+        start = None if last is None else _ahead(last, size)
+        here = solve_contacts(rod, gravity, s_contact[alive], angle[alive], size, start=start, columns="all")
+        steps.append(here if last is None else _spread(here, alive, steps[-1], magnitude))
+        alive, last = alive[here.ok], _rows(here, here.ok)
+    return steps
+
+
+def _ahead(last: Contacts, size: Array) -> tuple[Array, Array]:
+    """Force and tip to start a greater force from."""
+    return last.force + (size - last.magnitude)[:, None] * last.d_touch[:, :, 2], last.tip
+
+
+def _rows(contacts: Contacts, of: NDArray[np.bool_]) -> Contacts:
+    """Some of them."""
+    parts = {name: value[of] for name, value in vars(contacts).items() if isinstance(value, np.ndarray) and
+             name in Contacts.__dataclass_fields__}  # fmt: skip
+    return replace(contacts, **parts, batch=contacts.batch.rows(of))
+
+
+def _spread(here: Contacts, alive: Indices, before: Contacts, magnitude: float) -> Contacts:
+    """Contacts of those still alive among all; the others keep why they ended."""
+    n = len(before.result)
+    result = np.where(before.ok, "not_converged", before.result).astype("<U16")
+    result[alive] = here.result
+
+    def full(v: Array) -> Array:
+        out = np.full((n, *v.shape[1:]), np.nan)
+        out[alive] = v
+        return out
+
+    batch = Batch(**{name: full(value) if value.dtype.kind == "f" else result
+                     for name, value in vars(here.batch).items()})  # fmt: skip
+    return Contacts(result, before.s, before.angle, np.full(n, magnitude), before.slope, full(here.force),
+                    full(here.tip), batch)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Pushes:
+    """Pushes at given places from given sides."""
+
+    rods: list[Rod]
+    which: Indices
+    gravity: Array
+    s: Array
+    angle: Array
+    slope: Array
+    threads: int | None
+
+    def grown(self, magnitude: Array, start: tuple[Array, Array] | None, columns: Columns) -> Contacts:
+        """At once where Newton goes there, else the push grows from where it starts."""
+        n = len(self.s)
+        force, tip, result = self._newton(np.arange(n), magnitude, start)
+        lost = np.flatnonzero(result != "ok")
+        if len(lost):
+            force[lost], tip[lost], result[lost] = self._step_by_step(lost, magnitude[lost])
+        return self._told(magnitude, force, tip, result, columns)
+
+    def _told(self, magnitude: Array, force: Array, tip: Array, result: NDArray[np.str_],
+              columns: Columns) -> Contacts:  # fmt: skip
+        """All with the columns asked for; the forces of those without an answer count as none."""
+        good = result == "ok"
+        batch = self._solve(np.arange(len(good)), np.where(good[:, None], force, 0.0), tip, columns)
+        result[good] = batch.result[good]
+        batch = batch.without(result != "ok")
+        force = np.where((result == "ok")[:, None], force, np.nan)
+        return Contacts(result, self.s, self.angle, magnitude, self.slope, force, batch.tip, batch)
+
+    def _solve(self, of: Indices, force: Array, tip: Array | None, columns: Columns) -> Batch:
+        one = len(self.rods) == 1
+        rods = self.rods[0] if one else self.rods
+        return solve_batch(rods, self.gravity[of], force, self.s[of], which=None if one else self.which[of],
+                           columns=columns, guess=tip, threads=self.threads)  # fmt: skip
+
+    def _newton(
+        self, of: Indices, magnitude: Array, start: tuple[Array, Array] | None
+    ) -> tuple[Array, Array, NDArray[np.str_]]:
+        """Newton on the forces of some pushes; force, tip and result of each."""
+        weights = _weights(self.slope[of], self.angle[of])
+        force = magnitude[:, None] * weights if start is None else start[0].copy()
+        tip = None if start is None else start[1].copy()
+        result = np.full(len(of), "not_converged", dtype="<U16")
+        out_tip = np.tile([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], (len(of), 1))
+        busy = np.arange(len(of))
+        for _ in range(_MAX_ITERATIONS):
+            batch = self._solve(of[busy], force[busy], tip, "load")
+            f, w = magnitude[busy], weights[busy]
+            misfit = force[busy] - f[:, None] * np.einsum("nij,nj->ni", _axes(batch.frame), w)
+            off = np.linalg.norm(misfit, axis=1) / np.maximum(f, 1e-12)
+            jacobian = np.eye(3) - f[:, None, None] * _pushed(w, batch.d_contact[:, :, 0:3])
+            ok = batch.ok
+            step = np.zeros_like(misfit)
+            step[ok] = np.linalg.solve(jacobian[ok], misfit[ok][:, :, None])[:, :, 0]
+            force[busy] -= step
+            out_tip[busy[ok]] = batch.tip[ok]
+            result[busy[~ok]] = batch.result[~ok]
+            done = ok & (off <= _CLOSE)
+            result[busy[done]] = "ok"
+            going = ok & ~done & (np.linalg.norm(force[busy], axis=1) <= 3.0 * f)
+            busy, tip = busy[going], batch.tip[going]
+            if not len(busy):
+                break
+        return force, out_tip, result
+
+    def _step_by_step(self, of: Indices, magnitude: Array) -> tuple[Array, Array, NDArray[np.str_]]:
+        """Pushes that grow from nothing in steps that Newton can take."""
+        n = len(of)
+        reached, step = np.zeros(n), magnitude / 4.0
+        force, tip = np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], (n, 1))
+        slope_of_force = _weights(self.slope[of], self.angle[of])
+        result = np.full(n, "ok", dtype="<U16")
+        busy = np.arange(n)
+        while len(busy):
+            goal = np.minimum(reached[busy] + step[busy], magnitude[busy])
+            ahead = force[busy] + (goal - reached[busy])[:, None] * slope_of_force[busy]
+            # From nothing the tip hangs as the free probe's does: found cold.
+            found, tips, codes = self._newton(of[busy], goal, (ahead, tip[busy]))
+            ok = codes == "ok"
+            held, lost = busy[ok], busy[~ok]
+            gained = np.maximum(goal[ok] - reached[held], 1e-300)[:, None]
+            slope_of_force[held] = (found[ok] - force[held]) / gained
+            force[held], tip[held], reached[held] = found[ok], tips[ok], goal[ok]
+            step[held], result[held] = 2.0 * step[held], "ok"
+            result[lost] = codes[~ok]
+            given_up = step < _LEAST_STEP * magnitude
+            step[lost] /= 4.0
+            over = (reached >= magnitude) | (given_up & (result != "ok"))
+            busy = busy[~over[busy]]
+        return force, tip, result
+
+
+def _axes(frame: Array) -> Array:
+    """[t, x, p, y], (n, 12), as columns x, y, tangent, (n, 3, 3)."""
+    return np.stack([frame[:, 3:6], frame[:, 9:12], frame[:, 0:3]], axis=-1)
+
+
+def _weights(slope: Array, angle: Array) -> Array:
+    """Unit push in the section's axes, (n, 3)."""
+    return np.stack([np.cos(slope) * np.cos(angle), np.cos(slope) * np.sin(angle), -np.sin(slope)], axis=-1)
+
+
+def _pushed(weights: Array, d_contact: Array) -> Array:
+    """Of the unit push by the columns that move the section's axes, (n, 3, k)."""
+    x, y, z = (weights[:, i, None, None] for i in range(3))
+    return np.asarray(x * d_contact[:, 3:6] + y * d_contact[:, 9:12] + z * d_contact[:, 0:3])
+
+
+def _slopes(rods: list[Rod], which: Indices, s: Array) -> Array:
+    """Half-angle of the frustum of each place [rad], (n,)."""
+    if len(rods) == 1:
+        return np.arctan([rods[0].taper_at(float(place)) for place in s])
+    return np.arctan([rods[i].taper_at(float(place)) for i, place in zip(which, s, strict=True)])
