@@ -77,6 +77,7 @@ def solve_batch(
     mode: Mode = "fast",
     columns: Columns = "none",
     guess: ArrayLike | None = None,
+    guess_only: bool = False,
     threads: int | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Batch:
@@ -93,7 +94,8 @@ def solve_batch(
         which: index of each case's rod, (n,); case i has rods[i] if None.
         mode: "fast" or "reference".
         columns: which sensitivities to carry along, as for `Rod.solve`.
-        guess: `tip` of a neighbouring equilibrium of each case, (n, 6), tried first; finite.
+        guess: `tip` of a neighbouring equilibrium of each case, (n, 6), tried first.
+        guess_only: give up where the guess does not lead to an answer, instead of starting cold.
         threads: all cores if None.
         progress: called with the number of cases just done.
 
@@ -113,7 +115,7 @@ def solve_batch(
     loads, of = loads[order], of[order]
     start = kernels.COLD
     if guess is not None:
-        start = kernels.WARM
+        start = kernels.WARM_ONLY if guess_only else kernels.WARM
         found[:, kernels.TIP : kernels.TIP + 6] = np.asarray(guess, dtype=float)[order]
     threads = threads or len(os.sched_getaffinity(0))
     chunk = min(CHUNK, max(-(-n // threads), LEAST))

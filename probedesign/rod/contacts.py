@@ -1,8 +1,9 @@
 """Many frictionless contacts at once, with exact derivatives by everything that the rod is made of."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +14,35 @@ from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.rod import Columns, Rod
 
 _MAX_ITERATIONS = 12
-_CLOSE, _ENOUGH = 1e-4, 1e-6
-"""Relative misfit of force and normal from which Newton's next step is the last, and what it must then be below."""
+_CLOSE = 1e-4
+"""Relative misfit of force and normal from which Newton's next step is the last: it squares it."""
 _LEAST_STEP = 1e-3  # of the magnitude
+TIP_AT_REST = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 Indices = NDArray[np.int64]
+
+
+class Start(NamedTuple):
+    """Contacts that others set out from.
+
+    Attributes:
+        magnitude: [N], (n,).
+        force: base axes [N], (n, 3).
+        tip: of the equilibria, (n, 6).
+        by_magnitude: of the force, (n, 3).
+    """
+
+    magnitude: Array
+    force: Array
+    tip: Array
+    by_magnitude: Array
+
+    def rows(self, of: Indices) -> "Start":
+        """Some of them."""
+        return Start(*(part[of] for part in self))
+
+    def ahead(self, magnitude: Array) -> Array:
+        """The force at other magnitudes, to first order [N], (n, 3)."""
+        return self.force + (magnitude - self.magnitude)[:, None] * self.by_magnitude
 
 
 @dataclass(frozen=True)
@@ -46,6 +72,11 @@ class Contacts:
         """Which have an answer, (n,)."""
         return np.asarray(self.result == "ok")
 
+    def rows(self, of: NDArray[np.bool_]) -> "Contacts":
+        """Some of them."""
+        parts = {entry.name: getattr(self, entry.name)[of] for entry in fields(self) if entry.name != "batch"}
+        return Contacts(**parts, batch=self.batch.rows(of))
+
     @cached_property
     def _by_frame(self) -> Array:
         """The push in the section's axes x, y and tangent, (n, 3)."""
@@ -54,7 +85,11 @@ class Contacts:
     @cached_property
     def _d_normal(self) -> Array:
         """Of the push by every column under a dead force [N], (n, 3, k)."""
-        return self.magnitude[:, None, None] * _pushed(self._by_frame, self.batch.d_contact)
+        return self.magnitude[:, None, None] * self.pushed(self.batch.d_contact)
+
+    def pushed(self, d_contact: Array) -> Array:
+        """Of the unit push by what moves the section's frame, (n, 12, k) to (n, 3, k)."""
+        return _pushed(self._by_frame, d_contact)
 
     def d_force(self, dead: Array, slope: Array | None = None) -> Array:
         """Of the force, which turns with the section, by parameters [N], (n, 3, j).
@@ -87,6 +122,21 @@ class Contacts:
         dead = np.stack([self._d_normal[:, :, 3], self.magnitude[:, None] * turned, push], axis=-1)
         return self.d_force(dead)
 
+    @cached_property
+    def d_wrench_by_touch(self) -> Array:
+        """Of the base wrench by (s_contact, angle, magnitude), (n, 6, 3)."""
+        moment = self.batch.d_moment[:, :, 0:3] @ self.d_touch
+        moment[:, :, 0] += self.batch.d_moment[:, :, 3]
+        return np.concatenate([self.d_touch, moment], axis=1)
+
+    @cached_property
+    def d_point_by_touch(self) -> Array:
+        """Of the contact's point by the same, (n, 3, 3)."""
+        d = self.batch.d_contact[:, 6:9]
+        point: Array = d[:, :, 0:3] @ self.d_touch
+        point[:, :, 0] += d[:, :, 3]
+        return point
+
 
 def solve_contacts(
     rods: Rod | Sequence[Rod],
@@ -95,7 +145,7 @@ def solve_contacts(
     angle: ArrayLike,
     magnitude: ArrayLike,
     *,
-    start: tuple[Array, Array] | None = None,
+    start: Start | None = None,
     columns: Columns = "load",
     threads: int | None = None,
 ) -> Contacts:
@@ -105,12 +155,12 @@ def solve_contacts(
         rods: one for all, or one a case with equally many knots.
         gravity: base axes [m/s²], (3,) or (n, 3).
         s_contact, angle, magnitude: of each push [m], [rad], [N], (n,).
-        start: force and tip of neighbouring contacts, (n, 3) and (n, 6).
+        start: neighbouring contacts to set out from.
         columns: of the sensitivities, "load" at least.
         threads: all cores if None.
 
     Returns:
-        The contacts; "not_converged" also stands for a push that the rod cannot hold.
+        The contacts; "unstable" is a push that the rod cannot hold, however gently it grows.
     """
     several = [rods] if isinstance(rods, Rod) else list(rods)
     s, angle, magnitude = (np.array(v, dtype=float) for v in (s_contact, angle, magnitude))
@@ -141,23 +191,11 @@ def follow_contacts(
     alive, last = np.arange(len(s_contact)), None
     for magnitude in magnitudes:
         size = np.full(len(alive), magnitude)
-        start = None if last is None else _ahead(last, size)
+        start = None if last is None else Start(last.magnitude, last.force, last.tip, last.d_touch[:, :, 2])
         here = solve_contacts(rod, gravity, s_contact[alive], angle[alive], size, start=start, columns="all")
         steps.append(here if last is None else _spread(here, alive, steps[-1], magnitude))
-        alive, last = alive[here.ok], _rows(here, here.ok)
+        alive, last = alive[here.ok], here.rows(here.ok)
     return steps
-
-
-def _ahead(last: Contacts, size: Array) -> tuple[Array, Array]:
-    """Force and tip to start a greater force from."""
-    return last.force + (size - last.magnitude)[:, None] * last.d_touch[:, :, 2], last.tip
-
-
-def _rows(contacts: Contacts, of: NDArray[np.bool_]) -> Contacts:
-    """Some of them."""
-    parts = {name: value[of] for name, value in vars(contacts).items() if isinstance(value, np.ndarray) and
-             name in Contacts.__dataclass_fields__}  # fmt: skip
-    return replace(contacts, **parts, batch=contacts.batch.rows(of))
 
 
 def _spread(here: Contacts, alive: Indices, before: Contacts, magnitude: float) -> Contacts:
@@ -189,14 +227,27 @@ class _Pushes:
     slope: Array
     threads: int | None
 
-    def grown(self, magnitude: Array, start: tuple[Array, Array] | None, columns: Columns) -> Contacts:
+    def grown(self, magnitude: Array, start: Start | None, columns: Columns) -> Contacts:
         """At once where Newton goes there, else the push grows from where it starts."""
-        n = len(self.s)
-        force, tip, result = self._newton(np.arange(n), magnitude, start)
+        force = magnitude[:, None] * self._weights if start is None else start.ahead(magnitude)
+        tip = None if start is None else start.tip
+        force, tip, result = self._newton(np.arange(len(self.s)), magnitude, force, tip)
         lost = np.flatnonzero(result != "ok")
         if len(lost):
-            force[lost], tip[lost], result[lost] = self._step_by_step(lost, magnitude[lost])
+            begun = self._unloaded(lost) if start is None else start.rows(lost)
+            force[lost], tip[lost], result[lost] = self._step_by_step(lost, magnitude[lost], begun)
         return self._told(magnitude, force, tip, result, columns)
+
+    @cached_property
+    def _weights(self) -> Array:
+        return _weights(self.slope, self.angle)
+
+    def _unloaded(self, of: Indices) -> Start:
+        """No push at all, on the free rod."""
+        free = self._solve(of, np.zeros((len(of), 3)), None, "load")
+        push = np.einsum("nij,nj->ni", _axes(free.frame), self._weights[of])
+        tip = np.where(free.ok[:, None], free.tip, TIP_AT_REST)
+        return Start(np.zeros(len(of)), np.zeros((len(of), 3)), tip, np.nan_to_num(push))
 
     def _told(self, magnitude: Array, force: Array, tip: Array, result: NDArray[np.str_],
               columns: Columns) -> Contacts:  # fmt: skip
@@ -212,62 +263,51 @@ class _Pushes:
         one = len(self.rods) == 1
         rods = self.rods[0] if one else self.rods
         return solve_batch(rods, self.gravity[of], force, self.s[of], which=None if one else self.which[of],
-                           columns=columns, guess=tip, threads=self.threads)  # fmt: skip
+                           columns=columns, guess=tip, guess_only=tip is not None, threads=self.threads)  # fmt: skip
 
     def _newton(
-        self, of: Indices, magnitude: Array, start: tuple[Array, Array] | None
+        self, of: Indices, magnitude: Array, force: Array, tip: Array | None
     ) -> tuple[Array, Array, NDArray[np.str_]]:
-        """Newton on the forces of some pushes; force, tip and result of each."""
-        weights = _weights(self.slope[of], self.angle[of])
-        force = magnitude[:, None] * weights if start is None else start[0].copy()
-        tip = None if start is None else start[1].copy()
+        """Newton on the forces of some pushes from guesses; force, tip and result of each."""
+        force, weights = force.copy(), self._weights[of]
         result = np.full(len(of), "not_converged", dtype="<U16")
-        out_tip = np.tile([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], (len(of), 1))
+        tips = np.tile(TIP_AT_REST, (len(of), 1))
         busy = np.arange(len(of))
         for _ in range(_MAX_ITERATIONS):
             batch = self._solve(of[busy], force[busy], tip, "load")
-            f, w = magnitude[busy], weights[busy]
+            f, w, ok = magnitude[busy], weights[busy], batch.ok
             misfit = force[busy] - f[:, None] * np.einsum("nij,nj->ni", _axes(batch.frame), w)
-            off = np.linalg.norm(misfit, axis=1) / np.maximum(f, 1e-12)
             jacobian = np.eye(3) - f[:, None, None] * _pushed(w, batch.d_contact[:, :, 0:3])
-            ok = batch.ok
-            step = np.zeros_like(misfit)
-            step[ok] = np.linalg.solve(jacobian[ok], misfit[ok][:, :, None])[:, :, 0]
-            force[busy] -= step
-            out_tip[busy[ok]] = batch.tip[ok]
-            result[busy[~ok]] = batch.result[~ok]
-            done = ok & (off <= _CLOSE)
+            force[busy[ok]] -= np.linalg.solve(jacobian[ok], misfit[ok][:, :, None])[:, :, 0]
+            tips[busy[ok]], result[busy[~ok]] = batch.tip[ok], batch.result[~ok]
+            done = ok & (np.linalg.norm(misfit, axis=1) <= _CLOSE * f)
             result[busy[done]] = "ok"
+            # Newton may leave the sphere on which the force must lie.
             going = ok & ~done & (np.linalg.norm(force[busy], axis=1) <= 3.0 * f)
             busy, tip = busy[going], batch.tip[going]
             if not len(busy):
                 break
-        return force, out_tip, result
+        return force, tips, result
 
-    def _step_by_step(self, of: Indices, magnitude: Array) -> tuple[Array, Array, NDArray[np.str_]]:
-        """Pushes that grow from nothing in steps that Newton can take."""
-        n = len(of)
-        reached, step = np.zeros(n), magnitude / 4.0
-        force, tip = np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0, 1.0, 0.0, 0.0], (n, 1))
-        slope_of_force = _weights(self.slope[of], self.angle[of])
-        result = np.full(n, "ok", dtype="<U16")
-        busy = np.arange(n)
+    def _step_by_step(
+        self, of: Indices, magnitude: Array, start: Start
+    ) -> tuple[Array, Array, NDArray[np.str_]]:
+        """Pushes that grow in steps that Newton can take; "unstable" where no step is short enough."""
+        reached, force, tip, by = (part.copy() for part in start)
+        step, result = (magnitude - reached) / 4.0, np.full(len(of), "ok", dtype="<U16")
+        busy = np.arange(len(of))
         while len(busy):
             goal = np.minimum(reached[busy] + step[busy], magnitude[busy])
-            ahead = force[busy] + (goal - reached[busy])[:, None] * slope_of_force[busy]
-            # From nothing the tip hangs as the free probe's does: found cold.
-            found, tips, codes = self._newton(of[busy], goal, (ahead, tip[busy]))
+            ahead = force[busy] + (goal - reached[busy])[:, None] * by[busy]
+            found, tips, codes = self._newton(of[busy], goal, ahead, tip[busy])
             ok = codes == "ok"
             held, lost = busy[ok], busy[~ok]
-            gained = np.maximum(goal[ok] - reached[held], 1e-300)[:, None]
-            slope_of_force[held] = (found[ok] - force[held]) / gained
+            by[held] = (found[ok] - force[held]) / np.maximum(goal[ok] - reached[held], 1e-300)[:, None]
             force[held], tip[held], reached[held] = found[ok], tips[ok], goal[ok]
-            step[held], result[held] = 2.0 * step[held], "ok"
-            result[lost] = codes[~ok]
-            given_up = step < _LEAST_STEP * magnitude
+            step[held] *= 2.0
+            result[lost[step[lost] < _LEAST_STEP * magnitude[lost]]] = "unstable"
             step[lost] /= 4.0
-            over = (reached >= magnitude) | (given_up & (result != "ok"))
-            busy = busy[~over[busy]]
+            busy = busy[(reached[busy] < magnitude[busy]) & (result[busy] == "ok")]
         return force, tip, result
 
 
