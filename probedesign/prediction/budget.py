@@ -59,7 +59,9 @@ def budget_of(contacts: Contacts, model: ProbeModel, gravity: Array, tolerances:
     return Budget(cov, cov_touch)
 
 
-def _split(contacts: Contacts, model: ProbeModel, gravity: Array, tolerances: Tolerances) -> tuple[Array, Array]:
+def _split(
+    contacts: Contacts, model: ProbeModel, gravity: Array, tolerances: Tolerances
+) -> tuple[Array, Array]:
     """Of touches that there are: covariance by cause, and that of the touch."""
     J, P = contacts.d_wrench_by_touch, contacts.d_point_by_touch
     root, known = _root(model.whiten @ J)

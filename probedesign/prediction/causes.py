@@ -101,12 +101,16 @@ def free_answers(rod: Rod, gravity: Array) -> Answers:
     still = np.zeros((1, 3))
     d_moment = d.d_moment[None]
     moments = _chosen(d_moment, _by_length(d_moment, free.wrench_base[None, 3:6], still, 3.0))
-    points = _chosen(d.d_position[None], _by_length(d.d_position[None], free.p_contact_base[None], still, 1.0))
+    points = _chosen(
+        d.d_position[None], _by_length(d.d_position[None], free.p_contact_base[None], still, 1.0)
+    )
     wrench = np.concatenate([_d_weight(rod, gravity)[None], moments], axis=1)
     return Answers(wrench, points, free.wrench_base[None], free.p_contact_base[None])
 
 
-def moved_by(answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances) -> dict[str, tuple[Array, Array]]:
+def moved_by(
+    answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances
+) -> dict[str, tuple[Array, Array]]:
     """Of each cause, how one standard deviation of it moves reading and point as told in the model's base frame.
 
     Returns:
@@ -144,7 +148,9 @@ def _by_length(columns: Array, value: Array, force: Array, power: float) -> Arra
     A rod of λ times the size under λ² times the force and 1/λ times the density is the same rod: so growing at rest
     of load is known from the columns, and the diameters' growth is taken back.
     """
-    grown = power * value - 2.0 * np.einsum("nij,nj->ni", columns[:, :, 0:3], force) + columns[:, :, LOG_DENSITY]
+    grown = (
+        power * value - 2.0 * np.einsum("nij,nj->ni", columns[:, :, 0:3], force) + columns[:, :, LOG_DENSITY]
+    )
     return np.asarray((grown - columns[:, :, LOG_DIAMETER])[:, :, None])
 
 
@@ -178,6 +184,6 @@ def _d_slope(rod: Rod, contacts: Contacts) -> Array:
 def _skews(v: Array) -> Array:
     """skew of each row, (n, 3, 3)."""
     found = np.zeros((len(v), 3, 3))
-    for (i, j, k) in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         found[:, i, j], found[:, j, i] = -v[:, k], v[:, k]
     return found

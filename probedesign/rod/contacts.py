@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probedesign.frames import Array
-from probedesign.rod import kernels
 from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.rod import Columns, Rod
 
@@ -55,6 +54,7 @@ class Contacts:
         slope: half-angle of the frustum there [rad], (n,).
         force: base axes [N], (n, 3).
         tip: of each equilibrium, (n, 6).
+        held: the greatest push up to the one asked for that the rod holds [N], (n,).
         batch: the equilibria, with whatever columns were asked for.
     """
 
@@ -65,6 +65,7 @@ class Contacts:
     slope: Array
     force: Array
     tip: Array
+    held: Array
     batch: Batch
 
     @property
@@ -201,7 +202,7 @@ def follow_contacts(
 def _spread(here: Contacts, alive: Indices, before: Contacts, magnitude: float) -> Contacts:
     """Contacts of those still alive among all; the others keep why they ended."""
     n = len(before.result)
-    result = np.where(before.ok, "not_converged", before.result).astype("<U16")
+    result = before.result.astype("<U16")
     result[alive] = here.result
 
     def full(v: Array) -> Array:
@@ -209,10 +210,12 @@ def _spread(here: Contacts, alive: Indices, before: Contacts, magnitude: float) 
         out[alive] = v
         return out
 
+    held = before.held.copy()
+    held[alive] = here.held
     batch = Batch(**{name: full(value) if value.dtype.kind == "f" else result
                      for name, value in vars(here.batch).items()})  # fmt: skip
     return Contacts(result, before.s, before.angle, np.full(n, magnitude), before.slope, full(here.force),
-                    full(here.tip), batch)  # fmt: skip
+                    full(here.tip), held, batch)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -232,11 +235,13 @@ class _Pushes:
         force = magnitude[:, None] * self._weights if start is None else start.ahead(magnitude)
         tip = None if start is None else start.tip
         force, tip, result = self._newton(np.arange(len(self.s)), magnitude, force, tip)
-        lost = np.flatnonzero(result != "ok")
+        lost, held = np.flatnonzero(result != "ok"), magnitude.copy()
         if len(lost):
             begun = self._unloaded(lost) if start is None else start.rows(lost)
-            force[lost], tip[lost], result[lost] = self._step_by_step(lost, magnitude[lost], begun)
-        return self._told(magnitude, force, tip, result, columns)
+            force[lost], tip[lost], result[lost], held[lost] = self._step_by_step(
+                lost, magnitude[lost], begun
+            )
+        return self._told(magnitude, force, tip, result, held, columns)
 
     @cached_property
     def _weights(self) -> Array:
@@ -249,7 +254,7 @@ class _Pushes:
         tip = np.where(free.ok[:, None], free.tip, TIP_AT_REST)
         return Start(np.zeros(len(of)), np.zeros((len(of), 3)), tip, np.nan_to_num(push))
 
-    def _told(self, magnitude: Array, force: Array, tip: Array, result: NDArray[np.str_],
+    def _told(self, magnitude: Array, force: Array, tip: Array, result: NDArray[np.str_], held: Array,
               columns: Columns) -> Contacts:  # fmt: skip
         """All with the columns asked for; the forces of those without an answer count as none."""
         good = result == "ok"
@@ -257,7 +262,7 @@ class _Pushes:
         result[good] = batch.result[good]
         batch = batch.without(result != "ok")
         force = np.where((result == "ok")[:, None], force, np.nan)
-        return Contacts(result, self.s, self.angle, magnitude, self.slope, force, batch.tip, batch)
+        return Contacts(result, self.s, self.angle, magnitude, self.slope, force, batch.tip, held, batch)
 
     def _solve(self, of: Indices, force: Array, tip: Array | None, columns: Columns) -> Batch:
         one = len(self.rods) == 1
@@ -291,8 +296,9 @@ class _Pushes:
 
     def _step_by_step(
         self, of: Indices, magnitude: Array, start: Start
-    ) -> tuple[Array, Array, NDArray[np.str_]]:
-        """Pushes that grow in steps that Newton can take; "unstable" where no step is short enough."""
+    ) -> tuple[Array, Array, NDArray[np.str_], Array]:
+        """Pushes that grow in steps that Newton can take; "unstable" where no step is short enough. Also told is how
+        far each came."""
         reached, force, tip, by = (part.copy() for part in start)
         step, result = (magnitude - reached) / 4.0, np.full(len(of), "ok", dtype="<U16")
         busy = np.arange(len(of))
@@ -308,7 +314,7 @@ class _Pushes:
             result[lost[step[lost] < _LEAST_STEP * magnitude[lost]]] = "unstable"
             step[lost] /= 4.0
             busy = busy[(reached[busy] < magnitude[busy]) & (result[busy] == "ok")]
-        return force, tip, result
+        return force, tip, result, reached
 
 
 def _axes(frame: Array) -> Array:
