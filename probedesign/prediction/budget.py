@@ -9,6 +9,7 @@ the sensor's axes by the model's mount and the true one there, so that a base th
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
@@ -80,11 +81,11 @@ def _split(
     return cov, cov_touch
 
 
-def _root(white: Array) -> tuple[Array, Array]:
+def _root(white: Array) -> tuple[Array, NDArray[np.bool_]]:
     """A root of (Jᵀ W J)⁻¹ by the triangle of J's whitened, scaled columns, (n, 3, 3), and whether it is known."""
     scale = np.linalg.norm(white, axis=1)
     scale = np.where(scale > 0.0, scale, 1.0)
     R = np.linalg.qr(white / scale[:, None, :])[1]
-    known = np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1) >= 1e-12
+    known = np.asarray(np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1) >= 1e-12)
     R = np.where(known[:, None, None], R, np.eye(3))
     return np.linalg.inv(R) / scale[:, :, None], known

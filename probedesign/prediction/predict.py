@@ -138,8 +138,8 @@ def predict(
         touches = touches_of(estimator, known, lines + ends, (_WEAK_N, *LADDER_N, *forces_N))
         reach = reach_of(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
         detection = tuple(_detection(touches[_WEAK_N], i, line) for i, line in enumerate(lines))
-        conditions = {(*line, force): condition for force in forces_N
-                      for line, condition in zip(lines, conditions_of(touches[force], lines), strict=False)}  # fmt: skip
+        told = {force: conditions_of(touches[force], lines) for force in forces_N}
+        conditions = {(*line, force): told[force][i] for i, line in enumerate(lines) for force in forces_N}
     return Prediction(
         name=model.name,
         fingerprint=model.fingerprint,

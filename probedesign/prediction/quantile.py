@@ -44,7 +44,7 @@ def radii_95(cov: Array, share: float = 0.95) -> Array:
     Returns:
         Radii [m], (n,); NaN or infinite where a covariance is.
     """
-    finite = np.isfinite(cov).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(cov).all(axis=(1, 2)))
     radii = np.where(np.isnan(cov).any(axis=(1, 2)), np.nan, np.inf)
     eigenvalues = np.clip(np.linalg.eigvalsh(np.where(finite[:, None, None], cov, 0.0)), 0.0, None)
     radii[finite] = 0.0

@@ -61,10 +61,12 @@ def reach_of(
         most, limit = _greatest(
             forces, use[:, i], held[i], _slips(forces, depth[:, tip], depth[0, i], i == tip)
         )
-        needed = [_needed(forces, errors[:, i], use[:, i], accuracy * MM, most) for accuracy in ACCURACIES_MM]
+        for_1, for_2, for_5 = (
+            _needed(forces, errors[:, i], use[:, i], accuracy * MM, most) for accuracy in ACCURACIES_MM
+        )
         there = np.isfinite(bent[:, i]) & (forces <= 1.3 * most)
         deflection = float(np.interp(most, forces[there], bent[there, i])) / MM if there.any() else None
-        found.append(Reach(fraction, direction, *needed, most, limit, deflection))
+        found.append(Reach(fraction, direction, for_1, for_2, for_5, most, limit, deflection))
     return tuple(found)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
@@ -69,7 +70,7 @@ class Tolerances:
                 raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
 
     @classmethod
-    def of(cls, model: ProbeModel, said: Mapping[str, float | None] | None = None) -> "Tolerances":
+    def of(cls, model: ProbeModel, said: Mapping[str, Any] | None = None) -> "Tolerances":
         """What a design says of them, the material's spread and creep where it says nothing, and else the defaults.
 
         Args:
@@ -84,7 +85,8 @@ class Tolerances:
     @classmethod
     def none(cls) -> "Tolerances":
         """Everything is as the model says."""
-        return cls(**{entry.name: 0.0 for entry in fields(cls) if entry.name != "tared"})
+        nothing: dict[str, Any] = {entry.name: 0.0 for entry in fields(cls) if entry.name != "tared"}
+        return cls(**nothing)
 
     def sources(self) -> dict[str, str]:
         """Where each comes from, by name."""

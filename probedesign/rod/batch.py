@@ -51,6 +51,17 @@ class Batch:
         """Some of the cases."""
         return Batch(**{name: value[of] for name, value in vars(self).items()})
 
+    def among(self, of: Indices, result: np.ndarray[tuple[int], np.dtype[np.str_]]) -> "Batch":
+        """These cases at their places among more, which have no numbers."""
+        full = {
+            name: np.full((len(result), *value.shape[1:]), np.nan)
+            for name, value in vars(self).items()
+            if name != "result"
+        }
+        for name, values in full.items():
+            values[of] = getattr(self, name)
+        return Batch(result=result, **full)
+
     def without(self, bad: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "Batch":
         """The same, with no numbers for some."""
         kept = {

@@ -104,8 +104,7 @@ class Contacts:
                              -np.cos(self.slope)], axis=-1)  # fmt: skip
             by_slope = self.magnitude[:, None] * np.einsum("nij,nj->ni", self.axes, lean)
             dead = dead + by_slope[:, :, None] * slope[:, None, :]
-        found: Array = np.linalg.solve(np.eye(3) - self._d_normal[:, :, 0:3], dead)
-        return found
+        return np.asarray(np.linalg.solve(np.eye(3) - self._d_normal[:, :, 0:3], dead), dtype=float)
 
     @cached_property
     def axes(self) -> Array:
@@ -212,8 +211,7 @@ def _spread(here: Contacts, alive: Indices, before: Contacts, magnitude: float) 
 
     held = before.held.copy()
     held[alive] = here.held
-    batch = Batch(**{name: full(value) if value.dtype.kind == "f" else result
-                     for name, value in vars(here.batch).items()})  # fmt: skip
+    batch = here.batch.among(alive, result)
     return Contacts(result, before.s, before.angle, np.full(n, magnitude), before.slope, full(here.force),
                     full(here.tip), held, batch)  # fmt: skip
 
