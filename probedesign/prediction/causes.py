@@ -36,12 +36,14 @@ class Answers:
         point: of the touched point of the centreline [m], (n, 3, j).
         at: the base wrench itself, (n, 6).
         p: the point itself, (n, 3).
+        force: of the contact's force [N], (n, 3, j).
     """
 
     wrench: Array
     point: Array
     at: Array
     p: Array
+    force: Array
 
 
 def parameters_of(rod: Rod, tolerances: Tolerances) -> dict[str, Array]:
@@ -90,7 +92,7 @@ def answers_of(contacts: Contacts, rod: Rod, gravity: Array) -> Answers:
     turning = contacts.d_force(dead, _d_slope(rod, contacts))
     wrench = np.concatenate([d_force + turning, d_moment + batch.d_moment[:, :, 0:3] @ turning], axis=1)
     point = d_contact[:, 6:9] + batch.d_contact[:, 6:9, 0:3] @ turning
-    return Answers(wrench, point, batch.wrench_base, batch.p_contact_base)
+    return Answers(wrench, point, batch.wrench_base, batch.p_contact_base, turning)
 
 
 def free_answers(rod: Rod, gravity: Array) -> Answers:
@@ -105,7 +107,7 @@ def free_answers(rod: Rod, gravity: Array) -> Answers:
         d.d_position[None], _by_length(d.d_position[None], free.p_contact_base[None], still, 1.0)
     )
     wrench = np.concatenate([_d_weight(rod, gravity)[None], moments], axis=1)
-    return Answers(wrench, points, free.wrench_base[None], free.p_contact_base[None])
+    return Answers(wrench, points, free.wrench_base[None], free.p_contact_base[None], np.zeros_like(points))
 
 
 def moved_by(

@@ -34,7 +34,7 @@ class Batch:
         p_contact_base: where the force acts [m], (n, 3).
         d_moment: of the base moment, (n, 3, k); k = 0 if no columns were asked for.
         d_contact: of the contact's [tangent, section x axis, position, section y axis], (n, 12, k).
-        frame: those four themselves, (n, 12); only where columns were asked for.
+        frame: those four themselves, (n, 12); NaN unless columns were asked for.
     """
 
     result: np.ndarray[tuple[int], np.dtype[np.str_]]
@@ -120,7 +120,7 @@ def solve_batch(
     loads, of = _cases(several, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
     bodies = _stacked(several)
     n, k = len(loads), several[0].columns_of(columns)
-    found, derivatives = np.empty((n, kernels.FOUND)), np.empty((n, 15, k + 1))
+    found, derivatives = np.empty((n, kernels.FOUND)), np.full((n, 15, k + 1), np.nan)
     tol, until = TOLERANCES[mode]
     order, kinds = _by_kind(several, of)
     loads, of = loads[order], of[order]

@@ -156,7 +156,7 @@ def solve_contacts(
         gravity: base axes [m/s²], (3,) or (n, 3).
         s_contact, angle, magnitude: of each push [m], [rad], [N], (n,).
         start: neighbouring contacts to set out from.
-        columns: of the sensitivities, "load" at least.
+        columns: of the sensitivities that the contacts bring along; derivatives need "load" at least.
         threads: all cores if None.
 
     Returns:
@@ -333,6 +333,8 @@ def _pushed(weights: Array, d_contact: Array) -> Array:
 
 def _slopes(rods: list[Rod], which: Indices, s: Array) -> Array:
     """Half-angle of the frustum of each place [rad], (n,)."""
-    if len(rods) == 1:
-        return np.arctan([rods[0].taper_at(float(place)) for place in s])
-    return np.arctan([rods[i].taper_at(float(place)) for i, place in zip(which, s, strict=True)])
+    of = rods[:1] if len(rods) == 1 else [rods[i] for i in which]
+    knots, radii = np.stack([rod.s for rod in of]), np.stack([rod.radius for rod in of])
+    i = np.clip((knots < s[:, None]).sum(axis=1) - 1, 0, knots.shape[1] - 2)
+    row = np.zeros(len(s), dtype=np.int64) if len(of) == 1 else np.arange(len(s))
+    return np.asarray(np.arctan((radii[row, i] - radii[row, i + 1]) / (knots[row, i + 1] - knots[row, i])))
