@@ -37,6 +37,10 @@ def _quiet(_: str) -> None:
     """Say nothing."""
 
 
+def _silent(_: str, __: float | None) -> None:
+    """Tell nothing."""
+
+
 def probe_of(design_path: Path) -> Probe:
     """Design file → design → geometry, mass, rod."""
     return build_probe(load_design(design_path))
@@ -96,7 +100,12 @@ def prepare_print(
 
 
 def predict(
-    design_path: Path, out: Path | None = None, plots: bool | None = None
+    design_path: Path,
+    out: Path | None = None,
+    plots: bool | None = None,
+    draws: int | None = None,
+    seed: int = 0,
+    tell: Callable[[str, float | None], None] = _silent,
 ) -> tuple[Prediction, list[Path]]:
     """Design → rod → estimator → prediction → report.
 
@@ -104,13 +113,23 @@ def predict(
         design_path: the design file.
         out: folder for prediction.json and prediction.png; exports/NAME if None.
         plots: draw the picture; None draws it where matplotlib is installed.
+        draws: Monte Carlo's estimates of each condition; none is run if None.
+        seed: of what it draws.
+        tell: told the step at work and the share done, if known.
 
     Returns:
         The prediction and the files written.
     """
     probe = probe_of(design_path)
-    prediction = probe.predict()
     folder = EXPORTS / probe.design.name if out is None else out
+    tell("predicting", None)
+    prediction = probe.predict()
+    if draws is not None:
+        from probedesign.prediction.monte_carlo import Plan, sample
+
+        plan = Plan(probe.model, probe.tolerances, draws, seed)
+        sampled = sample(plan, prediction, folder, lambda share: tell("Monte Carlo", share))
+        prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
     if plots or (plots is None and find_spec("matplotlib") is not None):

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table, working
+from probedesign.cli import prediction_tables as tables
+from probedesign.cli.output import print_json, print_table, telling
 
 if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction
@@ -16,6 +17,8 @@ def predict(
     /,
     *,
     out: Path | None = None,
+    monte_carlo: int | None = None,
+    seed: int = 0,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -24,13 +27,16 @@ def predict(
     Args:
         design: the design file.
         out: folder for them; by default exports/NAME.
+        monte_carlo: check the error budget by so many simulated estimates of each condition; goes on where an
+            interrupted run of the same stopped.
+        seed: of what Monte Carlo draws.
         plots: draw prediction.png; by default where matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
 
-    with working("predicting"):
-        prediction, files = pipeline.predict(design, out, plots)
+    with telling() as tell:
+        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, tell)
     if as_json:
         print_json(prediction.as_dict())
     else:
@@ -61,6 +67,7 @@ def _print(prediction: "Prediction") -> None:
     print("\n- : felt but not located   . : not felt   ^ : beyond the sensor   / : the probe gives way")
     print("\nAt the lightest force, worst of the directions")
     print(_sensitivity_table(prediction))
+    tables.print_all(prediction)
 
 
 _MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}

@@ -24,6 +24,7 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Condition, Prediction
+from probedesign.prediction.sampled import Sampled
 from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.worlds import Worlds
 from probedesign.units import MM
@@ -34,32 +35,6 @@ SAVE_EVERY_S = 2.0
 MOST_DRAWS = 1_000_000
 Touch = tuple[float, float, str]
 """Contact fraction, force [N] and direction."""
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """What Monte Carlo made of one condition; None where nothing was located.
-
-    Attributes:
-        contact_fraction, force_N, direction: which.
-        draws: how many worlds.
-        located: how many of them the estimator answered with "ok"; the errors are theirs.
-        error_mm, error_95_mm: RMS distance, and what 95 of 100 stay within.
-        standard_error_mm: of that RMS.
-        first_order_mm: what the budget says.
-        differs: whether the two differ by more than a tenth and two standard errors.
-    """
-
-    contact_fraction: float
-    force_N: float
-    direction: str
-    draws: int
-    located: int
-    error_mm: float | None
-    error_95_mm: float | None
-    standard_error_mm: float | None
-    first_order_mm: float | None
-    differs: bool
 
 
 @dataclass(frozen=True)
@@ -81,7 +56,7 @@ class Plan:
         """Raises InputError where the numbers make no sense."""
         if not 2 <= self.draws <= MOST_DRAWS:
             raise InputError(
-                f"--monte-carlo {self.draws} must lie in 2 ... {MOST_DRAWS}: draws of each condition"
+                f"--monte-carlo {self.draws} must lie in 2 ... {MOST_DRAWS}, estimates of each condition"
             )
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")

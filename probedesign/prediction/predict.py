@@ -11,6 +11,7 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.prediction.causes import CAUSES
 from probedesign.prediction.reach import LADDER_N, Reach, reach_of
+from probedesign.prediction.sampled import Sampled
 from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
 from probedesign.units import MM
@@ -85,6 +86,7 @@ class Prediction:
         detection: along the probe.
         reach: what a touch costs the object, along the probe.
         tolerances: how well the probe is known, standard deviations, and where each number comes from.
+        monte_carlo: of the conditions that are located; empty if none was run.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Prediction:
     detection: tuple[Detection, ...]
     reach: tuple[Reach, ...]
     tolerances: Tolerances
+    monte_carlo: tuple[Sampled, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; every key ends in its unit."""
