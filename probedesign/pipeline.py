@@ -13,11 +13,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
 from probedesign.files import write_atomically
+from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
 from probedesign.printing.check import PrintCheck, check_print
 from probedesign.printing.preform.connection import connection_to
@@ -27,6 +28,9 @@ from probedesign.printing.preform.prepare import Order, Prepared, prepare
 from probedesign.printing.preform.server import PreForm
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
+
+if TYPE_CHECKING:
+    from probedesign.prediction.table_one import TableOne
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -138,6 +142,14 @@ def predict(
         files.append(folder / "prediction.png")
         write_atomically(files[1], draw_prediction(prediction, probe.estimator()))
     return prediction, files
+
+
+def predict_table_one() -> "TableOne":
+    """The paper's probes → its Table I, predicted."""
+    from probedesign.prediction.table_one import table_one
+
+    probes = {name: build_probe(paper_design(name)) for name in PROBES}
+    return table_one({name: (probe.model, probe.tolerances) for name, probe in probes.items()})
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from probedesign.prediction.predict import Condition, Prediction
     from probedesign.prediction.reach import Reach
+    from probedesign.prediction.table_one import Score, TableOne
 
 BUDGET_FORCE_N = 0.02
 """At which the budget is shown, or at the force of the grid nearest to it: a delicate touch that is located."""
@@ -28,7 +29,7 @@ def print_all(prediction: "Prediction") -> None:
 
 
 def _budget(prediction: "Prediction", force: float) -> str:
-    worst = {}
+    worst: dict[float, Condition] = {}
     for c in prediction.conditions:
         if c.force_N == force and c.budget_mm is not None:
             before = worst.get(c.contact_fraction)
@@ -42,7 +43,7 @@ def _budget(prediction: "Prediction", force: float) -> str:
     ]
     rows += [("all", lambda c: c.total_error_mm), ("95 % within", lambda c: c.total_error_95_mm)]
     for name, value in rows:
-        lines.append(f"  {name:<18}" + "".join(_cell(value(worst[place]), 7) for place in places))
+        lines.append(f"  {name:<18}" + "".join(_small(value(worst[place]), 7) for place in places))
     return "\n".join(lines)
 
 
@@ -84,3 +85,38 @@ def _most(rows: "list[Reach]", name: str) -> float | None:
 
 def _cell(value: float | None, width: int) -> str:
     return f"{'none' if value is None else f'{value:.3g}':>{width}}"
+
+
+def _small(value: float | None, width: int) -> str:
+    """To a hundredth of a millimetre; what is less is nothing beside the rest."""
+    if value is None:
+        return f"{'none':>{width}}"
+    return f"{'<0.01' if value < 0.005 else f'{value:.2f}' if value < 100 else f'{value:.3g}':>{width}}"
+
+
+def print_table_one(table: "TableOne") -> None:
+    """The paper's table beside what is predicted."""
+    print(
+        f"Table I, contact error [mm]: sensor {table.noise_force_mN:.3g} mN and {table.noise_moment_Nmm:.3g} N·mm, "
+        f"stereo reference {table.reference_mm:g} mm (assumed), the same for all rows"
+    )
+    print("  probe    force   s/L    measured   predicted   noise alone   largest cause")
+    for row in table.rows:
+        print(
+            f"  {row.probe:<7}{row.force_N:>7g}{row.contact_fraction:>6g}{row.measured_error_mm:>12g}"
+            f"{_cell(row.predicted_error_mm, 12)}{_cell(row.noise_error_mm, 14)}   {row.largest_cause}"
+        )
+    print(f"\n  {_said(table.score, len(table.rows))}")
+    for row in table.rows:
+        if not row.within:
+            print(f"  misses: {row.probe}, {row.force_N:g} N at {row.contact_fraction:g}: {row.why}")
+    print("\nHad the reference or the assumed diameters been others")
+    for score in (*table.by_reference, *table.by_diameter):
+        print(f"  {score.setting:<24}{_said(score, len(table.rows))}")
+
+
+def _said(score: "Score", rows: int) -> str:
+    return (
+        f"{score.within} of {rows} within a factor of two; rank correlation {score.rank_correlation:.2f} "
+        f"over the {score.predicted} predicted"
+    )

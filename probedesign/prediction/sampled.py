@@ -10,8 +10,9 @@ class Sampled:
     Attributes:
         contact_fraction, force_N, direction: which.
         draws: how many worlds.
-        located: how many of them the estimator answered with "ok"; the errors are theirs.
-        error_mm, error_95_mm: RMS distance, and what 95 of 100 stay within.
+        located: how many of them the estimator answered with "ok".
+        error_mm, error_95_mm: RMS distance of the best places, those called inconsistent among them, and what
+            95 of 100 stay within.
         standard_error_mm: of that RMS.
         first_order_mm: what the budget says.
         differs: whether the two differ by more than a tenth and two standard errors.
