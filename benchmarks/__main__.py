@@ -1,8 +1,8 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|export|live ...]`: every part, or those named."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|export|live ...]`: all parts, or those named."""
 
 import sys
 
-from benchmarks import detection, estimation, export, live, peak, rod, start
+from benchmarks import detection, estimation, export, live, peak, prediction, rod, start
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -11,6 +11,7 @@ PARTS = {
     "start": start.report,
     "estimation": estimation.report,
     "detection": detection.report,
+    "prediction": prediction.report,
     "export": export.report,
     "live": live.report,
 }

@@ -13,7 +13,15 @@ from typing import Any, Literal, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from probedesign.design_problems import Inconsistent, first_problem, one_line, quoted
-from probedesign.design_tables import MaterialTable, MountTable, PrintTable, ProbeTable, SensorTable, Table
+from probedesign.design_tables import (
+    MaterialTable,
+    MountTable,
+    PrintTable,
+    ProbeTable,
+    SensorTable,
+    Table,
+    TolerancesTable,
+)
 from probedesign.errors import InputError
 from probedesign.materials import Quantity, Resin, resin_named
 from probedesign.printer import Printer, printer_named
@@ -34,6 +42,7 @@ class Design(Table):
     sensor: SensorTable = SensorTable()
     mount: MountTable = MountTable()
     print_: PrintTable = Field(default=PrintTable(), alias="print")
+    tolerances: TolerancesTable = TolerancesTable()
 
     @field_validator("name")
     @classmethod

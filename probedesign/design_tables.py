@@ -22,6 +22,7 @@ MIN_DIAMETER_MM, MAX_DIAMETER_MM = 0.3, 60.0
 
 Length = Annotated[float, Field(ge=5.0, le=400.0)]
 Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
+Share = Annotated[float, Field(ge=0.0, le=0.5)]
 BoreRatio = Annotated[float, Field(ge=0.05, le=0.9)]
 Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
 Scale = Annotated[float, Field(ge=0.9, le=1.1)]
@@ -264,6 +265,26 @@ class PrintTable(Table):
     def rigid_scale(self) -> tuple[float, float, float]:
         """The same of the rigid parts."""
         return (self.rigid_scale_xy, self.rigid_scale_xy, self.rigid_scale_z)
+
+
+class TolerancesTable(Table):
+    """`[tolerances]`: standard deviations that `predict` counts with; what is not given is assumed."""
+
+    drift_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    youngs_modulus: Share | None = None
+    shear_modulus: Share | None = None
+    density: Share | None = None
+    diameter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    diameter_share: Share | None = None
+    diameter_scatter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    length_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
+    length_share: Share | None = None
+    base_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
+    tilt_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    clocking_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    gravity_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    creep: Share | None = None
+    tared: bool | None = None
 
 
 def _as_tuple(value: Any) -> Any:

@@ -13,11 +13,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
 from probedesign.files import write_atomically
+from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
 from probedesign.printing.check import PrintCheck, check_print
 from probedesign.printing.preform.connection import connection_to
@@ -28,6 +29,9 @@ from probedesign.printing.preform.server import PreForm
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
+if TYPE_CHECKING:
+    from probedesign.prediction.table_one import TableOne
+
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
 """Fraction, newtons and direction of the touch that `new` speaks of: delicate, and near the tip."""
@@ -35,6 +39,10 @@ SUMMARY_TOUCH = (0.8, 0.010, "+y")
 
 def _quiet(_: str) -> None:
     """Say nothing."""
+
+
+def _silent(_: str, __: float | None) -> None:
+    """Tell nothing."""
 
 
 def probe_of(design_path: Path) -> Probe:
@@ -96,7 +104,12 @@ def prepare_print(
 
 
 def predict(
-    design_path: Path, out: Path | None = None, plots: bool | None = None
+    design_path: Path,
+    out: Path | None = None,
+    plots: bool | None = None,
+    draws: int | None = None,
+    seed: int = 0,
+    tell: Callable[[str, float | None], None] = _silent,
 ) -> tuple[Prediction, list[Path]]:
     """Design → rod → estimator → prediction → report.
 
@@ -104,13 +117,23 @@ def predict(
         design_path: the design file.
         out: folder for prediction.json and prediction.png; exports/NAME if None.
         plots: draw the picture; None draws it where matplotlib is installed.
+        draws: Monte Carlo's estimates of each condition; none is run if None.
+        seed: of what it draws.
+        tell: told the step at work and the share done, if known.
 
     Returns:
         The prediction and the files written.
     """
     probe = probe_of(design_path)
-    prediction = probe.predict()
     folder = EXPORTS / probe.design.name if out is None else out
+    tell("predicting", None)
+    prediction = probe.predict()
+    if draws is not None:
+        from probedesign.prediction.monte_carlo import Plan, sample
+
+        plan = Plan(probe.model, probe.tolerances, draws, seed)
+        sampled = sample(plan, prediction, folder, lambda share: tell("Monte Carlo", share))
+        prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
     if plots or (plots is None and find_spec("matplotlib") is not None):
@@ -119,6 +142,14 @@ def predict(
         files.append(folder / "prediction.png")
         write_atomically(files[1], draw_prediction(prediction, probe.estimator()))
     return prediction, files
+
+
+def predict_table_one() -> "TableOne":
+    """The paper's probes → its Table I, predicted."""
+    from probedesign.prediction.table_one import table_one
+
+    probes = {name: build_probe(paper_design(name)) for name in PROBES}
+    return table_one({name: (probe.model, probe.tolerances) for name, probe in probes.items()})
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

@@ -22,6 +22,7 @@ from probedesign.sensor import averaged_noise
 
 if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction
+    from probedesign.prediction.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,14 @@ class Probe:
         """How well this probe will feel; see `probedesign.prediction.predict.predict`."""
         from probedesign.prediction.predict import predict
 
-        return predict(self.model, **options)
+        return predict(self.model, **{"tolerances": self.tolerances, **options})
+
+    @property
+    def tolerances(self) -> "Tolerances":
+        """How well the probe is known, as its design has it."""
+        from probedesign.prediction.tolerances import Tolerances
+
+        return Tolerances.of(self.model, self.design.tolerances.model_dump())
 
 
 def build_probe(design: Design) -> Probe:

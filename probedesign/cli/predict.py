@@ -5,32 +5,53 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table, working
+from probedesign.cli import prediction_tables as tables
+from probedesign.cli.output import print_json, print_table, telling, working
+from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction
 
 
 def predict(
-    design: Path,
+    design: Path | None = None,
     /,
     *,
     out: Path | None = None,
+    monte_carlo: int | None = None,
+    seed: int = 0,
+    table1: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Predict sensitivity and contact error of a design; write prediction.json and prediction.png.
 
     Args:
-        design: the design file.
+        design: the design file; none with --table1.
         out: folder for them; by default exports/NAME.
+        monte_carlo: check the error budget by so many simulated estimates of each condition; goes on where an
+            interrupted run of the same stopped.
+        seed: of what Monte Carlo draws.
+        table1: predict the paper's Table I for its own three probes, beside what was measured.
         plots: draw prediction.png; by default where matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
 
-    with working("predicting"):
-        prediction, files = pipeline.predict(design, out, plots)
+    if (design is None) is not table1:
+        raise InputError(
+            "predict needs a design file, or --table1 and none: probedesign predict designs/NAME.toml"
+        )
+    if design is None:
+        with working("predicting the paper's table"):
+            table = pipeline.predict_table_one()
+        if as_json:
+            print_json(table.as_dict())
+        else:
+            tables.print_table_one(table)
+        return
+    with telling() as tell:
+        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, tell)
     if as_json:
         print_json(prediction.as_dict())
     else:
@@ -61,6 +82,7 @@ def _print(prediction: "Prediction") -> None:
     print("\n- : felt but not located   . : not felt   ^ : beyond the sensor   / : the probe gives way")
     print("\nAt the lightest force, worst of the directions")
     print(_sensitivity_table(prediction))
+    tables.print_all(prediction)
 
 
 _MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}

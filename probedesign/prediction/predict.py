@@ -1,25 +1,25 @@
 """How well a probe will feel, before it is printed: sensitivity, detection, saturation, localisation error."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.estimator.bound import contact_bound
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.prediction.quantile import radius_95
-from probedesign.rod.contact import FrictionlessContact, solve_frictionless
+from probedesign.prediction.causes import CAUSES
+from probedesign.prediction.reach import LADDER_N, Reach, reach_of
+from probedesign.prediction.sampled import Sampled
+from probedesign.prediction.tolerances import Tolerances
+from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
 from probedesign.units import MM
 
-DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
-"""Way the object pushes, as an angle about the tangent from the section's x axis [rad]."""
+__all__ = ["DIRECTIONS", "Condition", "Detection", "Prediction", "predict", "predict_touch", "tip_sag_mm"]
+
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-_NO_TOUCH = {"unstable": "gives_way", "not_converged": "not_converged"}
-"""Why there is no touch to predict: the probe buckles or bends away before it pushes back so hard."""
 _WEAK_N = 1e-6  # a push so light that everything answers in proportion
 
 
@@ -40,6 +40,9 @@ class Condition:
         moment_per_N_Nmm, force_per_N_N: change of the base's moment and force per newton more.
         moment_per_mm_Nmm, force_per_mm_N: the same per millimetre of pressing on at the same s.
         sensor_use: largest share of a channel's range that the reading takes.
+        total_error_mm: RMS distance by all causes of `budget_mm` together.
+        total_error_95_mm: 95 % of the estimates lie within this distance, all causes together.
+        budget_mm: RMS distance by each cause alone; their squares add up.
     """
 
     contact_fraction: float
@@ -55,6 +58,9 @@ class Condition:
     moment_per_mm_Nmm: float | None = None
     force_per_mm_N: float | None = None
     sensor_use: float | None = None
+    total_error_mm: float | None = None
+    total_error_95_mm: float | None = None
+    budget_mm: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,9 @@ class Prediction:
         noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels that was counted with.
         conditions: the grid.
         detection: along the probe.
+        reach: what a touch costs the object, along the probe.
+        tolerances: how well the probe is known, standard deviations, and where each number comes from.
+        monte_carlo: of the conditions that are located; empty if none was run.
     """
 
     name: str
@@ -89,10 +98,13 @@ class Prediction:
     noise_moment_Nmm: float
     conditions: tuple[Condition, ...]
     detection: tuple[Detection, ...]
+    reach: tuple[Reach, ...]
+    tolerances: Tolerances
+    monte_carlo: tuple[Sampled, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; every key ends in its unit."""
-        return {"schema": 1, **asdict(self)}
+        return {"schema": 1, **asdict(self), "tolerance_sources": self.tolerances.sources()}
 
 
 def predict(
@@ -100,31 +112,37 @@ def predict(
     fractions: tuple[float, ...] = FRACTIONS,
     forces_N: tuple[float, ...] = FORCES_N,
     directions: tuple[str, ...] = ("+x", "-x", "+y"),
+    tolerances: Tolerances | None = None,
 ) -> Prediction:
     """Predict sensitivity and contact error over a grid of touches.
 
-    The error is Cramér and Rao's bound for the sensor's noise, by the rod's exact sensitivities, which the default
-    estimator reaches; E, geometry and mount count as known, the touch as free of friction.
+    The error by noise is Cramér and Rao's bound, by the rod's exact sensitivities, which the default estimator
+    reaches; the other causes are counted to first order (`budget.py`). The touch counts as free of friction.
 
     Args:
         model: the probe.
         fractions: of the length where it is touched, in (0, 1].
         forces_N: how hard [N].
         directions: keys of `DIRECTIONS`: which way the object pushes.
+        tolerances: how well the probe is known; as `Tolerances.of` the model has it if None.
 
     Raises:
         InputError: a fraction, force or direction that makes no sense.
     """
-    _check_grid(fractions, forces_N, directions)
-    estimator = Estimator(model)
-    conditions = tuple(
-        predict_touch(estimator, fraction, force, direction)
-        for fraction in fractions for force in forces_N for direction in directions
-    )  # fmt: skip
-    detection = tuple(
-        Detection(fraction, direction, _detectable_mN(estimator, fraction, direction))
-        for fraction in fractions for direction in directions
-    )  # fmt: skip
+    check_grid(fractions, forces_N, directions)
+    estimator, known = Estimator(model), tolerances or Tolerances.of(model)
+    end = model.rod.flank_end / model.rod.length
+    lines = [(fraction, direction) for fraction in fractions for direction in directions]
+    ends = [(end, direction) for direction in directions if (end, direction) not in lines]
+    reach, detection = _nothing(lines), tuple(Detection(*line, None) for line in lines)
+    conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
+                  for line in lines for force in forces_N}  # fmt: skip
+    if estimator.free().ok:  # else it cannot even stand
+        touches = touches_of(estimator, known, lines + ends, (_WEAK_N, *LADDER_N, *forces_N))
+        reach = reach_of(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
+        detection = tuple(_detection(touches[_WEAK_N], i, line) for i, line in enumerate(lines))
+        told = {force: conditions_of(touches[force], lines) for force in forces_N}
+        conditions = {(*line, force): told[force][i] for i, line in enumerate(lines) for force in forces_N}
     return Prediction(
         name=model.name,
         fingerprint=model.fingerprint,
@@ -133,38 +151,63 @@ def predict(
         tip_sag_mm=tip_sag_mm(estimator),
         noise_force_mN=1e3 * model.noise.force,
         noise_moment_Nmm=1e3 * model.noise.moment,
-        conditions=conditions,
+        conditions=tuple(
+            conditions[fraction, direction, force]
+            for fraction in fractions for force in forces_N for direction in directions
+        ),
         detection=detection,
-    )
+        reach=reach,
+        tolerances=known,
+    )  # fmt: skip
 
 
-def predict_touch(estimator: Estimator, fraction: float, force_N: float, direction: str) -> Condition:
+def predict_touch(
+    estimator: Estimator,
+    fraction: float,
+    force_N: float,
+    direction: str,
+    tolerances: Tolerances | None = None,
+) -> Condition:
     """One condition; see `predict`."""
     if not estimator.free().ok:  # it cannot even stand
         return Condition(fraction, force_N, direction, "gives_way")
-    contact = _touch(estimator, fraction, force_N, direction)
-    if contact.result != "ok":
-        return Condition(fraction, force_N, direction, _NO_TOUCH[contact.result])
-    model, eq = estimator.model, contact.equilibrium
-    bound = contact_bound(contact, estimator.cov_wrench)
-    per_N, p_per_N = contact.d_wrench[:, 2], contact.d_position[:, 2]
-    press = float(contact.force_base @ p_per_N) / force_N  # metres that one newton more presses in
-    use = np.abs(model.to_sensor(eq.wrench_base, model.gravity_base)) / model.wrench_range
-    moment, force = float(np.linalg.norm(per_N[3:6])), float(np.linalg.norm(per_N[0:3]))
+    known, line = tolerances or Tolerances.of(estimator.model), (fraction, direction)
+    return conditions_of(touches_of(estimator, known, [line], [force_N])[force_N], [line])[0]
+
+
+def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
+    """What touches of some lines at one force will give."""
+    results = touches.results()
+    return [
+        _condition(touches, i, line, result)
+        for i, (line, result) in enumerate(zip(lines, results, strict=False))
+    ]
+
+
+def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -> Condition:
+    force = float(touches.contacts.magnitude[i])
+    if result == "gives_way":
+        return Condition(line[0], force, line[1], result)
+    per_N, press = touches.contacts.d_wrench_by_touch[i, :, 2], float(touches.press_per_N[i])
+    by_moment, by_force = float(np.linalg.norm(per_N[3:6])), float(np.linalg.norm(per_N[0:3]))
+    rms = touches.budget.rms[i] / MM
     return Condition(
-        fraction,
-        force_N,
-        direction,
-        _result(estimator, contact, bound.std_s, float(use.max())),
-        predicted_error_mm=_finite(math.sqrt(np.trace(bound.cov_p)) / MM),
-        predicted_error_95_mm=_finite(radius_95(bound.cov_p) / MM),
-        std_s_mm=_finite(bound.std_s / MM),
-        deflection_mm=float(np.linalg.norm(eq.p_contact_base - estimator.free().p_at(eq.s_contact)) / MM),
-        moment_per_N_Nmm=1e3 * moment,
-        force_per_N_N=force,
-        moment_per_mm_Nmm=_finite(1e3 * moment / press * MM) if press > 0 else None,
-        force_per_mm_N=_finite(force / press * MM) if press > 0 else None,
-        sensor_use=float(use.max()),
+        line[0],
+        force,
+        line[1],
+        result,
+        predicted_error_mm=_finite(touches.rms[0][i] / MM),
+        predicted_error_95_mm=_finite(touches.within_95[0][i] / MM),
+        std_s_mm=_finite(math.sqrt(touches.budget.cov_touch[i, 0, 0]) / MM),
+        deflection_mm=float(touches.deflection[i] / MM),
+        moment_per_N_Nmm=1e3 * by_moment,
+        force_per_N_N=by_force,
+        moment_per_mm_Nmm=_finite(1e3 * by_moment / press * MM) if press > 0 else None,
+        force_per_mm_N=_finite(by_force / press * MM) if press > 0 else None,
+        sensor_use=float(touches.sensor_use[i]),
+        total_error_mm=_finite(touches.rms[1][i] / MM),
+        total_error_95_mm=_finite(touches.within_95[1][i] / MM),
+        budget_mm=dict(zip(CAUSES, rms.tolist(), strict=True)) if np.isfinite(rms).all() else None,
     )
 
 
@@ -174,40 +217,16 @@ def tip_sag_mm(estimator: Estimator) -> float | None:
     return float(np.linalg.norm(free.p_at(length) - [0.0, 0.0, length]) / MM) if free.ok else None
 
 
-def _touch(estimator: Estimator, fraction: float, force_N: float, direction: str) -> FrictionlessContact:
-    model = estimator.model
-    return solve_frictionless(
-        model.rod, model.gravity_base, fraction * model.rod.length, DIRECTIONS[direction], force_N
-    )
+def _detection(touches: Touches, i: int, line: tuple[float, str]) -> Detection:
+    felt = touches.contacts.ok[i]
+    per_N = touches.contacts.d_wrench_by_touch[i, :, 2]
+    return Detection(*line, 1e3 * touches.estimator.detectable(per_N) if felt else None)
 
 
-def _result(estimator: Estimator, contact: FrictionlessContact, std_s: float, use: float) -> str:
-    """What the estimator would say of this reading free of noise."""
-    if use > 1.0:
-        return "out_of_range"
-    if not estimator.detects(contact.equilibrium.wrench_base):
-        return "no_contact"
-    return "ok" if estimator.locates(std_s, contact.force_base) else "too_light"
-
-
-def _detectable_mN(estimator: Estimator, fraction: float, direction: str) -> float | None:
-    contact = _touch(estimator, fraction, _WEAK_N, direction)
-    return 1e3 * estimator.detectable(contact.d_wrench[:, 2]) if contact.result == "ok" else None
+def _nothing(lines: Sequence[tuple[float, str]]) -> tuple[Reach, ...]:
+    """What a probe that cannot stand can do."""
+    return tuple(Reach(*line, None, None, None, None, "gives_way", None) for line in lines)
 
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _check_grid(
-    fractions: tuple[float, ...], forces_N: tuple[float, ...], directions: tuple[str, ...]
-) -> None:
-    for fraction in fractions:
-        if not 0.0 < fraction <= 1.0:
-            raise InputError(f"contact fraction {fraction:g} must lie in (0, 1]")
-    for force in forces_N:
-        if not 0.0 < force <= 100.0:
-            raise InputError(f"force {force:g} N must lie in (0, 100]")
-    for direction in directions:
-        if direction not in DIRECTIONS:
-            raise InputError(f"direction '{direction}' is unknown; known: {', '.join(DIRECTIONS)}")

@@ -17,6 +17,8 @@ from probedesign.rod.workspace import workspace
 Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
 CHUNK = 256
 """Cases that a thread takes at a time: a few milliseconds, so that an interrupt is heard and cores end together."""
+LEAST = 32
+"""Fewer are not worth a thread."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Batch:
         p_contact_base: where the force acts [m], (n, 3).
         d_moment: of the base moment, (n, 3, k); k = 0 if no columns were asked for.
         d_contact: of the contact's [tangent, section x axis, position, section y axis], (n, 12, k).
+        frame: those four themselves, (n, 12); NaN unless columns were asked for.
     """
 
     result: np.ndarray[tuple[int], np.dtype[np.str_]]
@@ -42,6 +45,31 @@ class Batch:
     p_contact_base: Array
     d_moment: Array
     d_contact: Array
+    frame: Array
+
+    def rows(self, of: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "Batch":
+        """Some of the cases."""
+        return Batch(**{name: value[of] for name, value in vars(self).items()})
+
+    def among(self, of: Indices, result: np.ndarray[tuple[int], np.dtype[np.str_]]) -> "Batch":
+        """These cases at their places among more, which have no numbers."""
+        full = {
+            name: np.full((len(result), *value.shape[1:]), np.nan)
+            for name, value in vars(self).items()
+            if name != "result"
+        }
+        for name, values in full.items():
+            values[of] = getattr(self, name)
+        return Batch(result=result, **full)
+
+    def without(self, bad: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "Batch":
+        """The same, with no numbers for some."""
+        kept = {
+            name: np.where(bad.reshape(-1, *[1] * (value.ndim - 1)), np.nan, value)
+            for name, value in vars(self).items()
+            if name != "result"
+        }
+        return Batch(result=np.where(bad, "not_converged", self.result), **kept)
 
     @property
     def ok(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
@@ -59,6 +87,8 @@ def solve_batch(
     which: ArrayLike | None = None,
     mode: Mode = "fast",
     columns: Columns = "none",
+    guess: ArrayLike | None = None,
+    guess_only: bool = False,
     threads: int | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Batch:
@@ -75,6 +105,8 @@ def solve_batch(
         which: index of each case's rod, (n,); case i has rods[i] if None.
         mode: "fast" or "reference".
         columns: which sensitivities to carry along, as for `Rod.solve`.
+        guess: `tip` of a neighbouring equilibrium of each case, (n, 6), tried first.
+        guess_only: give up where the guess does not lead to an answer, instead of starting cold.
         threads: all cores if None.
         progress: called with the number of cases just done.
 
@@ -88,10 +120,16 @@ def solve_batch(
     loads, of = _cases(several, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
     bodies = _stacked(several)
     n, k = len(loads), several[0].columns_of(columns)
-    found, derivatives = np.empty((n, kernels.FOUND)), np.empty((n, 15, k + 1))
+    found, derivatives = np.empty((n, kernels.FOUND)), np.full((n, 15, k + 1), np.nan)
     tol, until = TOLERANCES[mode]
     order, kinds = _by_kind(several, of)
     loads, of = loads[order], of[order]
+    start = kernels.COLD
+    if guess is not None:
+        start = kernels.WARM_ONLY if guess_only else kernels.WARM
+        found[:, kernels.TIP : kernels.TIP + 6] = np.asarray(guess, dtype=float)[order]
+    threads = threads or len(os.sched_getaffinity(0))
+    chunk = min(CHUNK, max(-(-n // threads), LEAST))
 
     def run(first: int, last: int, directed: int | None) -> None:
         kernels.solve_cases(
@@ -101,7 +139,7 @@ def solve_batch(
             of,
             loads,
             directed,
-            kernels.COLD,
+            start,
             False,
             tol,
             until,
@@ -113,13 +151,13 @@ def solve_batch(
             progress(last - first)
 
     chunks = [
-        (first, min(first + CHUNK, end), directed)
+        (first, min(first + chunk, end), directed)
         for begin, end, directed in kinds
-        for first in range(begin, end, CHUNK)
+        for first in range(begin, end, chunk)
     ]
     for _begin, _end, directed in kinds:  # compiles, if anything has to be
         run(0, 0, directed)
-    with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         try:
             for _ in pool.map(lambda chunk: run(*chunk), chunks):
                 pass
@@ -213,4 +251,5 @@ def _batch(found: Array, derivatives: Array, loads: Array, bodies: kernels.Body,
         p_contact_base=found[:, kernels.CONTACT + 3 : kernels.CONTACT + 6],
         d_moment=derivatives[:, :3, :-1],
         d_contact=derivatives[:, 3:, :-1],
+        frame=derivatives[:, 3:, -1],
     )

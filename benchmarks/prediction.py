@@ -1,0 +1,99 @@
+"""Predictions: a map with its full error budget, Monte Carlo by the real estimator, the whole command."""
+
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.timing import print_table, shown
+from probedesign.design import load_design
+from probedesign.estimator.estimator import Estimator
+from probedesign.prediction.monte_carlo import Plan, sample
+from probedesign.prediction.predict import predict
+from probedesign.prediction.tolerances import Tolerances
+from probedesign.prediction.touches import DIRECTIONS, touches_of
+from probedesign.probe import Probe, build_probe
+
+ROOT = Path(__file__).parents[1]
+PLACES, FORCES = np.linspace(0.05, 1.0, 40), np.geomspace(0.002, 0.2, 40)
+ESTIMATES = 100_000
+"""Of noise alone; of all causes a tenth: what the consistency test refuses is sought again everywhere, which takes
+milliseconds."""
+RUNS = 3
+
+
+def report() -> None:
+    """Print the tables."""
+    probe = build_probe(load_design(ROOT / "designs/large.toml"))
+    rows = [_map(probe)]
+    rows.append(_command())
+    rows.append(_monte_carlo(probe, "no other", ESTIMATES, "≤ 15 s"))
+    rows.append(_monte_carlo(probe, "all", ESTIMATES // 10, ""))
+    print_table(f"Predictions on {len(os.sched_getaffinity(0))} cores; CPU is of all of them together",
+                ["what", "wall", "CPU", "target (wall)"], rows)  # fmt: skip
+
+
+def _map(probe: Probe) -> list[str]:
+    """40 places, 40 forces, four sides: every cause, both radii; the least of a few warm runs."""
+    lines = [(float(place), direction) for place in PLACES for direction in DIRECTIONS]
+    forces = [float(force) for force in FORCES]
+    best, held = (np.inf, np.inf), 0
+    for _ in range(RUNS + 1):
+        wall, cpu = time.perf_counter(), time.process_time()
+        touches = touches_of(Estimator(probe.model), probe.tolerances, lines, forces)
+        for touch in touches.values():
+            _ = touch.within_95, touch.rms
+        held = sum(int(touch.contacts.ok.sum()) for touch in touches.values())
+        best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
+    what = f"map of 40 × 40 × 4 with full budget ({held} of 6400 held), best of {RUNS}"
+    return [what, shown(best[0]), shown(best[1]), "≤ 1 s"]
+
+
+def _monte_carlo(probe: Probe, causes: str, estimates: int, target: str) -> list[str]:
+    """Full estimates from a cold start, truth included, workers' start too."""
+    known = probe.tolerances if causes == "all" else Tolerances.none()
+    prediction = predict(probe.model, (0.3, 0.5, 0.7, 0.9), (0.01, 0.02, 0.03), ("+x", "+y"), known)
+    touches = sum(c.result == "ok" for c in prediction.conditions)
+    plan = Plan(probe.model, known, estimates // touches, 1)
+    wall = time.perf_counter()
+    found = sample(plan, prediction, None)
+    wall = time.perf_counter() - wall
+    few = replace(plan, draws=max(plan.draws // 8, 2))
+    cpu = time.process_time()
+    done = sum(row.draws for row in sample(few, prediction, None, workers=1))
+    cpu = (
+        (time.process_time() - cpu) / done * touches * plan.draws
+    )  # the workers' own is not told: from one process
+    located = sum(row.located for row in found) / sum(row.draws for row in found)
+    differ = sum(row.differs for row in found)
+    what = (f"Monte Carlo, {touches * plan.draws} estimates, {causes} causes; {located:.0%} located, "
+            f"{differ} of {len(found)} differ by a tenth")  # fmt: skip
+    return [what, shown(wall), shown(cpu), target]
+
+
+def _cpu() -> float:
+    """Of this process and of those that it has ended [s]."""
+    own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime
+
+
+def _command() -> list[str]:
+    """The whole process, caches warm."""
+    walls, cpus = [], []
+    with tempfile.TemporaryDirectory() as out:
+        design = str(ROOT / "designs/large.toml")
+        command = [sys.executable, "-m", "probedesign.cli.main", "predict", design, "--out", out]
+        for _ in range(RUNS):
+            wall, cpu = time.perf_counter(), _cpu()
+            subprocess.run(command, check=True, capture_output=True)
+            walls.append(time.perf_counter() - wall)
+            cpus.append(_cpu() - cpu)
+    return ["predict designs/large.toml, whole process", shown(statistics.median(walls)),
+            shown(statistics.median(cpus)), "≤ 6 s"]  # fmt: skip

@@ -1,0 +1,230 @@
+"""Monte Carlo of a prediction: probes that differ from their model, noisy readings, and the real estimator on them.
+
+The truth is the fast rod, whose error is micrometres; the estimator is the default one, from a cold start, with no
+knowledge of the draw. Every condition meets the same worlds, so a few prints serve them all.
+"""
+
+import hashlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.model import ProbeModel
+from probedesign.files import write_atomically
+from probedesign.prediction.predict import Condition, Prediction
+from probedesign.prediction.sampled import Sampled
+from probedesign.prediction.tolerances import Tolerances
+from probedesign.prediction.worlds import Worlds
+from probedesign.units import MM
+
+DIFFERS = 0.10
+"""Share by which Monte Carlo and the first order must differ, beyond two of Monte Carlo's own standard errors."""
+SAVE_EVERY_S = 2.0
+MOST_DRAWS = 1_000_000
+COUNTED = ("ok", "inconsistent")
+"""Answers whose best place counts: also where the consistency test, which knows of the sensor's noise alone, refuses
+it, else the errors would be those of the luckier worlds."""
+Touch = tuple[float, float, str]
+"""Contact fraction, force [N] and direction."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One Monte Carlo: all that its answers depend on.
+
+    Attributes:
+        model, tolerances: of the probe.
+        draws: worlds a condition.
+        seed: of everything random.
+    """
+
+    model: ProbeModel
+    tolerances: Tolerances
+    draws: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        """Raises InputError where the numbers make no sense."""
+        if not 2 <= self.draws <= MOST_DRAWS:
+            raise InputError(
+                f"--monte-carlo {self.draws} must lie in 2 ... {MOST_DRAWS}, estimates of each condition"
+            )
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed} must not be negative")
+
+    @property
+    def key(self) -> str:
+        """A hash of all of it, twelve characters."""
+        model, rod = self.model, self.model.rod
+        numbers = [*rod.body, rod.rigid_length, model.gravity_base, model.T_sensor_base, model.wrench_range,
+                   model.noise.force, model.noise.moment, model.averaging_samples, model.hanging.mass,
+                   model.hanging.p_com]  # fmt: skip
+        told = json.dumps([[np.asarray(n, dtype=float).ravel().tolist() for n in numbers], rod.rounded_from,
+                           rod.factors, asdict(self.tolerances), self.draws, self.seed, 1])  # fmt: skip
+        return hashlib.sha256(told.encode()).hexdigest()[:12]
+
+    def sample(self, touch: Touch, worlds: Worlds) -> dict[str, Any]:
+        """Errors of one condition over all worlds."""
+        told = json.dumps([self.seed, *touch]).encode()
+        rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
+        wrenches, points = worlds.touched(*touch)
+        read, estimator = wrenches + worlds.noise(len(wrenches), rng), Estimator(self.model)
+        off, located = [], 0
+        for wrench, point in zip(read, points, strict=True):
+            found = estimator.estimate(wrench)
+            located += found.result == "ok"
+            if found.result in COUNTED and found.candidates:
+                off.append(float(np.linalg.norm(found.candidates[0].p_contact_base - point)))
+        return _summary(np.array(off), located)
+
+
+def sample(
+    plan: Plan,
+    prediction: Prediction,
+    folder: Path | None,
+    progress: Callable[[float], None] = lambda share: None,
+    workers: int | None = None,
+) -> tuple[Sampled, ...]:
+    """Run a Monte Carlo of every condition that is expected to be located.
+
+    Args:
+        plan: what to draw.
+        prediction: of the same probe.
+        folder: where what is done is kept, so that an interrupted run goes on; nowhere if None.
+        progress: told the share done.
+        workers: processes; all cores if None, this one alone if 1.
+
+    Returns:
+        What came of each condition.
+
+    Raises:
+        InputError: what was kept cannot be read.
+        KeyboardInterrupt: with where to go on from.
+    """
+    path = None if folder is None else folder / f"monte-carlo-{plan.key}.json"
+    wanted = {_name(touch): touch for touch in map(_touch, prediction.conditions) if touch}
+    done = {name: row for name, row in _kept(path).items() if name in wanted}
+    left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
+    try:
+        for name, row in _run(plan, left, workers or len(os.sched_getaffinity(0))):
+            done[name] = row
+            progress(len(done) / max(len(wanted), 1))
+            if path and time.monotonic() - saved > SAVE_EVERY_S:
+                _keep(path, done)
+                saved = time.monotonic()
+    except KeyboardInterrupt:
+        kept = f"; {len(done)} of {len(wanted)} conditions are kept, the same command goes on" if path else ""
+        raise KeyboardInterrupt(f"interrupted{kept}") from None
+    finally:
+        if path and done:
+            _keep(path, done)
+    return tuple(
+        _sampled(plan, c, done[name]) for c in prediction.conditions if (name := _name(_touch(c))) in done
+    )
+
+
+def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each condition as it is done."""
+    if not touches:
+        return
+    if workers == 1:
+        worlds = Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
+        yield from ((name, plan.sample(touch, worlds)) for name, touch in touches.items())
+        return
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context = multiprocessing.get_context(method)
+    with ProcessPoolExecutor(workers, context, _begin, (plan,)) as pool:
+        futures = {pool.submit(_sample_there, touch): name for name, touch in touches.items()}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+_here: tuple[Plan, Worlds] | None = None
+"""Of a worker process."""
+
+
+def _begin(plan: Plan) -> None:
+    """Make a worker ready; an interrupt is its parent's business."""
+    global _here
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _here = plan, Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
+
+
+def _sample_there(touch: Touch) -> dict[str, Any]:
+    assert _here is not None, "a worker begins with its plan"
+    plan, worlds = _here
+    return plan.sample(touch, worlds)
+
+
+def _summary(off: np.ndarray[Any, Any], located: int) -> dict[str, Any]:
+    if len(off) < 2:
+        return {"located": located, "error": None, "error_95": None, "standard_error": None}
+    rms = float(np.sqrt((off**2).mean()))
+    spread = float((off**2).std(ddof=1) / math.sqrt(len(off)) / (2.0 * max(rms, 1e-300)))
+    return {
+        "located": located,
+        "error": rms,
+        "error_95": float(np.quantile(off, 0.95)),
+        "standard_error": spread,
+    }
+
+
+def _sampled(plan: Plan, condition: Condition, row: dict[str, Any]) -> Sampled:
+    first, error = condition.total_error_mm, row["error"]
+    differs = False
+    if error is not None and first is not None:
+        differs = abs(error / MM - first) > DIFFERS * first + 2.0 * row["standard_error"] / MM
+    told = {name: None if row[key] is None else row[key] / MM for name, key in
+            (("error_mm", "error"), ("error_95_mm", "error_95"), ("standard_error_mm", "standard_error"))}  # fmt: skip
+    return Sampled(condition.contact_fraction, condition.force_N, condition.direction, plan.draws, row["located"],
+                   first_order_mm=first, differs=differs, **told)  # fmt: skip
+
+
+def _touch(condition: Condition) -> Touch | None:
+    """Of a condition that is expected to be located."""
+    if condition.result != "ok":
+        return None
+    return condition.contact_fraction, condition.force_N, condition.direction
+
+
+def _name(touch: Touch | None) -> str:
+    return json.dumps(touch)
+
+
+def _kept(path: Path | None) -> dict[str, dict[str, Any]]:
+    """What an earlier run left.
+
+    Raises:
+        InputError: it is no such file.
+    """
+    if path is None or not path.exists():
+        return {}
+    try:
+        found = json.loads(path.read_bytes())["conditions"]
+        for row in found.values():
+            _ = int(row["located"]), *(float(row[k] or 0.0) for k in ("error", "error_95", "standard_error"))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        raise InputError(f"{path}: is not what a Monte Carlo left; remove it to begin anew") from None
+    return dict(found)
+
+
+def _keep(path: Path, done: dict[str, dict[str, Any]]) -> None:
+    write_atomically(
+        path, (json.dumps({"schema": 1, "unit": "m", "conditions": done}, indent=0) + "\n").encode()
+    )
