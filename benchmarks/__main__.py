@@ -1,4 +1,4 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|export|live ...]`: all parts, or those named."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|export|live ...]`: all, or those named."""
 
 import sys
 
