@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
@@ -27,6 +27,11 @@ from probedesign.printing.preform.prepare import Order, Prepared, prepare
 from probedesign.printing.preform.server import PreForm
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
+
+if TYPE_CHECKING:
+    from probedesign.search.grid import Axis
+    from probedesign.search.sweep import Swept
+    from probedesign.search.task import Task
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -119,6 +124,22 @@ def predict(
         files.append(folder / "prediction.png")
         write_atomically(files[1], draw_prediction(prediction, probe.estimator()))
     return prediction, files
+
+
+def sweep(
+    design_path: Path,
+    axes: "list[Axis]",
+    task: "Task",
+    out: Path | None,
+    scheduler: str | None,
+    workers: int,
+    tell: Callable[[str, float | None], None],
+) -> "Swept":
+    """Design → many designs → their figures → sweep.csv, sweep.parquet. Needs dask and pyarrow."""
+    from probedesign.search.sweep import sweep as run
+
+    design = load_design(design_path)
+    return run(design, axes, task, out or EXPORTS / design.name / "sweep", scheduler, workers, tell)
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

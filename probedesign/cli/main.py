@@ -18,6 +18,7 @@ COMMANDS = {
     "export": "Make the parts to print: STL, STEP, 3MF and their manifest.",
     "print": "Prepare the exported parts in PreForm, and send them to a printer if asked.",
     "predict": "Predict sensitivity and contact error of a design.",
+    "sweep": "Compute a grid of designs, on this machine or on many.",
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
     "live": "Locate contacts as the sensor reads them.",
