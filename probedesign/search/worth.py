@@ -92,7 +92,7 @@ def worth(design: Design, task: Task) -> Worth:
         sag_mm=None if tip is None else float(np.linalg.norm(tip - [0.0, 0.0, probe.length]) / MM),
         reach_mm=None if tip is None else float(np.linalg.norm(tip) / MM),
         sensor_use=_finite(touched.sensor_use),
-        mass_g=1e3 * probe.mass,
+        mass_g=float(1e3 * probe.mass),
         length_mm=probe.length / MM,
         thinnest_mm=probe.geometry.thinnest / MM,
         print_errors=found.count("error"),

@@ -1,0 +1,135 @@
+"""The figures of one body of a family, with their derivatives as far as they are known exactly."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from probedesign.design import Design
+from probedesign.errors import InputError
+from probedesign.frames import Array
+from probedesign.probe import Probe, build_probe
+from probedesign.rod.rod import Rod
+from probedesign.search.body import Body
+from probedesign.search.task import Task
+from probedesign.search.worth import touches
+from probedesign.units import MM
+
+STEP = 1e-3
+"""Of the finite differences, relative: the bound is smooth to about 1e-7."""
+_EXACT = 12  # digits: none is lost that counts
+_SMALL = 1e-4  # of a length, where a difference is of the rod alone
+HOPELESS = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "sag_mm": 1e3, "reach_mm": 1e-3}
+"""What stands for figures of a body that gives way: numbers that no search takes for good."""
+
+
+@dataclass
+class Trial:
+    """A family of bodies in a task, each looked at once.
+
+    Attributes:
+        body: the family.
+        task: that it is judged by; its force is scaled by that of a point that carries one.
+        with_force: whether the last number of a point is the logarithm of the force over the task's.
+    """
+
+    body: Body
+    task: Task
+    with_force: bool = False
+    _seen: dict[bytes, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def looked(self) -> int:
+        """Bodies that were computed."""
+        return len(self._seen)
+
+    def design(self, x: Array) -> Design:
+        """The design of a point, as its file will say it."""
+        return self.body.design(x[: self.body.size])
+
+    def task_at(self, x: Array) -> Task:
+        """With the point's own force."""
+        if not self.with_force:
+            return self.task
+        return replace(self.task, force_N=self.task.force_N * math.exp(float(x[-1])))
+
+    def figures(self, x: Array) -> dict[str, float]:
+        """Of the body as it is, not rounded; `HOPELESS` where it does not stand."""
+        key = x.tobytes()
+        if key not in self._seen:
+            self._seen[key] = self._figures(x)
+        return self._seen[key]
+
+    def _figures(self, x: Array) -> dict[str, float]:
+        length = {"length_mm": self.body.length_mm(x)}
+        try:
+            probe = self.probe(x)
+        except InputError:
+            return HOPELESS | length | {"mass_g": 1e3}
+        found = {**HOPELESS, **length, "mass_g": 1e3 * probe.mass}
+        touched = touches(probe.model, self.task_at(x))
+        if math.isfinite(touched.rms):
+            found |= {"error_mm": touched.rms / MM, "worst_error_mm": max(touched.errors) / MM,
+                      "sensor_use": touched.sensor_use}  # fmt: skip
+        free = probe.rod.solve(probe.model.gravity_base)
+        if free.ok:
+            tip = free.p_at(probe.length)
+            found["sag_mm"] = float(np.linalg.norm(tip - [0.0, 0.0, probe.length])) / MM
+            found["reach_mm"] = float(np.linalg.norm(tip)) / MM
+        return found
+
+    def probe(self, x: Array) -> Probe:
+        """The probe of a point, its dimensions not rounded, so that differences of it are smooth."""
+        return build_probe(self.body.design(x[: self.body.size], _EXACT))
+
+    def gradient(self, name: str, x: Array) -> Array:
+        """Of a figure. Sag and reach by diameters are exact but for the root; the rest are finite differences.
+
+        The bound is made of first derivatives of the rod, so its own would need second ones, which the rod lacks.
+        """
+        if name in ("sag_mm", "reach_mm") and not {"length", "section"} & set(self.body.free):
+            found = np.zeros(len(x))
+            exact = self._hanging(x)
+            if exact is not None:
+                found[: self.body.controls] = exact[name]
+                return found
+        if name in ("mass_g", "length_mm"):
+            return differences(lambda y: self.figures(y)[name], x, central=True)
+        return differences(lambda y: self.figures(y)[name], x, central=False)
+
+    def _hanging(self, x: Array) -> dict[str, Array] | None:
+        """Sag and reach by the control diameters [mm/mm]; None if it does not stand."""
+        probe = self.probe(x)
+        rod, gravity = probe.rod, probe.model.gravity_base
+        eq = rod.solve(gravity, columns="all")
+        if eq.sensitivity is None:
+            return None
+        first = eq.sensitivity.names.index("log_diameter_0")
+        by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
+        # The root's stiffening goes with the base's radius: no column of the rod, so a difference of two solves.
+        by_knot[:, 0] += _by_root(rod, gravity) * probe.design.mount.root_rigid_radii / 2.0
+        by_control, tip = by_knot @ self.body.spline, eq.p_at(rod.length)
+        hung, reached = tip - [0.0, 0.0, rod.length], tip
+        return {"sag_mm": hung @ by_control / np.linalg.norm(hung), "reach_mm": reached @ by_control / np.linalg.norm(tip)}
+
+
+def differences(f: Callable[[Array], float], x: Array, central: bool) -> Array:
+    """Finite differences of a function of some numbers, (n,)."""
+    found, here = np.empty(len(x)), 0.0 if central else f(x)
+    for i in range(len(x)):
+        step = np.zeros(len(x))
+        step[i] = STEP * max(abs(float(x[i])), 1.0)
+        found[i] = (f(x + step) - f(x - step)) / (2.0 * step[i]) if central else (f(x + step) - here) / step[i]
+    return found
+
+
+def _by_root(rod: Rod, gravity: Array) -> Array:
+    """Of the hanging tip by the length that the root is rigid over, (3,)."""
+    if rod.rigid_length == 0.0:
+        return np.zeros(3)
+    step = _SMALL * rod.length
+    ends = [replace(rod, rigid_length=rod.rigid_length + h).solve(gravity, mode="reference").p_at(rod.length)
+            for h in (-step, step)]  # fmt: skip
+    difference: Array = (ends[1] - ends[0]) / (2.0 * step)
+    return difference
