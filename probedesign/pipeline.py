@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
+from probedesign.design_file import write_design
+from probedesign.errors import InputError
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
 from probedesign.printing.check import PrintCheck, check_print
@@ -29,7 +31,9 @@ from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
 if TYPE_CHECKING:
+    from probedesign.search.found import Found
     from probedesign.search.grid import Axis
+    from probedesign.search.optimum import Search
     from probedesign.search.sweep import Swept
     from probedesign.search.task import Task
 
@@ -140,6 +144,38 @@ def sweep(
 
     design = load_design(design_path)
     return run(design, axes, task, out or EXPORTS / design.name / "sweep", scheduler, workers, tell)
+
+
+def optimize(
+    search: "Search",
+    out: Path | None,
+    force: bool,
+    draws: int,
+    trials: int,
+    seed: int,
+    tell: Callable[[str, float | None], None],
+) -> "Found":
+    """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
+    from probedesign.search.confirm import confirm
+    from probedesign.search.found import Found, design_text
+    from probedesign.search.front import front
+    from probedesign.search.optimum import optimum
+
+    path = out or Path("designs") / f"{search.start.name}-best.toml"
+    if path.exists() and not force:
+        raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
+    best = optimum(search, path.stem, tell)
+    confirmed = None
+    if draws:
+        confirmed = (confirm(search.start, best.task, draws, seed, tell),
+                     confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
+    shown = front(search, trials, seed, tell) if trials else None
+    write_design(design_text(search, best), path, force)
+    files = [path]
+    if shown is not None:
+        files.append(path.with_name(f"{path.stem}-front.csv"))
+        write_atomically(files[1], shown.csv())
+    return Found(search, best, confirmed, shown, tuple(files))
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

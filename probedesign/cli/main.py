@@ -19,6 +19,7 @@ COMMANDS = {
     "print": "Prepare the exported parts in PreForm, and send them to a printer if asked.",
     "predict": "Predict sensitivity and contact error of a design.",
     "sweep": "Compute a grid of designs, on this machine or on many.",
+    "optimize": "Find the body that does a task best.",
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
     "live": "Locate contacts as the sensor reads them.",

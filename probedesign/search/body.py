@@ -52,9 +52,13 @@ class Body:
             InputError: the section has nothing to vary, or a cone and a taper are asked for at once.
         """
         if "cone" in free and "taper" in free:
-            raise InputError("--over cone and --over taper contradict: a cone is one of the tapers; name one of them")
+            raise InputError(
+                "--over cone and --over taper contradict: a cone is one of the tapers; name one of them"
+            )
         if "section" in free and start.probe.section == "round":
-            raise InputError("--over section: a round section has nothing to vary; start from a hollow or elliptic one")
+            raise InputError(
+                "--over section: a round section has nothing to vary; start from a hollow or elliptic one"
+            )
         if "taper" in free and start.probe.tip == "rounded":
             raise InputError('--over taper: is of blunt tips; start from tip = "blunt"')
         return cls(start, CONTROLS if "taper" in free else 2, free)
@@ -90,7 +94,9 @@ class Body:
 
     def length_mm(self, x: Array) -> float:
         """[mm]."""
-        return float(x[self.controls] * _UNIT["length"]) if "length" in self.free else self.start.probe.length_mm
+        return (
+            float(x[self.controls] * _UNIT["length"]) if "length" in self.free else self.start.probe.length_mm
+        )
 
     def ratio(self, x: Array) -> float | None:
         """Of the section, None where it is round."""

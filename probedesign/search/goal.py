@@ -46,7 +46,9 @@ def parse_limit(text: str) -> Limit:
     """
     match = _LIMIT.fullmatch(text)
     if match is None:
-        raise InputError(f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'")
+        raise InputError(
+            f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'"
+        )
     figure, sign, number = match.groups()
     if figure not in KEPT:
         raise unknown("--subject-to", figure, KEPT)

@@ -135,7 +135,9 @@ def _best(problem: Problem, designs: list[Design], tell: Tell) -> tuple[Array, t
 def _starts(problem: Problem, designs: list[Design]) -> list[Array]:
     """The designs, and the first of them thinner."""
     body, found = problem.trial.body, list[Array]()
-    for design, factor in [(designs[0], factor) for factor in STARTS] + [(design, 1.0) for design in designs[1:]]:
+    for design, factor in [(designs[0], factor) for factor in STARTS] + [
+        (design, 1.0) for design in designs[1:]
+    ]:
         x = body.x_of(design)
         x[: body.controls] *= factor
         force = [float(np.log(FORCES[1]) / 2.0)] if problem.trial.with_force else []

@@ -95,7 +95,9 @@ class Problem:
             return body.printable(x[: body.size])[name]
 
         def slope(x: Array) -> Array:
-            found: list[Array] = [differences(lambda y, i=i: float(room(y)[i]), x, True) for i in range(len(room(x)))]  # type: ignore[misc]
+            found: list[Array] = [
+                differences(lambda y, i=i: float(room(y)[i]), x, True) for i in range(len(room(x)))
+            ]  # type: ignore[misc]
             return np.array(found)
 
         return Constraint(name, room, slope)
@@ -121,7 +123,9 @@ class Problem:
         for c in self.constraints:
             if c.least(nearest) <= limit:
                 against.append(f"{c.text} (there {figures[of[c.text]]:.4g})" if c.text in of else c.text)
-        return f"no body keeps every limit; at the one that breaks them least these bind: {'; '.join(against)}"
+        return (
+            f"no body keeps every limit; at the one that breaks them least these bind: {'; '.join(against)}"
+        )
 
     def _worst(self, x: Array) -> float:
         """How far the worst constraint is broken."""
@@ -144,6 +148,8 @@ class Problem:
 
     def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
                bounds: list[tuple[float, float]], kept: list[dict[str, Any]]) -> Array:  # fmt: skip
-        answer: Any = minimize(f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=kept, options=_OPTIONS)
+        answer: Any = minimize(
+            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=kept, options=_OPTIONS
+        )
         low, high = np.array(bounds).T
         return np.clip(answer.x, low, high)

@@ -86,7 +86,9 @@ def sweep(
                 appender.add(record)
                 tell(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
     records = [journal.results[i] for i in range(len(grid))]
-    return Swept(records, len(missing), _write_tables(records, [axis.key for axis in axes], folder), journal.notes)
+    return Swept(
+        records, len(missing), _write_tables(records, [axis.key for axis in axes], folder), journal.notes
+    )
 
 
 def judged(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:

@@ -16,10 +16,10 @@ from probedesign.search.task import Task
 from probedesign.search.worth import touches
 from probedesign.units import MM
 
-STEP = 1e-3
-"""Of the finite differences, relative: the bound is smooth to about 1e-7."""
+STEP = 1e-4
+"""Of the finite differences, relative: the bound is smooth to about 1e-8."""
 _EXACT = 12  # digits: none is lost that counts
-_SMALL = 1e-4  # of a length, where a difference is of the rod alone
+_SMALL = 1e-4  # of a radius, where a difference is of the hanging rod alone
 HOPELESS = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "sag_mm": 1e3, "reach_mm": 1e-3}
 """What stands for figures of a body that gives way: numbers that no search takes for good."""
 
@@ -84,7 +84,7 @@ class Trial:
         return build_probe(self.body.design(x[: self.body.size], _EXACT))
 
     def gradient(self, name: str, x: Array) -> Array:
-        """Of a figure. Sag and reach by diameters are exact but for the root; the rest are finite differences.
+        """Of a figure. Sag and reach by diameters are exact but for the base's; the rest are finite differences.
 
         The bound is made of first derivatives of the rod, so its own would need second ones, which the rod lacks.
         """
@@ -107,11 +107,15 @@ class Trial:
             return None
         first = eq.sensitivity.names.index("log_diameter_0")
         by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
-        # The root's stiffening goes with the base's radius: no column of the rod, so a difference of two solves.
-        by_knot[:, 0] += _by_root(rod, gravity) * probe.design.mount.root_rigid_radii / 2.0
+        by_knot[:, 0] = _by_base(
+            rod, gravity
+        )  # the root's stiffening goes with it, for which the rod has no column
         by_control, tip = by_knot @ self.body.spline, eq.p_at(rod.length)
         hung, reached = tip - [0.0, 0.0, rod.length], tip
-        return {"sag_mm": hung @ by_control / np.linalg.norm(hung), "reach_mm": reached @ by_control / np.linalg.norm(tip)}
+        return {
+            "sag_mm": hung @ by_control / np.linalg.norm(hung),
+            "reach_mm": reached @ by_control / np.linalg.norm(tip),
+        }
 
 
 def differences(f: Callable[[Array], float], x: Array, central: bool) -> Array:
@@ -120,16 +124,19 @@ def differences(f: Callable[[Array], float], x: Array, central: bool) -> Array:
     for i in range(len(x)):
         step = np.zeros(len(x))
         step[i] = STEP * max(abs(float(x[i])), 1.0)
-        found[i] = (f(x + step) - f(x - step)) / (2.0 * step[i]) if central else (f(x + step) - here) / step[i]
+        found[i] = (
+            (f(x + step) - f(x - step)) / (2.0 * step[i]) if central else (f(x + step) - here) / step[i]
+        )
     return found
 
 
-def _by_root(rod: Rod, gravity: Array) -> Array:
-    """Of the hanging tip by the length that the root is rigid over, (3,)."""
-    if rod.rigid_length == 0.0:
-        return np.zeros(3)
-    step = _SMALL * rod.length
-    ends = [replace(rod, rigid_length=rod.rigid_length + h).solve(gravity, mode="reference").p_at(rod.length)
-            for h in (-step, step)]  # fmt: skip
-    difference: Array = (ends[1] - ends[0]) / (2.0 * step)
+def _by_base(rod: Rod, gravity: Array) -> Array:
+    """Of the hanging tip by the base's diameter, the rigid root in proportion, by two solves [m/m], (3,)."""
+    ends = list[Array]()
+    for factor in (1.0 - _SMALL, 1.0 + _SMALL):
+        radius = rod.radius.copy()
+        radius[0] *= factor
+        other = replace(rod, radius=radius, rigid_length=factor * rod.rigid_length)
+        ends.append(other.solve(gravity, mode="reference").p_at(rod.length))
+    difference: Array = (ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0])
     return difference
