@@ -1,8 +1,8 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|export ...]`: every part, or those named, in one run."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|optimisation|export ...]`: every part, or those named, in one run."""
 
 import sys
 
-from benchmarks import detection, estimation, export, peak, rod, start
+from benchmarks import detection, estimation, export, optimisation, peak, rod, start
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -11,6 +11,7 @@ PARTS = {
     "start": start.report,
     "estimation": estimation.report,
     "detection": detection.report,
+    "optimisation": optimisation.report,
     "export": export.report,
 }
 

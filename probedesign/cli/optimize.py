@@ -53,6 +53,7 @@ def optimize(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
+    from probedesign.design import load_design
     from probedesign.search.goal import check_limits, parse_limit
     from probedesign.search.optimum import Search
 
@@ -61,7 +62,7 @@ def optimize(
             raise InputError(f"{name} {count} must lie in 0 ... 100000")
     limits = [parse_limit(text) for text in subject_to or []]
     check_limits(limits)
-    start = pipeline.load_design(design)
+    start = load_design(design)
     search = Search(
         start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
     )

@@ -31,8 +31,8 @@ DIGITS = 3
 class Body:
     """The family of designs that differ from one in its body alone.
 
-    A point x of the family: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm] and
-    ten times the section's ratio. A free taper is the cubic spline through its diameters, so its profile is linear in x.
+    A point x of the family: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm]
+    and ten times the section's ratio. A free taper is the cubic spline through its diameters: linear in them.
 
     Attributes:
         start: the design that it is about.

@@ -66,17 +66,15 @@ def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | N
         raise MissingDependencyError("--pareto needs optuna: pip install 'probedesign[optimize]'") from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     problem = Problem(Trial(Body.of(search.start, ("cone", "length")), search.task, True), search.kept)
-    sampler = optuna.samplers.NSGAIISampler(
-        population_size=min(POPULATION, trials), seed=seed, constraints_func=lambda t: t.user_attrs["broken"]
-    )
+    sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, trials), seed=seed)
     study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
     study.enqueue_trial(_start(problem))
     study.optimize(lambda drawn: _look(problem, drawn), n_trials=trials,
                    callbacks=[lambda _, t: tell("Pareto front", (t.number + 1) / trials)])  # fmt: skip
-    best = [trial for trial in study.best_trials if max(trial.user_attrs["broken"]) <= 0.0]
+    best = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["keeps"]}
     if not best:
         raise InputError(f"none of {trials} bodies keeps every limit; try more, or widen --subject-to")
-    return Front(sorted((_row(trial) for trial in best), key=lambda row: row["error_mm"]), trials)
+    return Front(sorted((_row(trial) for trial in best.values()), key=lambda row: row["error_mm"]), trials)
 
 
 def _start(problem: Problem) -> dict[str, float]:
@@ -94,8 +92,10 @@ def _look(problem: Problem, drawn: "Drawn") -> tuple[float, float, float]:
     x: Array = np.array([base, tip, length / 10.0, np.log(force)])
     figures = problem.trial.figures(x)
     stands = figures["error_mm"] < HOPELESS["error_mm"]
-    broken = [-constraint.least(x) for constraint in problem.constraints]
-    drawn.set_user_attr("broken", [*broken, 0.0 if stands else 1.0])
+    broken = {c.text: -c.least(x) for c in problem.constraints} | {"stands": 0.0 if stands else 1.0}
+    for text, by in broken.items():
+        drawn.set_constraint(text, by)
+    drawn.set_user_attr("keeps", max(broken.values()) <= 0.0)
     told = {name: figures[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
     force_mN = 1e3 * problem.trial.task_at(x).force_N
     drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **told})

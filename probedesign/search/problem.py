@@ -1,4 +1,4 @@
-"""The search as sequential quadratic programming takes it: minimise a logarithm, keep every constraint at least zero."""
+"""The search as sequential quadratic programming takes it: minimise a logarithm, keep every constraint's room."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,7 +60,8 @@ class Problem:
         """Of the objective, (n,)."""
         if self.trial.with_force:
             return np.eye(len(x))[-1]
-        return self.trial.gradient("error_mm", x) / self.trial.figures(x)["error_mm"]
+        by_error: Array = self.trial.gradient("error_mm", x) / self.trial.figures(x)["error_mm"]
+        return by_error
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
@@ -71,7 +72,8 @@ class Problem:
     def clipped(self, x: Array) -> Array:
         """Within its bounds."""
         low, high = np.array(self.bounds).T
-        return np.clip(x, low, high)
+        found: Array = np.clip(x, low, high)
+        return found
 
     @cached_property
     def constraints(self) -> list[Constraint]:
@@ -95,10 +97,7 @@ class Problem:
             return body.printable(x[: body.size])[name]
 
         def slope(x: Array) -> Array:
-            found: list[Array] = [
-                differences(lambda y, i=i: float(room(y)[i]), x, True) for i in range(len(room(x)))
-            ]  # type: ignore[misc]
-            return np.array(found)
+            return differences(room, x, central=True).T
 
         return Constraint(name, room, slope)
 
@@ -148,8 +147,10 @@ class Problem:
 
     def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
                bounds: list[tuple[float, float]], kept: list[dict[str, Any]]) -> Array:  # fmt: skip
+        options: Any = _OPTIONS
         answer: Any = minimize(
-            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=kept, options=_OPTIONS
-        )
+            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=kept, options=options
+        )  # type: ignore[call-overload]
         low, high = np.array(bounds).T
-        return np.clip(answer.x, low, high)
+        found: Array = np.clip(answer.x, low, high)
+        return found

@@ -118,16 +118,15 @@ class Trial:
         }
 
 
-def differences(f: Callable[[Array], float], x: Array, central: bool) -> Array:
-    """Finite differences of a function of some numbers, (n,)."""
-    found, here = np.empty(len(x)), 0.0 if central else f(x)
+def differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:
+    """Finite differences of a function of n numbers, (n,), or (n, m) of m functions."""
+    found, here = list[Array](), 0.0 if central else f(x)
     for i in range(len(x)):
         step = np.zeros(len(x))
         step[i] = STEP * max(abs(float(x[i])), 1.0)
-        found[i] = (
-            (f(x + step) - f(x - step)) / (2.0 * step[i]) if central else (f(x + step) - here) / step[i]
-        )
-    return found
+        risen = (f(x + step) - f(x - step)) / 2.0 if central else f(x + step) - here
+        found.append(np.asarray(risen / step[i]))
+    return np.array(found)
 
 
 def _by_base(rod: Rod, gravity: Array) -> Array:
