@@ -1,4 +1,4 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|optimisation|export ...]`: every part, or those named, in one run."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|optimisation|export ...]`: every part, or those named."""
 
 import sys
 

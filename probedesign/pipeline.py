@@ -31,6 +31,7 @@ from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
 if TYPE_CHECKING:
+    from probedesign.pages.comparison import Compared
     from probedesign.search.found import Found
     from probedesign.search.grid import Axis
     from probedesign.search.optimum import Search
@@ -111,8 +112,8 @@ def predict(
 
     Args:
         design_path: the design file.
-        out: folder for prediction.json and prediction.png; exports/NAME if None.
-        plots: draw the picture; None draws it where matplotlib is installed.
+        out: folder for prediction.json, prediction.png and prediction.html; exports/NAME if None.
+        plots: make picture and page; None makes them where matplotlib is installed.
 
     Returns:
         The prediction and the files written.
@@ -123,11 +124,29 @@ def predict(
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
     if plots or (plots is None and find_spec("matplotlib") is not None):
+        from probedesign.pages.prediction_page import prediction_page
         from probedesign.report import draw_prediction
 
-        files.append(folder / "prediction.png")
-        write_atomically(files[1], draw_prediction(prediction, probe.estimator()))
+        estimator = probe.estimator()
+        files += [folder / "prediction.png", folder / "prediction.html"]
+        write_atomically(files[1], draw_prediction(prediction, estimator))
+        write_atomically(files[2], prediction_page(prediction, estimator))
     return prediction, files
+
+
+def compare(
+    design_paths: list[Path], task: "Task", out: Path | None, page: bool
+) -> tuple["list[Compared]", Path | None]:
+    """Designs → their figures for one task → a page with the same axes for all."""
+    from probedesign.pages.comparison import compare as side_by_side
+    from probedesign.pages.comparison import comparison_page
+
+    compared = side_by_side([load_design(path) for path in design_paths], task)
+    if not page:
+        return compared, None
+    file = out or EXPORTS / f"compare-{'-'.join(one.design.name for one in compared)}.html"
+    write_atomically(file, comparison_page(compared, task))
+    return compared, file
 
 
 def sweep(

@@ -18,6 +18,7 @@ COMMANDS = {
     "export": "Make the parts to print: STL, STEP, 3MF and their manifest.",
     "print": "Prepare the exported parts in PreForm, and send them to a printer if asked.",
     "predict": "Predict sensitivity and contact error of a design.",
+    "compare": "Put several designs side by side, as a table and a page.",
     "sweep": "Compute a grid of designs, on this machine or on many.",
     "optimize": "Find the body that does a task best.",
     "deploy": "Freeze the estimator of a design into one file.",

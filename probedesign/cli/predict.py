@@ -19,12 +19,12 @@ def predict(
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Predict sensitivity and contact error of a design; write prediction.json and prediction.png.
+    """Predict sensitivity and contact error of a design; write prediction.json, prediction.png and prediction.html.
 
     Args:
         design: the design file.
         out: folder for them; by default exports/NAME.
-        plots: draw prediction.png; by default where matplotlib is installed.
+        plots: make picture and page, which reads without a network; by default where matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
@@ -37,7 +37,7 @@ def predict(
         _print(prediction)
         print("wrote", ", ".join(map(str, files)))
         if plots is None and len(files) == 1:
-            print("no picture: matplotlib is not installed (pip install 'probedesign[plots]')")
+            print("no picture and no page: matplotlib is not installed (pip install 'probedesign[plots]')")
 
 
 def _print(prediction: "Prediction") -> None:
