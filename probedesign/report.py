@@ -100,7 +100,7 @@ def blank(width: float, height: float) -> "Figure":
 
 
 def draw_panels(prediction: Prediction, estimator: Estimator) -> dict[str, bytes]:
-    """The panels of `draw_prediction` one by one, by what they answer; SVGs.
+    """The panels of `draw_prediction` one by one, by what they answer, without their titles; SVGs.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
@@ -114,7 +114,12 @@ def draw_panels(prediction: Prediction, estimator: Estimator) -> dict[str, bytes
     found = {}
     for name, draw in drawn.items():
         figure = blank(6.4, 4.4)
-        draw(figure.subplots())
+        ax = figure.subplots()
+        draw(ax)
+        ax.set_title("")
+        legend = ax.get_legend()
+        if name == "error" and legend is not None:
+            legend.set_loc("lower right")  # where lines have ended
         found[name] = svg(figure)
     return found
 

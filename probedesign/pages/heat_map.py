@@ -7,8 +7,8 @@ from probedesign.frames import Array
 from probedesign.prediction.predict import predict_touch
 from probedesign.report import blank, svg
 
-PLACES = np.linspace(0.05, 1.0, 20)
-FORCES_N = np.geomspace(1e-3, 0.3, 18)
+PLACES = np.linspace(0.1, 1.0, 16)
+FORCES_N = np.geomspace(1e-3, 0.3, 15)
 DIRECTION = "+y"
 """Sideways to the gravity of a horizontal mount: the paper's touches."""
 LEVELS_MM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
@@ -52,6 +52,16 @@ _ENDS = ("gives_way", "out_of_range", "not_converged")
 
 def _computed(estimator: Estimator) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.str_]]]:
     """Errors [mm], NaN where there is none, and results, (forces, places)."""
-    found = [[predict_touch(estimator, float(s), float(f), DIRECTION) for s in PLACES] for f in FORCES_N]
-    errors = [[c.predicted_error_mm if c.result == "ok" else np.nan for c in row] for row in found]
-    return np.array(errors, dtype=float), np.array([[c.result for c in row] for row in found])
+    errors, results = (
+        np.full((len(FORCES_N), len(PLACES)), np.nan),
+        np.full((len(FORCES_N), len(PLACES)), "gives_way", dtype="<U16"),
+    )
+    for j, s in enumerate(PLACES):
+        for i, force in enumerate(FORCES_N):
+            c = predict_touch(estimator, float(s), float(force), DIRECTION)
+            if c.result == "gives_way":  # and under any greater force, too
+                break
+            results[i, j] = c.result
+            if c.result == "ok" and c.predicted_error_mm is not None:
+                errors[i, j] = c.predicted_error_mm
+    return errors, results

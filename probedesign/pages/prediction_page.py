@@ -13,7 +13,8 @@ _PANELS = {
               "probe gives way or the touch is too light to be located."),
     "shapes": ("How does it bend?", "Seen along y, gravity downwards if mounted horizontally; dots are the touches."),
     "detection": ("What is felt at all?", "Smallest force told from none every other time, one false alarm an hour."),
-    "sensitivity": ("How hard does it press?", "At the lightest force: what a millimetre more of press changes."),
+    "sensitivity": ("How hard does it press?", "At the lightest force, pushed along the last of "
+                    "the directions: what a millimetre more of press changes."),
 }  # fmt: skip
 
 
