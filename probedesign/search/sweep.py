@@ -2,6 +2,8 @@
 
 import csv
 import io
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -166,8 +168,23 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
             return
         tell(f"starting {workers} workers", None)
         local = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-        with LocalCluster(n_workers=workers, **local) as cluster, Client(cluster) as client:
+        with _deaf_to_interruption():
+            made = LocalCluster(n_workers=workers, **local)
+        with made as cluster, Client(cluster) as client:
             yield client
+
+
+@contextmanager
+def _deaf_to_interruption() -> Iterator[None]:
+    """Processes started here leave Ctrl-C to their parent, who ends them; else each would complain for itself."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _plain(task: Task) -> dict[str, Any]:
