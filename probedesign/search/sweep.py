@@ -164,6 +164,7 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
                     f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or leave --scheduler out"
                 ) from None
             with client:
+                _await_workers(client, scheduler)
                 yield client
             return
         tell(f"starting {workers} workers", None)
@@ -172,6 +173,20 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
             made = LocalCluster(n_workers=workers, **local)
         with made as cluster, Client(cluster) as client:
             yield client
+
+
+def _await_workers(client: "Client", scheduler: str) -> None:
+    """A scheduler without workers would wait for ever.
+
+    Raises:
+        InputError: it has none.
+    """
+    try:
+        client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
+    except TimeoutError:
+        raise InputError(
+            f"--scheduler {scheduler}: has no workers; start some with: dask worker {scheduler}"
+        ) from None
 
 
 @contextmanager
