@@ -118,8 +118,11 @@ def draw_panels(prediction: Prediction, estimator: Estimator) -> dict[str, bytes
         draw(ax)
         ax.set_title("")
         legend = ax.get_legend()
-        if name == "error" and legend is not None:
-            legend.set_loc("lower right")  # where lines have ended
+        if name == "error" and legend is not None:  # lines are everywhere: no room among them
+            legend.remove()
+            handles, labels = ax.get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8,
+                          columnspacing=0.8, handlelength=1.4)  # fmt: skip
         found[name] = svg(figure)
     return found
 
