@@ -1,8 +1,8 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|export|live ...]`: all, or those named."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
 
 import sys
 
-from benchmarks import detection, estimation, export, live, peak, prediction, rod, start
+from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -12,6 +12,7 @@ PARTS = {
     "estimation": estimation.report,
     "detection": detection.report,
     "prediction": prediction.report,
+    "optimisation": optimisation.report,
     "export": export.report,
     "live": live.report,
 }

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from probedesign.deployment import check_manifest, check_replaceable, write_frozen
 from probedesign.design import Design, load_design
+from probedesign.design_file import write_design
+from probedesign.errors import InputError
 from probedesign.files import write_atomically
 from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
@@ -30,7 +32,13 @@ from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
 if TYPE_CHECKING:
+    from probedesign.pages.comparison import Compared
     from probedesign.prediction.table_one import TableOne
+    from probedesign.search.found import Found
+    from probedesign.search.grid import Axis
+    from probedesign.search.optimum import Search
+    from probedesign.search.sweep import Swept
+    from probedesign.search.task import Task
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -115,8 +123,8 @@ def predict(
 
     Args:
         design_path: the design file.
-        out: folder for prediction.json and prediction.png; exports/NAME if None.
-        plots: draw the picture; None draws it where matplotlib is installed.
+        out: folder for prediction.json, prediction.png and prediction.html; exports/NAME if None.
+        plots: make picture and page; None makes them where matplotlib is installed.
         draws: Monte Carlo's estimates of each condition; none is run if None.
         seed: of what it draws.
         tell: told the step at work and the share done, if known.
@@ -137,10 +145,13 @@ def predict(
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
     if plots or (plots is None and find_spec("matplotlib") is not None):
+        from probedesign.pages.prediction_page import prediction_page
         from probedesign.report import draw_prediction
 
-        files.append(folder / "prediction.png")
-        write_atomically(files[1], draw_prediction(prediction, probe.estimator()))
+        estimator = probe.estimator()
+        files += [folder / "prediction.png", folder / "prediction.html"]
+        write_atomically(files[1], draw_prediction(prediction, estimator))
+        write_atomically(files[2], prediction_page(prediction, estimator))
     return prediction, files
 
 
@@ -150,6 +161,69 @@ def predict_table_one() -> "TableOne":
 
     probes = {name: build_probe(paper_design(name)) for name in PROBES}
     return table_one({name: (probe.model, probe.tolerances) for name, probe in probes.items()})
+
+
+def compare(
+    design_paths: list[Path], task: "Task", out: Path | None, page: bool
+) -> tuple["list[Compared]", Path | None]:
+    """Designs → their figures for one task → a page with the same axes for all."""
+    from probedesign.pages.comparison import compare as side_by_side
+    from probedesign.pages.comparison import comparison_page
+
+    compared = side_by_side([load_design(path) for path in design_paths], task)
+    if not page:
+        return compared, None
+    file = out or EXPORTS / f"compare-{'-'.join(one.design.name for one in compared)}.html"
+    write_atomically(file, comparison_page(compared, task))
+    return compared, file
+
+
+def sweep(
+    design_path: Path,
+    axes: "list[Axis]",
+    task: "Task",
+    out: Path | None,
+    scheduler: str | None,
+    workers: int,
+    tell: Callable[[str, float | None], None],
+) -> "Swept":
+    """Design → many designs → their figures → sweep.csv, sweep.parquet. Needs dask and pyarrow."""
+    from probedesign.search.sweep import sweep as run
+
+    design = load_design(design_path)
+    return run(design, axes, task, out or EXPORTS / design.name / "sweep", scheduler, workers, tell)
+
+
+def optimize(
+    search: "Search",
+    out: Path | None,
+    force: bool,
+    draws: int,
+    trials: int,
+    seed: int,
+    tell: Callable[[str, float | None], None],
+) -> "Found":
+    """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
+    from probedesign.search.confirm import confirm
+    from probedesign.search.found import Found, design_text
+    from probedesign.search.front import front
+    from probedesign.search.optimum import optimum
+
+    path = out or Path("designs") / f"{search.start.name}-best.toml"
+    if path.exists() and not force:
+        raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
+    best = optimum(search, path.stem, tell)
+    confirmed = None
+    if draws:
+        confirmed = (confirm(search.start, best.task, draws, seed, tell),
+                     confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
+    shown = front(search, trials, seed, tell) if trials else None
+    write_design(design_text(search, best), path, force)
+    files = [path]
+    if shown is not None:
+        files.append(path.with_name(f"{path.stem}-front.csv"))
+        write_atomically(files[1], shown.csv())
+    return Found(search, best, confirmed, shown, tuple(files))
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

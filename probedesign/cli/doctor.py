@@ -14,6 +14,8 @@ from probedesign.cli.output import print_json, print_table
 ENABLES = {
     "": "everything",
     "plots": "plots of predict",
+    "sweep": "sweep: grids of designs, on many machines",
+    "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live on a Net F/T box",
 }

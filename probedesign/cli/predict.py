@@ -24,7 +24,7 @@ def predict(
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Predict sensitivity and contact error of a design; write prediction.json and prediction.png.
+    """Predict sensitivity and contact error of a design; write prediction.json, prediction.png and prediction.html.
 
     Args:
         design: the design file; none with --table1.
@@ -33,7 +33,7 @@ def predict(
             interrupted run of the same stopped.
         seed: of what Monte Carlo draws.
         table1: predict the paper's Table I for its own three probes, beside what was measured.
-        plots: draw prediction.png; by default where matplotlib is installed.
+        plots: make picture and page, which reads without a network; by default where matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
@@ -58,7 +58,7 @@ def predict(
         _print(prediction)
         print("wrote", ", ".join(map(str, files)))
         if plots is None and len(files) == 1:
-            print("no picture: matplotlib is not installed (pip install 'probedesign[plots]')")
+            print("no picture and no page: matplotlib is not installed (pip install 'probedesign[plots]')")
 
 
 def _print(prediction: "Prediction") -> None:

@@ -1,0 +1,99 @@
+"""`probedesign optimize`: the body that does a task best."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from probedesign.cli.output import print_json, telling
+from probedesign.cli.task import TaskOptions
+from probedesign.errors import InputError
+
+if TYPE_CHECKING:
+    from probedesign.search.confirm import Confirmed
+    from probedesign.search.front import Front
+    from probedesign.search.optimum import Optimum
+
+Over = Literal["cone", "taper", "length", "section"]
+
+
+def optimize(
+    design: Path,
+    /,
+    *,
+    goal: Literal["error-at-force", "force-for-error"] = "error-at-force",
+    error_mm: float | None = None,
+    subject_to: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=False)] = None,
+    over: Annotated[list[Over] | None, Parameter(negative=(), consume_multiple=True)] = None,
+    options: TaskOptions | None = None,
+    confirm: int = 0,
+    pareto: int = 0,
+    seed: int = 1,
+    out: Path | None = None,
+    force: bool = False,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+) -> None:
+    """Find the body that does a task best, and write it as a design file like any other.
+
+    Rules of printing and the sensor's range are always kept. Limits: FIGURE<=NUMBER or FIGURE>=NUMBER with error_mm,
+    worst_error_mm, sag_mm, reach_mm, sensor_use, mass_g or length_mm. More: docs/search.md.
+
+    Args:
+        design: the design file to start from; what is not varied stays as it is there.
+        goal: least error at --force-N, or least force for --error-mm.
+        error_mm: to be reached, with force-for-error.
+        subject_to: a limit such as "sag_mm<=60"; again for more.
+        over: what may change: cone (base and tip), taper (a free profile), length, section. By default cone.
+        options: what the body is judged by.
+        confirm: draw so many fusions at each place and run the real estimator on them.
+        pareto: look at so many cones for the front of error, force and reach; needs the extra 'optimize'.
+        seed: of the draws and of the front.
+        out: the design file to write; by default designs/NAME-best.toml.
+        force: replace the file.
+        as_json: print one JSON document.
+    """
+    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.search.goal import check_limits, parse_limit
+    from probedesign.search.optimum import Search
+
+    for name, count in (("--confirm", confirm), ("--pareto", pareto)):
+        if not 0 <= count <= 100_000:
+            raise InputError(f"{name} {count} must lie in 0 ... 100000")
+    limits = [parse_limit(text) for text in subject_to or []]
+    check_limits(limits)
+    start = load_design(design)
+    search = Search(
+        start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
+    )
+    with telling() as tell:
+        found = pipeline.optimize(search, out, force, confirm, pareto, seed, tell)
+    if as_json:
+        print_json(found.as_dict())
+    else:
+        _print(found.optimum, found.confirmed, found.front)
+        print("wrote", ", ".join(map(str, found.files)))
+
+
+def _print(found: "Optimum", confirmed: "tuple[Confirmed, Confirmed] | None", front: "Front | None") -> None:
+    print(f"{found.design.name}: {found.task.text}")
+    print(f"  {'':<16}{'start':>12}{'best':>12}")
+    before, after = found.before.as_dict(), found.after.as_dict()
+    for name in after:
+        print(f"  {name:<16}{_cell(before[name]):>12}{_cell(after[name]):>12}")
+    if confirmed is not None:
+        for name, one in zip(("start", "best"), confirmed, strict=True):
+            print(f"  {name}, drawn and fused: {one.rms_mm:.3g} mm RMS, bound {one.bound_mm:.3g} mm, "
+                  f"{one.located} of {one.drawn} located")  # fmt: skip
+    print(f"  held back by: {', '.join(found.binding) or 'nothing: it is a free optimum'}")
+    print(f"  {found.looked} bodies looked at from {len(found.starts)} starts: "
+          f"{', '.join('no good' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
+    if front is not None:
+        print(f"\nPareto front, {len(front.rows)} of {front.looked} cones")
+        print("".join(f"{name:>12}" for name in front.rows[0]))
+        for row in front.rows[:: max(1, len(front.rows) // 12)]:
+            print("".join(f"{value:>12.4g}" for value in row.values()))
+
+
+def _cell(value: Any) -> str:
+    return "none" if value is None else f"{value:.4g}"

@@ -1,0 +1,1 @@
+"""Reports as pages: one HTML file each, read without a network and printed on A4."""

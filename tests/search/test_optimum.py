@@ -1,0 +1,143 @@
+"""The search for a body: derivatives, printability, optima that can be told beforehand, limits that cannot be kept."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.design import check_design, load_design
+from probedesign.errors import InputError
+from probedesign.estimator.unknowns import Unknowns
+from probedesign.printing.check import check_print
+from probedesign.probe import build_probe
+from probedesign.search.body import Body
+from probedesign.search.confirm import confirm
+from probedesign.search.goal import Limit, check_limits, parse_limit
+from probedesign.search.grid import tables_of
+from probedesign.search.optimum import Search, optimum
+from probedesign.search.press_series import press_series, unknowns_of
+from probedesign.search.task import Task
+from probedesign.search.trial import Trial, differences
+
+LARGE = Path(__file__).parents[2] / "designs/large.toml"
+TASK = Task()
+
+
+def quiet(_step, _share):
+    pass
+
+
+@pytest.fixture(scope="module")
+def large():
+    """The paper's large probe with 3 % on E."""
+    tables = tables_of(load_design(LARGE))
+    tables["material"]["stiffness_spread"] = 0.03
+    return check_design(tables)
+
+
+def test_the_bound_is_what_a_fusion_states(large):
+    """Noise-free readings fused: the answer is the point, and the variance it states is the bound's."""
+    probe, task = build_probe(large), replace(TASK, fractions=(0.7,))
+    unknowns = unknowns_of(probe.model, task)
+    series = press_series(probe.model, 0.7, task)
+    c = probe.estimator().fuse(series.wrenches, series.Ts_world_base, probe.model.gravity_base, moments_only=True,
+                               moments_about="sensor", unknowns=unknowns)  # fmt: skip
+    assert (
+        c.ok and np.linalg.norm(c.p_surface_world) < 0.1 * c.rms
+    )  # it stops within a small part of a deviation
+    stated = np.sqrt(np.trace(c.cov_fixed_world))
+    np.testing.assert_allclose(series.rms(unknowns, task), stated, rtol=0.02)  # linearised where it stopped
+
+
+def test_more_is_unknown_the_error_is_larger(large):
+    series = press_series(build_probe(large).model, 0.6, TASK)
+    errors = [series.rms(u, TASK) for u in (Unknowns.none(), Unknowns(), Unknowns(base_repeat=5e-5))]
+    assert errors == sorted(errors)
+
+
+@pytest.mark.parametrize("free", [("cone",), ("taper",)])
+def test_sag_and_reach_have_exact_slopes(large, free):
+    body = Body.of(large, free)
+    trial, x = Trial(body, TASK), body.x_of(large) * 0.8
+    for name in ("sag_mm", "reach_mm"):
+        # the fast solver's own rounding over the step
+        np.testing.assert_allclose(
+            trial.gradient(name, x),
+            differences(lambda y, name=name: trial.figures(y)[name], x, central=True),
+            rtol=2e-3, atol=2e-3 * np.abs(trial.gradient(name, x)).max(),
+        )  # fmt: skip
+
+
+def test_a_taper_through_a_cones_diameters_is_the_cone(large):
+    body = Body.of(large, ("taper",))
+    s, d = body.knots_mm(body.x_of(large))
+    np.testing.assert_allclose(d, 12.0 - 10.0 * s / 150.0, atol=1e-9)  # a cubic spline draws a line exactly
+
+
+@pytest.mark.parametrize(("x", "rule"), [((12.0, 1.4), "smallest_feature"), ((3.7, 3.6), "slenderness")])
+def test_the_rules_kept_are_those_of_the_print_check(large, x, rule):
+    body, x = Body.of(large, ("cone",)), np.array(x)
+    broken = [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0]
+    errors = [f.rule for f in check_print(body.design(x)).errors if f.part == "probe"]
+    assert broken == [f"print rule {rule}"] and errors == [rule]
+
+
+def test_the_best_cone_is_three_times_better_and_as_thin_as_prints(large):
+    search = Search(large, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
+    found = optimum(search, "best", quiet)
+    assert found.before.error_mm / found.after.error_mm > 3.0
+    assert found.after.sag_mm <= 60.0 and found.after.print_errors == 0
+    assert found.binding == ("print rule smallest_feature",) and found.design.name == "best"
+    for factor in (0.97, 1.03):  # either way along the base it gets worse
+        other = search.problem.trial
+        x = np.array([found.design.probe.base_d_mm * factor, found.design.probe.tip_d_mm])
+        assert other.figures(x)["error_mm"] > found.after.error_mm
+
+
+def test_a_limit_that_binds_is_reached_and_not_passed(large):
+    task = replace(TASK, fractions=(0.5, 0.8))
+    found = optimum(Search(large, ("cone",), task, limits=(Limit("sag_mm", True, 20.0),)), "best", quiet)
+    assert 19.9 < found.after.sag_mm <= 20.0 and "sag_mm <= 20" in found.binding
+
+
+def test_limits_that_cannot_be_kept_say_which_bind(large):
+    limits = (Limit("sag_mm", True, 2.0), Limit("error_mm", True, 1.0))
+    with pytest.raises(InputError, match=r"sag_mm <= 2 \(there .*error_mm <= 1 \(there"):
+        optimum(Search(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits), "best", quiet)
+
+
+def test_the_real_estimator_reaches_the_bound(large):
+    """Errors lie mostly along the probe: 24 draws tell their RMS to 1/√(2·24) = 14 %; three of those."""
+    found = confirm(large, replace(TASK, fractions=(0.6,)), 24, 1, quiet)
+    assert found.located == found.drawn == 24
+    assert 0.57 < found.rms_mm / found.bound_mm < 1.43
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--subject-to", "sagg_mm<=60"], "did you mean 'sag_mm'?"),
+        (["--subject-to", "sag_mm=60"], "write FIGURE<=NUMBER"),
+        (["--subject-to", "sag_mm<=-1"], "positive number"),
+        (["--subject-to", "sag_mm<=10", "--subject-to", "sag_mm>=20"], "contradict"),
+        (["--error-mm", "1"], "contradicts --goal error-at-force"),
+        (["--goal", "force-for-error"], "needs --error-mm"),
+        (["--over", "cone", "taper"], "contradict"),
+        (["--over", "section"], "nothing to vary"),
+        (["--touches", "0"], "touches = 0"),
+        (["--places", "0.5:1.5:0.5"], "must lie in (0, 1]"),
+    ],
+)
+def test_a_wrong_wish_is_one_line(arguments, said, tmp_path, capsys):
+    out = tmp_path / "best.toml"
+    assert run(["optimize", str(LARGE), "--out", str(out), *arguments]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and said in err and not out.exists()
+
+
+def test_limits_read_as_written():
+    limit = parse_limit("sag_mm <= 60")
+    assert limit == Limit("sag_mm", True, 60.0) and limit.room(30.0) == 0.5 and limit.room(90.0) == -0.5
+    check_limits([parse_limit("sag_mm>=10"), parse_limit("sag_mm<=60")])

@@ -1,0 +1,135 @@
+"""A sweep: which designs, what is kept, what an interruption and a wrong design leave."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.design import load_design
+from probedesign.errors import InputError
+from probedesign.probe import build_probe
+from probedesign.search.grid import parse_axis, points, tables_of, varied
+from probedesign.search.journal import Journal
+from probedesign.search.sweep import judged
+from probedesign.search.task import Task
+
+LARGE = Path(__file__).parents[2] / "designs/large.toml"
+ASKED = {"schema": 1, "vary": {"a": [1, 2]}}
+
+
+def test_the_end_of_a_range_counts_in_spite_of_rounding():
+    assert parse_axis("probe.tip_d_mm=1.5:2.1:0.1").values == (1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.1)
+    assert parse_axis("sensor.averaging_samples=36:72:36").values == (36, 72)
+    assert parse_axis("sensor.calibration=si-12-0.12, si-25-0.25").values == ("si-12-0.12", "si-25-0.25")
+
+
+def test_every_combination_once():
+    grid = points([parse_axis("probe.tip_d_mm=1:3:1"), parse_axis("probe.base_d_mm=8,12")])
+    assert len({tuple(point.items()) for point in grid}) == len(grid) == 6
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("probe.tipd_mm=1:2:1", "did you mean 'probe.tip_d_mm'?"),
+        ("probe.tip_d_mm=2:1:0.5", "never leads"),
+        ("probe.tip_d_mm=1:2", "not START:STOP:STEP"),
+        ("probe.tip_d_mm=nan:2:1", "not START:STOP:STEP"),
+        ("probe.tip_d_mm=1:2:1e-9", "coarser step"),
+        ("probe.tip_d_mm", "write KEY="),
+        ("probe.tip_d_mm=1,,2", "empty value"),
+    ],
+)
+def test_a_wrong_range_is_one_line(text, said):
+    with pytest.raises(InputError, match=said.replace("?", r"\?")):
+        parse_axis(text)
+
+
+def test_a_key_is_varied_and_no_other():
+    base = tables_of(load_design(LARGE))
+    changed = varied(base, {"probe.tip_d_mm": 3.0})
+    assert changed["probe"].pop("tip_d_mm") == 3.0
+    assert changed == base | {"probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"}}
+
+
+def test_a_design_that_cannot_be_says_why_and_one_that_gives_way_too():
+    base = tables_of(load_design(LARGE))
+    refused = judged(base, 0, {"probe.tip_d_mm": 13.0}, Task())
+    limp = judged(base, 1, {"probe.base_d_mm": 2.0}, Task())
+    assert refused["result"] == "refused" and "wider than base_d_mm" in refused["reason"]
+    assert limp["result"] == "gives_way" and limp["error_mm"] is None and limp["mass_g"] > 0.0
+
+
+def test_the_error_of_one_touch_is_the_prediction():
+    design = load_design(LARGE)
+    probe = build_probe(design)
+    predicted = probe.predict(fractions=(0.8,), forces_N=(0.02,), directions=("+y",)).conditions[0]
+    found = judged(tables_of(design), 0, {}, Task(0.02, 1, fractions=(0.8,)))
+    np.testing.assert_allclose(found["error_mm"], predicted.predicted_error_mm, rtol=1e-9)  # the same formula
+    np.testing.assert_allclose(found["sensor_use"], predicted.sensor_use, rtol=1e-9)
+
+
+def journal_of(path: Path, records: int) -> bytes:
+    with Journal.open(path, ASKED).appending() as appender:
+        for i in range(records):
+            appender.add({"point": i, "error_mm": float(i)})
+    return path.read_bytes()
+
+
+def test_half_a_record_is_dropped_and_what_was_whole_stays(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    whole = journal_of(path, 2)
+    for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
+        path.write_bytes(whole[:-cut])
+        journal = Journal.open(path, ASKED)
+        assert sorted(journal.results) == [0] and "half-written" in journal.notes[0]
+        with journal.appending() as appender:
+            appender.add({"point": 1, "error_mm": 1.0})
+        assert path.read_bytes() == whole
+
+
+def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    content = journal_of(path, 3)
+    with pytest.raises(InputError, match="another sweep"):
+        Journal.open(path, ASKED | {"vary": {"b": [1]}})
+    lines = content.splitlines(keepends=True)
+    broken = b"".join([lines[0], b"rubbish\n", *lines[2:]])
+    path.write_bytes(broken)
+    with pytest.raises(InputError, match="line 2 is no record"):
+        Journal.open(path, ASKED)
+    assert path.read_bytes() == broken
+
+
+def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
+    """Two workers, one lost record, one design that cannot be: nothing is computed twice."""
+    pytest.importorskip("distributed")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=2,13", "--vary", "probe.base_d_mm=7:12:5",
+               "--places", "0.8:0.8:1", "--workers", "1", "--out", str(tmp_path), "--json"]  # fmt: skip
+    assert run(command) == 0
+    first = json.loads(capsys.readouterr().out)
+    path = tmp_path / "sweep.jsonl"
+    path.write_bytes(path.read_bytes()[:-7])
+    assert run(command) == 0
+    out, err = capsys.readouterr()
+    again = json.loads(out)
+    assert first["computed"] == 4 and again["computed"] == 1 and "half-written" in err
+    assert again["points"] == first["points"]
+    assert [p["result"] for p in again["points"]] == ["ok", "ok", "refused", "refused"]
+    table = parquet.read_table(tmp_path / "sweep.parquet").to_pylist()
+    assert [row["error_mm"] for row in table] == [p["error_mm"] for p in first["points"]]
+
+
+def test_a_scheduler_that_is_not_there(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("distributed")
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr("probedesign.search.sweep.SCHEDULER_TIMEOUT_S", 1.0)
+    command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=2,3", "--out", str(tmp_path / "new"),
+               "--scheduler", "tcp://127.0.0.1:9"]  # fmt: skip
+    assert run(command) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not answer" in err
+    assert not (tmp_path / "new").exists()
