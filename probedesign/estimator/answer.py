@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.special import chdtri
 
+from probedesign.estimator.bow import Bow, bow_of
 from probedesign.estimator.equations import (
     OFFSET,
     POINT,
@@ -92,7 +93,30 @@ def told(
     )
     if code != "ok":
         return answer
-    return replace(_placed(answer, equations, best), rms_with={} if brief else _gains(equations, best))
+    placed = _placed(answer, equations, best)
+    if equations.one_pose:
+        placed = _bowed(placed, equations)
+    return replace(placed, rms_with={} if brief else _gains(equations, best))
+
+
+def _bowed(answer: Fused, equations: Equations) -> Fused:
+    """An answer from one pose, as vague as the curve of the probe makes it."""
+    touched = [reading for reading in equations.readings if reading.touched]
+    first, cov = touched[0], np.mean([reading.cov for reading in touched], axis=0) / len(touched)
+    wrench = np.mean([reading.wrench for reading in touched], axis=0)
+    bow = bow_of(equations.model.rod, wrench, cov, first.gravity)
+    return answer if bow is None else widened(answer, bow, first.T_world_base[:3, :3])
+
+
+def widened(answer: Fused, bow: Bow, R_world_base: Array) -> Fused:
+    """An answer with the bow of its one pose added."""
+    added = R_world_base @ bow.at(float(np.trace(answer.cov_contact_world))) @ R_world_base.T
+    return replace(
+        answer,
+        cov_contact_world=answer.cov_contact_world + added,
+        cov_fixed_world=answer.cov_fixed_world + added,
+        rms=math.sqrt(answer.rms**2 + float(np.trace(added))),
+    )
 
 
 def _rms(best: Solution) -> float:

@@ -22,6 +22,8 @@ from probedesign.frames import Array, wrench_map
 POINT, STIFFNESS, OFFSET = slice(0, 3), 3, slice(4, 7)
 """Of the unknowns: where the fixed point is, the logarithm of the stiffness, the base's offset in its own axes."""
 UNKNOWNS = 7
+NEAR = 1e-9
+"""Poses whose numbers differ by no more, in metres too, are one."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,12 @@ class Equations:
     def moments_only(self) -> bool:
         """Whether forces are left aside."""
         return len(self.channels) == 3
+
+    @property
+    def one_pose(self) -> bool:
+        """Whether all that touched did so from one and the same pose."""
+        touched = [reading.T_world_base for reading in self.readings if reading.touched]
+        return all(np.allclose(touched[0], T, rtol=0.0, atol=NEAR) for T in touched[1:])
 
     @property
     def dof(self) -> int:

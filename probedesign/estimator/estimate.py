@@ -52,6 +52,7 @@ class Candidate:
         lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
         tip: the tip's section, for a neighbouring reading to start from, (6,).
         shape: the probe touched there.
+        cov_linear_base: what cov_contact_base is to first order, without the curve of the probe [m²], (3, 3).
     """
 
     s_contact: float
@@ -65,6 +66,7 @@ class Candidate:
     lever: float
     tip: Array = field(repr=False)
     shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
+    cov_linear_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
 
 
 @dataclass(frozen=True)

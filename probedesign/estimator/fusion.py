@@ -26,7 +26,6 @@ _STARTS = 3
 _ANYWHERE = (4, 10, 16, 22)  # stations to start from where no meeting of the curves leads anywhere
 _MAX_ITERATIONS = 30
 _CLOSE = 1e-3  # of a standard deviation
-_NEAR = 1e-9  # [m]
 
 
 @dataclass(frozen=True)
@@ -66,11 +65,8 @@ class Fusion:
 
     def _enough(self) -> bool:
         """Whether the poses can tell a point at all: moments alone need two that differ."""
-        touched = [reading.T_world_base for reading in self.equations.readings if reading.touched]
-        if not touched:
-            return False
-        differ = any(not np.allclose(touched[0], T, atol=_NEAR) for T in touched[1:])
-        return differ or not self.equations.moments_only
+        touched = any(reading.touched for reading in self.equations.readings)
+        return touched and not (self.equations.moments_only and self.equations.one_pose)
 
     def _curves(self) -> list[Curve]:
         """What each touch's moment leaves open; the point lies where they meet."""

@@ -33,10 +33,11 @@ from probedesign.rod.kernels.compiled import drop_stale, inner
 
 drop_stale(Path(__file__).parent)
 
-CHI2, STD, LEVER, POINT, COV, SURFACE = 0, 1, 2, 3, 6, 15
+CHI2, STD, LEVER, POINT, COV, SURFACE, LINEAR = 0, 1, 2, 3, 6, 15, 18
 """Where in an answer stand the misfit, the standard deviation of s [m], how much the base moment changes with s over
-the force, the contact's point [m], (3,), its covariance [m²], (9,), and the touched point [m], (3,)."""
-ANSWER = 18
+the force, the contact's point [m], (3,), its covariance [m²], (9,), the touched point [m], (3,), and the covariance
+to first order alone [m²], (9,)."""
+ANSWER = 27
 WORK = FIT_WORK + 32 + 111
 """Numbers that locating works in."""
 ASIDE = math.sqrt(3.0)
@@ -218,7 +219,7 @@ def locate_contact(
             for j in range(UNKNOWNS):
                 for n in range(UNKNOWNS):
                     total += by_load[UNKNOWNS * i + j] * cov[UNKNOWNS * j + n] * by_load[UNKNOWNS * k + n]
-            cov_p[3 * i + k] = total if known else math.inf
+            cov_p[3 * i + k] = answer[LINEAR + 3 * i + k] = total if known else math.inf
     if not std < KNOWN * body.knots[-1]:
         return status
     fitted_turns = own[16:28].reshape((3, UNKNOWNS))

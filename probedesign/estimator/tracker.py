@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from probedesign.errors import InputError
 from probedesign.estimator import node_kernel as node
 from probedesign.estimator import normal_kernel as normal
-from probedesign.estimator.answer import most_chi2, told
+from probedesign.estimator.answer import most_chi2, told, widened
+from probedesign.estimator.bow import Bow, bow_of
 from probedesign.estimator.detector import Detector
 from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimator.estimate import Result
@@ -100,7 +101,8 @@ class Tracker:
         self._kept = 0
         self._x: Array | None = None
         self._fixed: Fixed = "surface"
-        self._turn = 0
+        self._turn, self._bowed_at = 0, 0.0
+        self._bow_found: Bow | None = None
         self._said = Fused("unobservable")
 
     def update(self, wrench_base: ArrayLike, T_world_base: ArrayLike, time: float) -> Fused:
@@ -252,7 +254,7 @@ class Tracker:
             return Fused(code, fixed=self._fixed, stiffness=stiffness, std_stiffness=stiffness * std, chi2=chi2,
                          dof=dof, rms=rms, iterations=1)  # fmt: skip
         free = rows[:, node.TOUCHED] == 0.0
-        return Fused(
+        answer = Fused(
             "ok",
             p_contact_world=x[POINT] + result[normal.AT_CONTACT : normal.AT_SURFACE],
             p_surface_world=x[POINT] + result[normal.AT_SURFACE : normal.COV_CONTACT],
@@ -268,6 +270,20 @@ class Tracker:
             rms=rms,
             iterations=1,
         )
+        if self._kept > 1 or self.moments_only:
+            return answer
+        bow = self._bow()
+        return answer if bow is None else widened(answer, bow, _pose(self._touched[0])[:3, :3])
+
+    def _bow(self) -> Bow | None:
+        """Of the first pose, looked at anew each time it has twice the readings."""
+        row = self._touched[0]
+        if row[node.COUNT] >= 2.0 * self._bowed_at or self._bowed_at == 0.0:
+            model, self._bowed_at = self.estimator.model, float(row[node.COUNT])
+            cov = model.noise_base() * model.averaging_samples / self._bowed_at
+            wrench, gravity = row[node.WRENCH : node.ROTATION].copy(), row[node.GRAVITY : node.COUNT].copy()
+            self._bow_found = bow_of(model.rod, wrench, cov, gravity)
+        return self._bow_found
 
     def _code(self, chi2: float, dof: int, rms: float, pulls: bool) -> Result:
         if chi2 > most_chi2(dof) or pulls:
