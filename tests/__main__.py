@@ -24,7 +24,9 @@ def main() -> int:
         if status:
             return status
     print("== tests", flush=True)
-    return subprocess.run([sys.executable, "-m", "pytest", *sys.argv[1:]], cwd=ROOT).returncode
+    # A worker a core; a file stays with one of them, and with it what its tests share.
+    shared = ["-n", "auto", "--dist", "loadfile"]
+    return subprocess.run([sys.executable, "-m", "pytest", *shared, *sys.argv[1:]], cwd=ROOT).returncode
 
 
 def _module(command: list[str]) -> list[str]:

@@ -67,7 +67,8 @@ def test_the_error_of_one_touch_is_the_prediction():
     probe = build_probe(design)
     predicted = probe.predict(fractions=(0.8,), forces_N=(0.02,), directions=("+y",)).conditions[0]
     found = judged(tables_of(design), 0, {}, Task(0.02, 1, fractions=(0.8,)))
-    np.testing.assert_allclose(found["error_mm"], predicted.predicted_error_mm, rtol=1e-9)  # the same formula
+    np.testing.assert_allclose(found["error_mm"], predicted.predicted_error_mm, rtol=1e-6)
+    # The same formula of one solved alone and one among many: the fast mode's own 1e-6 of the moment.
     np.testing.assert_allclose(found["sensor_use"], predicted.sensor_use, rtol=1e-9)
 
 
