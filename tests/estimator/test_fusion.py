@@ -176,8 +176,8 @@ def test_two_places_that_explain_the_readings_are_both_told(large):
     wrenches, Ts = [], []
     for k in range(3):
         c, s = np.cos(0.12 * k), np.sin(0.12 * k)
-        R = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T @ np.eye(3)
-        R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ R
+        level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+        R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ level
         wrench, T, _ = presses(large, R.T @ world, 0.1, 1.57, [0.01], turn=R)
         wrenches, Ts = [*wrenches, wrench[0]], [*Ts, T[0]]
     f = large.estimator().fuse(
