@@ -169,13 +169,13 @@ class Tracker:
             anchor[node.COUNT] = total
         self._held[1], self._held[0] = self._held[0], 0.0
 
-    def _set(self, row: Array, wrench: Array, T: Array, touched: bool) -> None:
+    def _set(self, row: Array, wrench: Array, T: Array) -> None:
         """A node of one reading."""
         row[:] = 0.0
         row[node.WRENCH : node.ROTATION] = wrench
         row[node.ROTATION : node.ORIGIN], row[node.ORIGIN : node.GRAVITY] = T[:3, :3].ravel(), T[:3, 3]
         row[node.GRAVITY : node.COUNT] = self._gravity
-        row[node.COUNT], row[node.TOUCHED] = 1.0, float(touched)
+        row[node.COUNT], row[node.TOUCHED] = 1.0, 1.0
 
     def _place(self, wrench: Array, T: Array) -> int:
         """Put a reading into the node that it belongs to; which of the touch's nodes that is."""
@@ -186,7 +186,7 @@ class Tracker:
             return self._kept - 1
         self._kept += 1
         new = self._rows[self._kept]
-        self._set(new, wrench, T, touched=True)
+        self._set(new, wrench, T)
         if self._kept > 1:
             new[node.PLACE :] = last[node.PLACE :]
         if self._kept > self.nodes:
