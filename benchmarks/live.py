@@ -49,8 +49,8 @@ def _measure(bundle: Path, spec: str, recording: Path) -> None:
     late, memory, plan = [], [], Plan(Window(0.0, 3.0), AVERAGE, seconds=SECONDS)
     start, used = time.monotonic(), time.process_time()
     with Recorder(recording) as recorder:
-        for reading, _ in estimate_stream(estimator, source, plan, print, recorder):
-            late.append(time.monotonic() - reading.received)
+        for answer in estimate_stream(estimator, source, plan, print, recorder):
+            late.append(time.monotonic() - answer.reading.received)
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     wall, used = time.monotonic() - start, time.process_time() - used
     counts, late_ms = source.counts, 1e3 * np.array(late)

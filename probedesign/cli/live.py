@@ -12,7 +12,7 @@ from probedesign.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from probedesign.live.run import Answer
+    from probedesign.live.answer import Answer
 
 
 def live(
@@ -82,7 +82,8 @@ def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
     start: float | None = None
     try:
         with closing(answers):
-            for reading, estimate in answers:
+            for answer in answers:
+                reading, estimate = answer.reading, answer.estimate
                 start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:

@@ -11,12 +11,12 @@ from itertools import islice
 from probedesign.errors import InputError
 from probedesign.estimator.estimate import RESULTS, Estimate
 from probedesign.estimator.estimator import Estimator
+from probedesign.live.answer import Answer
 from probedesign.live.reading import Reading, averaged, recorded, thinned, until
 from probedesign.live.recorder import Recorder
 from probedesign.live.source import Source
 from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
 
-Answer = tuple[Reading, Estimate]
 Say = Callable[[str], None]
 
 PATIENCE = 6.0
@@ -75,7 +75,7 @@ def estimate_stream(
             tare = take_tare(inside, plan.window, estimator)
             say(describe_tare(tare))
         for reading in islice(thinned(readings, plan.rate), plan.count):
-            yield reading, locate(estimator, reading, tare)
+            yield Answer(reading, locate(estimator, reading, tare))
 
 
 def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:

@@ -16,7 +16,8 @@ QUERY = "speed=max&rate_hz=3"
 
 
 def run(estimator, source, plan=None, recorder=None):
-    return list(estimate_stream(estimator, source, plan or Plan(), lambda note: None, recorder))
+    answers = estimate_stream(estimator, source, plan or Plan(), lambda note: None, recorder)
+    return [(answer.reading, answer.estimate) for answer in answers]
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
 
 def test_nothing_is_tared_unasked(estimator, biased):
     source = Fixed(biased[::10])  # a force of 1 N bends the probe far: few of these, they are slow
-    results = {e.result for _, e in estimate_stream(estimator, source, Plan(), lambda note: None)}
+    results = {a.estimate.result for a in estimate_stream(estimator, source, Plan(), lambda note: None)}
     assert "no_contact" not in results and "ok" not in results
 
 
@@ -55,10 +55,10 @@ def test_live_estimates_begin_after_the_window(estimator, biased):
     told: list[str] = []
     plan = Plan(window=Window(0.5, 2.0))
     answers = list(estimate_stream(estimator, Fixed(biased), plan, told.append))
-    assert answers[0][0].time == 2.0
+    assert answers[0].reading.time == 2.0
     assert len(answers) == 40
     assert "tare from 15 readings in 0.5:2 s: Fx 700 mN, Fy -300 mN" in told[0]
-    last, estimate = answers[-1]
+    last, estimate = answers[-1].reading, answers[-1].estimate
     assert estimate.ok
     assert abs(estimate.s_contact - last.truth.s_contact) < 5.0 * estimate.std_s  # bias and reading are noisy
 
