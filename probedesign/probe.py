@@ -21,8 +21,8 @@ from probedesign.rod.rod import Columns, Mode, Rod
 from probedesign.sensor import averaged_noise
 
 if TYPE_CHECKING:
+    from probedesign.estimator.tolerances import Tolerances
     from probedesign.prediction.predict import Prediction
-    from probedesign.prediction.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Probe:
     @property
     def tolerances(self) -> "Tolerances":
         """How well the probe is known, as its design has it."""
-        from probedesign.prediction.tolerances import Tolerances
+        from probedesign.estimator.tolerances import Tolerances
 
         return Tolerances.of(self.model, self.design.tolerances.model_dump())
 

@@ -10,11 +10,11 @@ import pytest
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
 from probedesign.estimator.bound import contact_bound
+from probedesign.estimator.causes import CAUSES, answers_of
+from probedesign.estimator.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import budget_of
-from probedesign.prediction.causes import CAUSES, answers_of
 from probedesign.prediction.monte_carlo import Plan, sample
 from probedesign.prediction.predict import predict, predict_touch
-from probedesign.prediction.tolerances import SOURCES, Tolerances
 from probedesign.prediction.worlds import Worlds
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.estimator.causes import CAUSES, answers_of, free_answers, moved_by
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
-from probedesign.prediction.causes import CAUSES, answers_of, free_answers, moved_by
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.rod.contacts import Contacts
 
 

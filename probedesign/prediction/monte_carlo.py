@@ -22,10 +22,10 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.files import write_atomically
 from probedesign.prediction.predict import Condition, Prediction
 from probedesign.prediction.sampled import Sampled
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.worlds import Worlds
 from probedesign.units import MM
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.estimator.causes import CAUSES
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.prediction.causes import CAUSES
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.prediction.reach import LADDER_N, Reach, reach_of
 from probedesign.prediction.sampled import Sampled
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
 from probedesign.units import MM
 

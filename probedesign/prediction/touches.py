@@ -9,10 +9,10 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.prediction.budget import Budget, budget_of
 from probedesign.prediction.quantile import radii_95
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.rod.contacts import Contacts, follow_contacts
 
 DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}

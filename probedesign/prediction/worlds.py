@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.estimator.causes import answers_of, parameters_of, turns_of
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array, inverse, wrench_map
-from probedesign.prediction.causes import answers_of, parameters_of, turns_of
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.batch import solve_batch
 from probedesign.rod.contacts import Start, follow_contacts, solve_contacts

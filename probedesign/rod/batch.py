@@ -157,6 +157,19 @@ def solve_batch(
     ]
     for _begin, _end, directed in kinds:  # compiles, if anything has to be
         run(0, 0, directed)
+    _run_all(run, chunks, min(threads, len(chunks)))
+    back = np.argsort(order)
+    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
+
+
+def _run_all(
+    run: Callable[[int, int, int | None], None], chunks: list[tuple[int, int, int | None]], threads: int
+) -> None:
+    """Run every chunk; what one thread does needs no pool."""
+    if threads <= 1:
+        for chunk in chunks:
+            run(*chunk)
+        return
     with ThreadPoolExecutor(threads) as pool:
         try:
             for _ in pool.map(lambda chunk: run(*chunk), chunks):
@@ -164,8 +177,6 @@ def solve_batch(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    back = np.argsort(order)
-    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
 
 
 def _cases(

@@ -171,6 +171,23 @@ def solve_contacts(
     return pushes.grown(magnitude, start, columns)
 
 
+def contacts_at(rod: Rod, gravity: Array, s: Array, force: Array, tip: Array) -> Contacts:
+    """Contacts that have been found already, with all columns.
+
+    Args:
+        rod: the rod.
+        gravity: base axes [m/s²], (3,).
+        s: of each contact [m], (n,).
+        force: base axes [N], (n, 3).
+        tip: of each equilibrium, (n, 6).
+    """
+    batch = solve_batch(rod, gravity, force, s, columns="all", guess=tip, guess_only=True, threads=1)
+    x, y = (np.einsum("ni,ni->n", batch.frame[:, of], force) for of in (slice(3, 6), slice(9, 12)))
+    magnitude = np.linalg.norm(force, axis=1)
+    slope = _slopes([rod], np.zeros(len(s), dtype=np.int64), np.minimum(s, rod.flank_end))
+    return Contacts(batch.result, s, np.arctan2(y, x), magnitude, slope, force, batch.tip, magnitude, batch)
+
+
 def follow_contacts(
     rod: Rod, gravity: ArrayLike, s_contact: Array, angle: Array, magnitudes: Sequence[float]
 ) -> list[Contacts]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array, inverse, skew, wrench_map
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.rod import kernels
 from probedesign.rod.contacts import Contacts
 from probedesign.rod.rod import Rod
@@ -122,13 +122,13 @@ def moved_by(
         name: (answers.wrench[:, :, 3:] @ rows.T, answers.point[:, :, 3:] @ rows.T)
         for name, rows in parameters_of(model.rod, tolerances).items()
     }
-    by_pose = _by_turns(answers, model, gravity)
+    by_pose = by_turns(answers, model, gravity)
     for name, rows in turns_of(gravity, tolerances).items():
         found[name] = (by_pose[0] @ rows.T, by_pose[1] @ rows.T)
     return found
 
 
-def _by_turns(answers: Answers, model: ProbeModel, gravity: Array) -> tuple[Array, Array]:
+def by_turns(answers: Answers, model: ProbeModel, gravity: Array) -> tuple[Array, Array]:
     """Of reading and point in the model's base frame by shift and turn of the base and by gravity, (n, 6, 9) and
     (n, 3, 9). A turn of the base turns what it reads, and gravity the other way as seen from it."""
     n, seen = len(answers.p), skew(gravity)
