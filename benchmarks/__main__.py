@@ -1,8 +1,8 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
+"""`python -m benchmarks [PART ...]`: all parts or some; an unknown name is told which there are."""
 
 import sys
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
+from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, prints, rod, start
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -11,6 +11,7 @@ PARTS = {
     "start": start.report,
     "estimation": estimation.report,
     "detection": detection.report,
+    "prints": prints.report,
     "prediction": prediction.report,
     "optimisation": optimisation.report,
     "export": export.report,

@@ -28,6 +28,7 @@ def live(
     count: int | None = None,
     seconds: float | None = None,
     manifest: Path | None = None,
+    exact_model: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Locate contacts as the sensor reads them, one line an estimate.
@@ -48,6 +49,8 @@ def live(
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
+            else they hold the tolerances of material, print and mount too.
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
@@ -62,6 +65,7 @@ def live(
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds)
     estimator = load_estimator(bundle, manifest)
+    estimator = estimator if exact_model else estimator.with_tolerances()
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
     opened = open_source(source, estimator.model, _say)
