@@ -1,11 +1,11 @@
 """Where the error of one touch comes from: its covariance, cause by cause, to first order.
 
 The estimator finds the touch θ = (s, angle, magnitude) whose modelled reading lies nearest, weighed by W: the inverse
-covariance of the sensor's noise and of what all causes do to the reading, as `Estimator.with_tolerances` weighs it, or of
-the noise alone. A cause that moves the true reading by δh and the true point by δp moves the answer by G δh with
-G = P (Jᵀ W J)⁻¹ Jᵀ W, J and P the derivatives of reading and point by θ: the error is that less δp. It is the distance
-between the contact point told in the sensor's axes by the model's mount and the true one there, so that a base that sits
-elsewhere counts too.
+covariance of the sensor's noise and of what all causes do to the reading, as `Estimator.with_tolerances` weighs it,
+or of the noise alone. A cause that moves the true reading by δh and the true point by δp moves the answer by G δh
+with G = P (Jᵀ W J)⁻¹ Jᵀ W, J and P the derivatives of reading and point by θ: the error is that less δp. It is the
+distance between the contact point told in the sensor's axes by the model's mount and the true one there, so that a
+base that sits elsewhere counts too.
 """
 
 from dataclasses import dataclass
