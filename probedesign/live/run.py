@@ -12,7 +12,9 @@ from probedesign.errors import InputError
 from probedesign.estimator.estimate import RESULTS, Estimate
 from probedesign.estimator.estimator import Estimator
 from probedesign.live.answer import Answer
-from probedesign.live.reading import Reading, averaged, recorded, thinned, until
+from probedesign.live.block import Block
+from probedesign.live.flow import averaged, recorded, thinned, until
+from probedesign.live.reading import Reading
 from probedesign.live.recorder import Recorder
 from probedesign.live.source import Source
 from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
@@ -65,10 +67,10 @@ def estimate_stream(
         InputError: the tare's window is no good, or the source fails.
     """
     with closing(iter(source)) as stream:
-        readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
+        blocks: Iterator[Block] = stream if plan.seconds is None else until(stream, plan.seconds)
         if recorder is not None:
-            readings = recorded(readings, recorder)
-        readings = averaged(readings, plan.samples)
+            blocks = recorded(blocks, recorder)
+        readings = averaged(blocks, plan.samples)
         tare: Tare | None = None
         if plan.window is not None:
             inside, readings = split(readings, plan.window)
