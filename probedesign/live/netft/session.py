@@ -21,8 +21,8 @@ MOST = 700
 """Records that are taken at once at most: a tenth of a second."""
 PAUSE = 0.001
 """Records gather for so long if there is time [s]: waking for one costs more than reading it."""
-STALE = 0.050
-"""Without a record for so long, what was last estimated is old [s]."""
+STALE = 0.040
+"""Without a record for so long, what was last estimated is old [s]; told within 50 ms of the last record."""
 RENEWED = 0.5
 """Records that come and are all refused, as after a restart, get a new client after so long [s]."""
 ASKED = 0.010
