@@ -1,7 +1,6 @@
 """From readings to estimates: of a recording at once, or of a source as long as it runs."""
 
 import math
-import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
@@ -12,15 +11,14 @@ from probedesign.errors import InputError
 from probedesign.estimator.estimate import RESULTS, Estimate
 from probedesign.estimator.estimator import Estimator
 from probedesign.live.answer import Answer
-from probedesign.live.reading import Reading, averaged, recorded, thinned, until
+from probedesign.live.block import Block
+from probedesign.live.flow import averaged, recorded, thinned, until
+from probedesign.live.reading import Reading
 from probedesign.live.recorder import Recorder
 from probedesign.live.source import Source
 from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
 
 Say = Callable[[str], None]
-
-PATIENCE = 6.0
-"""Kernels that take longer than this are not read from the cache but compiled [s]."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +63,10 @@ def estimate_stream(
         InputError: the tare's window is no good, or the source fails.
     """
     with closing(iter(source)) as stream:
-        readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
+        blocks: Iterator[Block] = stream if plan.seconds is None else until(stream, plan.seconds)
         if recorder is not None:
-            readings = recorded(readings, recorder)
-        readings = averaged(readings, plan.samples)
+            blocks = recorded(blocks, recorder)
+        readings = averaged(blocks, plan.samples)
         tare: Tare | None = None
         if plan.window is not None:
             inside, readings = split(readings, plan.window)
@@ -85,21 +83,6 @@ def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Est
     reading = without_bias(read, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
     return estimator.estimate(wrench_base, reading.gravity_base)
-
-
-def warm_up(estimator: Estimator, say: Say) -> None:
-    """Load or compile the rod's kernels before anything is read, and say so if it takes long."""
-    model = estimator.model
-    notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, half a minute or so"])
-    notice.daemon = True
-    notice.start()
-    try:
-        weight = 10.0 * float(estimator.model.noise.force)
-        eq = model.rod.solve(model.gravity_base, (weight, 0.0, 0.0), 0.8 * model.rod.length)
-        if eq.ok:
-            estimator.estimate(eq.wrench_base)
-    finally:
-        notice.cancel()
 
 
 def describe_tare(tare: Tare) -> str:
