@@ -26,6 +26,7 @@ def live(
     rate_hz: float = 20.0,
     count: int | None = None,
     seconds: float | None = None,
+    publish: str | None = None,
     manifest: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -46,10 +47,12 @@ def live(
         rate_hz: at most so many estimates a second; readings between are left out.
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
+        publish: udp://HOST:PORT, which each estimate is sent to as a JSON datagram.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
+    from probedesign.live.publish import Publisher
     from probedesign.live.recorder import Recorder
     from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream, warm_up
@@ -73,6 +76,8 @@ def live(
             sinks.say(note)
         if record is not None:
             sinks.add(RawRecording(Recorder(record, force=force)))
+        if publish is not None:
+            sinks.add(Publisher(publish, sinks.say))
         _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests()), sinks.say, as_json)
 
 
