@@ -1,8 +1,9 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
+"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live|view ...]`: all, or
+some."""
 
 import sys
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
+from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start, view
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -15,6 +16,7 @@ PARTS = {
     "optimisation": optimisation.report,
     "export": export.report,
     "live": live.report,
+    "view": view.report,
 }
 
 

@@ -27,6 +27,9 @@ def live(
     count: int | None = None,
     seconds: float | None = None,
     publish: str | None = None,
+    view: bool = False,
+    view_host: str = "127.0.0.1",
+    view_port: int = 8080,
     manifest: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -48,6 +51,9 @@ def live(
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
         publish: udp://HOST:PORT, which each estimate is sent to as a JSON datagram.
+        view: show the probe, the contact and charts on a page in the browser.
+        view_host: address that the page listens on; 0.0.0.0 opens it to the network.
+        view_port: its port, or the next free one.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
         as_json: print each estimate as one line of JSON.
     """
@@ -59,6 +65,7 @@ def live(
     from probedesign.live.sinks import RawRecording, Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
+    from probedesign.live.view.view import View
 
     replayed = Path(source.partition("?")[0].removeprefix("replay:"))
     if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
@@ -68,6 +75,7 @@ def live(
     estimator = load_estimator(bundle, manifest)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
+    requests = Requests()
     with closing(Sinks(Spoken())) as sinks:
         opened = open_source(source, estimator.model, sinks.say)
         warm_up(estimator, sinks.say)
@@ -78,7 +86,10 @@ def live(
             sinks.add(RawRecording(Recorder(record, force=force)))
         if publish is not None:
             sinks.add(Publisher(publish, sinks.say))
-        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests()), sinks.say, as_json)
+        if view:
+            counts = getattr(opened, "counts", {})
+            sinks.add(View(estimator, bundle.parent, requests, sinks.say, view_host, view_port, counts))
+        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, requests), sinks.say, as_json)
 
 
 def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
