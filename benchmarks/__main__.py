@@ -3,7 +3,19 @@
 import argparse
 import sys
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, prints, rod, start
+from benchmarks import (
+    detection,
+    estimation,
+    export,
+    live,
+    optimisation,
+    peak,
+    prediction,
+    prints,
+    rod,
+    start,
+    view,
+)
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -17,6 +29,7 @@ PARTS = {
     "optimisation": optimisation.report,
     "export": export.report,
     "live": live.report,
+    "view": view.report,
 }
 
 
