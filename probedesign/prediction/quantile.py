@@ -9,7 +9,7 @@ from probedesign.frames import Array
 
 _NODES = 16
 _AT_ONCE = 512  # covariances: what fits into a cache
-_NEWTON = 4  # steps, each of which doubles the digits
+_HALLEY = 3  # steps, each of which trebles the digits
 # u is at angle arccos c from the longest axis. Nodes squeezed towards c = 0 keep needle-like ellipsoids exact.
 _X, _W = np.polynomial.legendre.leggauss(_NODES)
 _C, _WEIGHT = ((_X + 1.0) / 2.0) ** 3, 1.5 * ((_X + 1.0) / 2.0) ** 2 * _W
@@ -35,7 +35,7 @@ def radii_95(cov: Array, share: float = 0.95) -> Array:
     Writes e by its direction and length: |e|² = ρ² (uᵀ cov u) with ρ² chi-square of three degrees of
     freedom, independent of the direction u, which is uniform on the sphere; P is the mean over u of
     the chi-square distribution at r²/(uᵀ cov u), by Gauss-Legendre and the trapezoidal rule on one octant.
-    Newton's method on r, from between those of a line, a disc and a ball.
+    Halley's method on r, from between those of a line, a disc and a ball.
 
     Args:
         cov: [m²], (n, 3, 3), each positive semidefinite.
@@ -63,9 +63,13 @@ def _of_largest(eigenvalues: Array, share: float) -> Array:
     inverse = 1.0 / np.sqrt(np.maximum(spread, 1e-300))
     line, disc, ball = (math.sqrt(float(chdtri(dof, 1.0 - share))) for dof in (1, 2, 3))
     r = (line**2 + (disc**2 - line**2) * middle + (ball**2 - disc**2) * low)[:, 0] ** 0.5
-    for _ in range(_NEWTON):
+    for _ in range(_HALLEY):
         x = r[:, None, None] * inverse
-        bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * x * x)
-        inside = (erf(x * math.sqrt(0.5)) - bell).mean(axis=2) @ _WEIGHT
-        r = r + (share - inside) / ((bell * inverse * x).mean(axis=2) @ _WEIGHT)
+        square = x * x
+        bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * square)
+        slopes = bell * inverse
+        off = (erf(x * math.sqrt(0.5)) - bell).mean(axis=2) @ _WEIGHT - share
+        slope = (slopes * x).mean(axis=2) @ _WEIGHT
+        bend = (slopes * inverse * (2.0 - square)).mean(axis=2) @ _WEIGHT
+        r = r - 2.0 * off * slope / (2.0 * slope * slope - off * bend)
     return r
