@@ -105,7 +105,7 @@ def blank(width: float, height: float, margins: tuple[float, float, float, float
         raise MissingDependencyError(
             "plots need matplotlib: pip install 'probedesign[plots]', or give --no-plots"
         ) from None
-    figure = Figure(figsize=(width, height), layout="constrained" if margins is None else "none")
+    figure = Figure(figsize=(width, height), layout="constrained" if margins is None else None)
     FigureCanvasAgg(figure)
     if margins is not None:
         left, right, bottom, top = margins
