@@ -146,7 +146,8 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
         return
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context = multiprocessing.get_context(method)
-    context.set_forkserver_preload([__name__])  # imported once, for all workers; spawned ones do it themselves
+    if method == "forkserver":  # imports once for all workers
+        context.set_forkserver_preload([__name__])
     with ProcessPoolExecutor(workers, context, _begin, (plan,)) as pool:
         futures = {pool.submit(_sample_there, touch): name for name, touch in touches.items()}
         try:

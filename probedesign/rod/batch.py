@@ -206,12 +206,21 @@ def solve_batch(
         for begin, end, directed in kinds
         for first in range(begin, end, chunk)
     ]
-    for _begin, _end, directed in kinds:  # compiles, if anything has to be
+    _done(run, chunks, threads)
+    back = np.argsort(order)
+    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
+
+
+def _done(
+    run: Callable[[int, int, int | None], None], chunks: list[tuple[int, int, int | None]], threads: int
+) -> None:
+    """Run all chunks, side by side where that is worth a pool of threads."""
+    if len(chunks) <= 1 or threads == 1:
+        for chunk in chunks:
+            run(*chunk)
+        return
+    for directed in {directed for _, _, directed in chunks}:  # compiles, if anything has to be
         run(0, 0, directed)
-    if len(chunks) <= 1 or threads == 1:  # not worth a pool
-        for alone in chunks:
-            run(*alone)
-        chunks = []
     with ThreadPoolExecutor(threads) as pool:
         try:
             for _ in pool.map(lambda chunk: run(*chunk), chunks):
@@ -219,8 +228,6 @@ def solve_batch(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    back = np.argsort(order)
-    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
 
 
 def _cases(
