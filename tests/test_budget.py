@@ -58,6 +58,18 @@ def test_many_contacts_are_each_one(large):
             np.testing.assert_allclose(many.d_touch[i], one.d_force, atol=1e-5 * np.abs(one.d_force).max())
 
 
+def test_touches_followed_are_those_solved_alone(large):
+    s, angle = np.array([0.2, 0.6, 0.9, 1.0]) * large.length, np.array([0.3, 1.5, -2.0, 3.0])
+    forces = np.geomspace(0.002, 0.02, 12)
+    for step, force in zip(follow_contacts(large.rod, GRAVITY, s, angle, forces), forces, strict=True):
+        alone = solve_contacts(large.rod, GRAVITY, s, angle, np.full(4, force), columns="all")
+        assert step.ok.all()
+        # Followed touches are left alone once they are within the fast rod's error, 1e-6; its columns are good to 1e-5.
+        for found, wanted, share in ((step.force, alone.force, 2e-6), (step.d_touch, alone.d_touch, 1e-5),
+                                     (step.batch.wrench_base, alone.batch.wrench_base, 2e-6)):  # fmt: skip
+            np.testing.assert_allclose(found, wanted, atol=share * np.abs(wanted).max())
+
+
 def test_a_touch_that_gave_way_stays_given_way(large):
     steps = follow_contacts(
         large.rod, GRAVITY, np.array([1.0]) * large.length, np.array([1.5]), [0.01, 0.1, 1.0]
