@@ -220,6 +220,13 @@ class Equations:
         shifts = self.unknowns.base_repeat**2 * np.einsum("kmi,km->ki", linear.by_place, left)
         return Normal(cov, step, chi2, shifts)
 
+    def gain(self, linear: Linear) -> tuple[Array, Array]:
+        """Covariance of the unknowns, (7, 7), and how the answer to them moves with the readings, (7, n)."""
+        V, D = self.covariance(linear, self.unknowns), linear.design
+        weighted = np.linalg.solve(V, D)
+        cov = _inverted(D.T @ weighted, self.unknowns.prior)
+        return cov, cov @ weighted.T
+
     def rms(self, linear: Linear, unknowns: Unknowns) -> float:
         """Of the fixed point [m], by the bound."""
         information = linear.design.T @ np.linalg.solve(self.covariance(linear, unknowns), linear.design)

@@ -89,7 +89,7 @@ def answers_of(contacts: Contacts, rod: Rod, gravity: Array) -> Answers:
     d_moment = _chosen(batch.d_moment, by_length)
     d_force = np.broadcast_to(_d_weight(rod, gravity), (n, 3, d_moment.shape[2]))
     dead = contacts.magnitude[:, None, None] * contacts.pushed(d_contact)
-    turning = contacts.d_force(dead, _d_slope(rod, contacts))
+    turning = contacts.d_force(dead, d_slope(rod, contacts))
     wrench = np.concatenate([d_force + turning, d_moment + batch.d_moment[:, :, 0:3] @ turning], axis=1)
     point = d_contact[:, 6:9] + batch.d_contact[:, 6:9, 0:3] @ turning
     return Answers(wrench, point, batch.wrench_base, batch.p_contact_base, turning)
@@ -172,7 +172,7 @@ def _d_weight(rod: Rod, gravity: Array) -> Array:
     return found
 
 
-def _d_slope(rod: Rod, contacts: Contacts) -> Array:
+def d_slope(rod: Rod, contacts: Contacts) -> Array:
     """Of the frustum's half-angle [rad], (n, j)."""
     K = len(rod.s)
     i = np.clip(np.searchsorted(rod.s, contacts.s) - 1, 0, K - 2)
