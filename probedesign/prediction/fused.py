@@ -11,6 +11,7 @@ from probedesign.frames import Array
 from probedesign.prediction.fused_budget import FUSED_CAUSES, FusedBudget, Pressed, fused_budget_of
 from probedesign.prediction.pressing import Pressing
 from probedesign.prediction.quantile import radii_95
+from probedesign.prediction.reach import ACCURACIES_MM
 from probedesign.prediction.standing import Standing
 from probedesign.prediction.touches import Touches
 from probedesign.units import MM
@@ -49,6 +50,44 @@ class FusedCondition:
     total_error_mm: float | None = None
     total_error_95_mm: float | None = None
     budget_mm: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class FusedReach:
+    """Greatest force from which fused touches of one place are so well located, all causes counted: straight in
+    logarithms between the forces of the grid; None where no force of the grid does. The lightest force of the grid
+    where that is enough already.
+    """
+
+    contact_fraction: float
+    direction: str
+    force_mN_for_1_mm: float | None
+    force_mN_for_2_mm: float | None
+    force_mN_for_5_mm: float | None
+
+
+def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedReach, ...]:
+    """Along the probe."""
+    lines = dict.fromkeys((c.contact_fraction, c.direction) for c in conditions)
+    found = []
+    for line in lines:
+        here = sorted((c for c in conditions if (c.contact_fraction, c.direction) == line and c.result == "ok"),
+                      key=lambda c: c.force_N)  # fmt: skip
+        forces, errors = np.array([c.force_N for c in here]), np.array([c.total_error_mm for c in here], dtype=float)
+        found.append(FusedReach(*line, *(_needed(forces, errors, accuracy) for accuracy in ACCURACIES_MM)))
+    return tuple(found)
+
+
+def _needed(forces: Array, errors: Array, accuracy_mm: float) -> float | None:
+    """[mN]"""
+    enough = np.flatnonzero(errors <= accuracy_mm)
+    if not len(enough):
+        return None
+    j = int(enough[0])
+    if j == 0:
+        return 1e3 * float(forces[0])
+    x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
+    return 1e3 * float(np.exp(np.interp(-np.log(accuracy_mm), -y, x)))
 
 
 def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> list[FusedCondition]:
