@@ -15,7 +15,7 @@ ORDERED = ("#440154", "#443983", "#31688e", "#21918c", "#35b779", "#90d743", "#f
 """From little to much, in order for colour-blind readers and in grey. Source: viridis, S. van der Walt, N. Smith, 2015."""
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
 MARKS = "osd^vx+"
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 320.0, 58.0, 10.0, 10.0, 46.0
+_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 10.0, 10.0, 46.0
 _LEGEND = 19.0  # height of a line of it
 _LETTER = 7.2  # mean width of a letter at the size of a legend
 

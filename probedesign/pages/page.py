@@ -18,7 +18,7 @@ th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb;
 th:first-child, td:first-child, .last td:last-child { text-align: left } .last td:last-child { white-space: normal }
 .last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
 thead th { border-bottom: 1pt solid #111 }
-@media print { body { margin: 0; padding: 0; max-width: none } .figures { grid-template-columns: 1fr 1fr } }
+@media print { body { margin: 0; padding: 0; max-width: none } section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
 """
 
 

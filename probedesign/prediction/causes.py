@@ -46,8 +46,14 @@ class Answers:
     force: Array
 
 
-def parameters_of(rod: Rod, tolerances: Tolerances) -> dict[str, Array]:
-    """Of each cause that is the rod's own, one standard deviation: the parameters from log E on, a row each."""
+def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
+    """Of each cause that is the rod's own, one standard deviation: the parameters from log E on, a row each.
+
+    Args:
+        rod: of the model.
+        tolerances: how well it is known.
+        hung: whether only what a touch adds creeps: a rod that is lighter by as much as it is softer hangs the same.
+    """
     K, diameters = len(rod.s), 2.0 * rod.radius / MM
     unit = np.eye(4 + K)
     t = tolerances
@@ -60,7 +66,7 @@ def parameters_of(rod: Rod, tolerances: Tolerances) -> dict[str, Array]:
         "diameter": (common @ unit[4:])[None],
         "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[4:],
         "length": length * unit[3:4],
-        "creep": t.creep * (unit[0:1] + unit[1:2]),
+        "creep": t.creep * (unit[0:1] + unit[1:2] + hung * unit[2:3]),
     }
 
 
@@ -111,16 +117,17 @@ def free_answers(rod: Rod, gravity: Array) -> Answers:
 
 
 def moved_by(
-    answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances
+    answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances, hung: bool = False
 ) -> dict[str, tuple[Array, Array]]:
-    """Of each cause, how one standard deviation of it moves reading and point as told in the model's base frame.
+    """Of each cause, how one standard deviation of it moves reading and point as told in the model's base frame; `hung` as in
+    `parameters_of`.
 
     Returns:
         Of each cause, (n, 6, j) and (n, 3, j): one column for each of its unit normals.
     """
     found = {
         name: (answers.wrench[:, :, 3:] @ rows.T, answers.point[:, :, 3:] @ rows.T)
-        for name, rows in parameters_of(model.rod, tolerances).items()
+        for name, rows in parameters_of(model.rod, tolerances, hung).items()
     }
     by_pose = _by_turns(answers, model, gravity)
     for name, rows in turns_of(gravity, tolerances).items():

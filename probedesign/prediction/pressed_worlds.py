@@ -81,10 +81,11 @@ class PressedWorlds:
         return np.asarray(rng.normal(0.0, self.worlds.tolerances.robot_mm * MM, shape))
 
     def _relaxed(self, share: float) -> Worlds:
+        """What the touch adds relaxes; what hangs has done so before the tare."""
         factors = np.exp(share * self.creep).tolist()
-        rods = [replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus)
-                for rod, f in zip(self.worlds.rods, factors, strict=True)]  # fmt: skip
-        return replace(self.worlds, rods=rods)
+        rods = [replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus,
+                        density=f * rod.density) for rod, f in zip(self.worlds.rods, factors, strict=True)]  # fmt: skip
+        return self.worlds.of_rods(rods)
 
 
 def fused(estimator: Estimator, tolerances: Tolerances, pressing: Pressing, wrenches: Array, places: Array) -> Fused:

@@ -35,7 +35,7 @@ class Pressing:
 
     @property
     def ramp(self) -> tuple[float, ...]:
-        """How far the creep has come at each touch, of what it is at the last."""
+        """How far the creep has come at each touch, of what it is at the last: none at the first, as fusion has it."""
         return tuple(k / (self.touches - 1) for k in range(self.touches))
 
     @property

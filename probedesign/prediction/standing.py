@@ -63,13 +63,14 @@ class Standing:
         """Of each cause beside noise, drift and robot, by each of its unit normals: what the reading has more than
         the model has for the same touched point, and how far the centreline's point is told amiss on top of what the
         reading does, (n, 6, j) and (n, 3, j)."""
-        seen = moved_by(self._surface, self.model, self.gravity, tolerances)
-        centre = moved_by(self._answers, self.model, self.gravity, tolerances)
-        still = moved_by(free_answers(self.model.rod, self.gravity), self.model, self.gravity, tolerances)
+        free = free_answers(self.model.rod, self.gravity)
+        seen, centre, still = (
+            moved_by(answers, self.model, self.gravity, tolerances, hung=True)
+            for answers in (self._surface, self._answers, free)
+        )
         found = {}
         for name, (wrench, surface) in seen.items():
-            # It creeps after the tare.
-            tared = still[name][0] * (tolerances.tared and name != "creep")
+            tared = still[name][0] * tolerances.tared
             found[name] = (wrench - tared - self.by_place @ surface, self.centre_by_place @ surface - centre[name][1])
         return found
 

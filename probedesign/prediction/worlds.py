@@ -57,6 +57,11 @@ class Worlds:
                      turns[:, 0:3], np.zeros((n, 6)))  # fmt: skip
         return replace(worlds, off=worlds._off(pulled))
 
+    def of_rods(self, rods: list[Rod]) -> "Worlds":
+        """The same worlds with other probes, tared with these."""
+        other = replace(self, rods=rods)
+        return replace(other, off=other._off(np.einsum("nij,nj->ni", self.R, self.gravity)))
+
     def touched(self, fraction: float, force_N: float, direction: str) -> tuple[Array, Array]:
         """The touch in every world: reading without noise and true point, told in the model's base frame, (n, 6) and
         (n, 3); NaN where the probe gives way."""
