@@ -145,7 +145,9 @@ def predict(
         from probedesign.prediction.monte_carlo import Plan, sample
 
         plan = Plan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
-        asked = replace(prediction, fused=tuple(shown(prediction.fused)))  # a fusion takes a quarter of a second
+        asked = replace(
+            prediction, fused=tuple(shown(prediction.fused))
+        )  # a fusion takes a quarter of a second
         sampled = sample(plan, asked, folder, lambda share: tell("Monte Carlo", share))
         prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]

@@ -47,7 +47,9 @@ def print_workspace(workspace: "Workspace") -> None:
                        key=lambda path: path.pressed_mm, default=None)  # fmt: skip
         most = "" if furthest is None else (
             f", furthest {furthest.pressed_mm:.3g} mm, at {furthest.contact_fraction:g} of the length")  # fmt: skip
-        print(f"  along {side}  sweeps {1e-2 * area:.3g} cm²{most}{' (mirrored)' if furthest is None else ''}")
+        print(
+            f"  along {side}  sweeps {1e-2 * area:.3g} cm²{most}{' (mirrored)' if furthest is None else ''}"
+        )
     if workspace.volume_mm3 is not None:
         print(f"  from all round {1e-3 * workspace.volume_mm3:.3g} cm³")
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from probedesign.pages.chart import COLOURS, Axis, Chart
+from probedesign.pages.chart import COLOURS, Axis, Chart, Entry
 from probedesign.prediction.fused import FusedCondition
 from probedesign.prediction.predict import Condition
 
@@ -18,8 +18,8 @@ GROUPS = {
 }
 """Causes that a reader has one remedy for."""
 CAPTION = (
-    "Shares of the variance, worst of the directions; above each bar the RMS error of all causes [mm]. Stiffness: E, G and "
-    "creep. Diameters: with their scatter and the length. Mount: place, tilt and clocking of the base. Weight: "
+    "Shares of the variance, worst of the directions; above each bar the RMS error of all causes [mm]. Stiffness: E, G "
+    "and creep. Diameters: with their scatter and the length. Mount: place, tilt and clocking of the base. Weight: "
     "density and gravity's direction."
 )
 _INK = ("#fff", "#fff", "#fff", "#fff", "#111", "#111", "#111")
@@ -44,7 +44,9 @@ def draw_budget(conditions: Sequence[Condition | FusedCondition]) -> bytes:
                 chart.text(i, below + 50.0 * share, f"{100.0 * share:.0f}", ink)
             below += 100.0 * share
     used = [any(shares_of(c)[name] > 0.0 for c in conditions) for name in GROUPS]
-    chart.legend = [(name, colour, None, "") for name, colour, here in zip(GROUPS, COLOURS, used, strict=True) if here]
+    chart.legend = [
+        Entry(name, colour) for name, colour, here in zip(GROUPS, COLOURS, used, strict=True) if here
+    ]
     return chart.svg()
 
 

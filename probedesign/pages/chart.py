@@ -7,12 +7,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
+from typing import NamedTuple
 
 COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, for colour-blind readers; markers and dashes tell them apart in grey. Source: M. Okabe, K. Ito,
 Color Universal Design, 2008."""
 ORDERED = ("#440154", "#443983", "#31688e", "#21918c", "#35b779", "#90d743", "#fde725")
-"""From little to much, in order for colour-blind readers and in grey. Source: viridis, S. van der Walt, N. Smith, 2015."""
+"""From little to much, in order for colour-blind readers and in grey.
+Source: viridis, S. van der Walt, N. Smith, 2015."""
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
 MARKS = "osd^vx+"
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 10.0, 10.0, 46.0
@@ -89,6 +91,15 @@ def span_of(values: Sequence[float], log: bool) -> tuple[float, float]:
     return low - room, high + room
 
 
+class Entry(NamedTuple):
+    """Of a legend; dashes are None for an area."""
+
+    name: str
+    colour: str
+    dashes: str | None = None
+    mark: str = ""
+
+
 @dataclass
 class Chart:
     """Axes and what is drawn in them, first drawn lowest.
@@ -97,14 +108,14 @@ class Chart:
         x, y: the axes; y upwards unless `down`.
         square: whether a unit is as long on both; the wider axis is then made longer at its high end.
         down: whether y grows downwards.
-        legend: name, colour, dashes and mark of what is told above the axes.
+        legend: what is told above the axes.
     """
 
     x: Axis
     y: Axis
     square: bool = False
     down: bool = False
-    legend: list[tuple[str, str, str | None, str]] = field(default_factory=list)
+    legend: list[Entry] = field(default_factory=list)
     _drawn: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -145,14 +156,16 @@ class Chart:
             self._drawn += [_mark(mark, p, q, colour) for p, q in run if mark]
             run = []
         if name:
-            self.legend.append((name, colour, dashes, mark))
+            self.legend.append(Entry(name, colour, dashes, mark))
 
-    def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = "") -> None:
+    def area(
+        self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = ""
+    ) -> None:
         """A filled polygon."""
         corners = " ".join(f"{p:.1f},{q:.1f}" for p, q in (self.at(*point) for point in points))
         self._drawn.append(f'<polygon points="{corners}" fill="{colour}" fill-opacity="{opacity:g}"/>')
         if name:
-            self.legend.append((name, colour, None, ""))
+            self.legend.append(Entry(name, colour))
 
     def box(self, x: tuple[float, float], y: tuple[float, float], fill: str, edge: str = "#fff") -> None:
         """A filled rectangle."""
@@ -160,7 +173,9 @@ class Chart:
         self._drawn.append(f'<rect x="{min(a, c):.1f}" y="{min(b, d):.1f}" width="{abs(c - a):.1f}" '
                            f'height="{abs(d - b):.1f}" fill="{fill}" stroke="{edge}"/>')  # fmt: skip
 
-    def text(self, x: float, y: float, words: str, colour: str = "#111", size: float = 12.0, turned: bool = False) -> None:
+    def text(
+        self, x: float, y: float, words: str, colour: str = "#111", size: float = 12.0, turned: bool = False
+    ) -> None:
         """Words about a point; turned to read upwards."""
         p, q = self.at(x, y)
         turn = f' transform="rotate(-90 {p:.1f} {q:.1f})"' if turned else ""
@@ -211,9 +226,11 @@ def _widened(axis: Axis, length: float) -> Axis:
     return Axis(axis.label, axis.low - more, axis.high + more, axis.log, axis.ticks)
 
 
-def _rows(legend: Sequence[tuple[str, str, str | None, str]]) -> list[list[tuple[float, tuple[str, str, str | None, str]]]]:
+def _rows(
+    legend: Sequence[Entry],
+) -> list[list[tuple[float, Entry]]]:
     """Entries with where each begins, as many in a row as there is room for."""
-    rows: list[list[tuple[float, tuple[str, str, str | None, str]]]] = []
+    rows: list[list[tuple[float, Entry]]] = []
     place = _WIDTH
     for entry in legend:
         wide = 38.0 + _LETTER * len(entry[0])
@@ -225,14 +242,16 @@ def _rows(legend: Sequence[tuple[str, str, str | None, str]]) -> list[list[tuple
     return rows
 
 
-def _told(row: Sequence[tuple[float, tuple[str, str, str | None, str]]], y: float) -> str:
+def _told(row: Sequence[tuple[float, Entry]], y: float) -> str:
     """One row of a legend: a stroke for a line, a square for an area."""
     parts = []
     for x, (name, colour, dashes, mark) in row:
         if dashes is None:
             parts.append(f'<rect x="{x + 6:g}" y="{y - 6:g}" width="14" height="12" fill="{colour}"/>')
         else:
-            parts.append(f'<path d="M{x:g} {y:g}h26" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>')
+            parts.append(
+                f'<path d="M{x:g} {y:g}h26" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>'
+            )
             parts.append(_mark(mark, x + 13, y, colour))
         parts.append(f'<text x="{x + 31:g}" y="{y + 4.5:g}">{escape(name)}</text>')
     return "".join(parts)

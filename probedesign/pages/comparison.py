@@ -57,11 +57,14 @@ def _compared(design: Design, task: Task) -> Compared:
     probe = build_probe(design)
     model, moments = probe.model, task.moments_about
     prediction = probe.predict(
-        forces_N=(task.force_N,), directions=(SIDE,), tolerances=replace(probe.tolerances, robot_mm=task.base_repeat_mm),
+        forces_N=(task.force_N,), directions=(SIDE,),
+        tolerances=replace(probe.tolerances, robot_mm=task.base_repeat_mm),
         pressing=Pressing(min(max(task.touches, 2), MOST_TOUCHES), moments),
     )  # fmt: skip
     rms = tuple(touches(model, replace(task, force_N=force)).rms for force in FORCES_N)
-    return Compared(design, worth(design, task), touches(model, replace(task, fractions=PLACES)), rms, prediction)
+    return Compared(
+        design, worth(design, task), touches(model, replace(task, fractions=PLACES)), rms, prediction
+    )
 
 
 def table_of(compared: Sequence[Compared]) -> TextTable:
@@ -82,11 +85,13 @@ def comparison_page(compared: Sequence[Compared], task: Task) -> bytes:
          "all causes of the error counted, pushed sideways.", _lines(compared, _all_causes, _PLACE, _ERROR)),
         ("From which force on is it felt?", "Smallest force told from none every other time, one false alarm an hour.",
          _lines(compared, _felt, _PLACE, "smallest detectable force [mN]")),
-        ("How hard can one press?", "Until the probe gives way, an object slips off the tip or the sensor's range ends; "
+        ("How hard can one press?",
+         "Until the probe gives way, an object slips off the tip or the sensor's range ends, "
          "pushed sideways.", _lines(compared, _most, _PLACE, "greatest force [mN]")),
         ("What do they look like?", "Diameter along the undeformed axis.",
          _lines(compared, _outline, "s, base to tip [mm]", "diameter [mm]", from_zero=True)),
-        ("How do they hang?", "Free of touch, under gravity as mounted, seen along y, x downwards.", _draw_sag(compared)),
+        ("How do they hang?", "Free of touch, under gravity as mounted, seen along y, x downwards.",
+         _draw_sag(compared)),
     ]  # fmt: skip
     names = " · ".join(one.design.name for one in compared)
     assumed = [
@@ -102,14 +107,20 @@ _ERROR = "contact error, RMS [mm]"
 
 
 def _lines(
-    compared: Sequence[Compared], line: Callable[[Compared], _Line], x: Axis | str, y: str, from_zero: bool = False
+    compared: Sequence[Compared],
+    line: Callable[[Compared], _Line],
+    x: Axis | str,
+    y: str,
+    from_zero: bool = False,
 ) -> bytes:
     """A line a design; logarithmic upwards unless it is from zero."""
     lines = [line(one) for one in compared]
     low, high = span_of([v for _, values in lines for v in values], not from_zero)
     along = x if isinstance(x, Axis) else Axis(x, *span_of([v for values, _ in lines for v in values], False))
     chart = Chart(along, Axis(y, 0.0 if from_zero else low, high, log=not from_zero))
-    for one, (places, values), colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):
+    for one, (places, values), colour, dashes, mark in zip(
+        compared, lines, COLOURS, DASHES, MARKS, strict=False
+    ):
         chart.line(places, values, colour, dashes, mark, one.design.name)
     return chart.svg()
 
@@ -124,7 +135,9 @@ def _by_force(one: Compared) -> _Line:
 
 def _all_causes(one: Compared) -> _Line:
     cells = one.prediction.fused
-    return [c.contact_fraction for c in cells], [_number(c.total_error_mm if c.result == "ok" else None) for c in cells]
+    return [c.contact_fraction for c in cells], [
+        _number(c.total_error_mm if c.result == "ok" else None) for c in cells
+    ]
 
 
 def _felt(one: Compared) -> _Line:

@@ -43,4 +43,8 @@ def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[
         return "#e4e4e4", "#555", MARKS.get(bad or "", "yields")
     worst = max(errors)
     level = len(ORDERED) - 1 - sum(worst > limit for limit in LEVELS_MM)
-    return ORDERED[level], _LIGHT if level >= _FROM_LIGHT else "#fff", f"{worst:.2g}" if worst < 100 else f"{worst:.0f}"
+    return (
+        ORDERED[level],
+        _LIGHT if level >= _FROM_LIGHT else "#fff",
+        f"{worst:.2g}" if worst < 100 else f"{worst:.0f}",
+    )

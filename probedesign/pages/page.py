@@ -18,7 +18,8 @@ th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb;
 th:first-child, td:first-child, .last td:last-child { text-align: left } .last td:last-child { white-space: normal }
 .last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
 thead th { border-bottom: 1pt solid #111 }
-@media print { body { margin: 0; padding: 0; max-width: none } section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
+@media print { body { margin: 0; padding: 0; max-width: none } section p { font-size: 8.5pt }
+  .figures { grid-template-columns: 1fr 1fr } }
 """
 
 
@@ -74,7 +75,9 @@ def page_of(
         f"<section><h2>{escape(s.heading)}</h2>{_named(s).decode()}<p>{escape(s.caption)}</p></section>\n"
         for s in sections
     )
-    last = "".join(f"<section class=last><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in after)
+    last = "".join(
+        f"<section class=last><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in after
+    )
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n'

@@ -66,10 +66,18 @@ def _budgets(prediction: Prediction) -> list[Section]:
     found, k = [], prediction.pressing.touches
     single, fused = worst(prediction.conditions, BUDGET_FORCE_N), shown(prediction.fused, SHOWN_N)
     if single:
-        found.append(Section(f"What limits one reading of {1e3 * single[0].force_N:g} mN?", CAPTION, draw_budget(single)))
+        found.append(
+            Section(
+                f"What limits one reading of {1e3 * single[0].force_N:g} mN?", CAPTION, draw_budget(single)
+            )
+        )
     if fused:
         heading = f"What limits {k} touches up to {1e3 * fused[0].force_N:g} mN?"
-        found.append(Section(heading, "The same. Robot: the base's place at each touch for itself.", draw_budget(fused)))
+        found.append(
+            Section(
+                heading, "The same. Robot: the base's place at each touch for itself.", draw_budget(fused)
+            )
+        )
     return found
 
 
@@ -80,13 +88,15 @@ def _space(prediction: Prediction, estimator: Estimator) -> list[Section]:
     volume = "" if workspace.volume_mm3 is None else f" From all round {1e-3 * workspace.volume_mm3:.0f} cm³."
     return [
         Section("Where can it be touched? From the side",
-                "The base stands still. Shaded: where the contact point on the centreline can be pushed to; thin lines: "
-                f"each place's way, from no force to the greatest. Swept: {swept}.{volume}", draw_workspace(workspace, 0)),
+                "The base stands still. Shaded: where the contact point on the centreline can be pushed to; thin "
+                f"lines: each place's way, from no force to the greatest. Swept: {swept}.{volume}",
+                draw_workspace(workspace, 0)),
         Section("From above", "The same, pushed across; the other side mirrored where it was not computed.",
                 draw_workspace(workspace, 1)),
-        Section("How hard can one press?", "Gives way: the probe buckles or bends away. Slips off: an object that keeps "
-                "its distance from the base has come to the tip.", draw_limits(prediction)),
-        Section("How does it bend?", "Seen along y, x downwards; dots are the touches, along ±x.", draw_shapes(estimator)),
+        Section("How hard can one press?", "Gives way: the probe buckles or bends away. Slips off: an object "
+                "that keeps its distance from the base has come to the tip.", draw_limits(prediction)),
+        Section("How does it bend?", "Seen along y, x downwards; dots are the touches, along ±x.",
+                draw_shapes(estimator)),
         Section("How hard does a millimetre press?", "At the lightest force, along the last of the directions: what a "
                 "millimetre more of press changes.", draw_sensitivity(prediction)),
     ]  # fmt: skip
@@ -95,7 +105,17 @@ def _space(prediction: Prediction, estimator: Estimator) -> list[Section]:
 def _table(prediction: Prediction) -> TextTable:
     """Along the probe, worst of the directions: what it takes and what it stands."""
     k = prediction.pressing.touches
-    head = ["along the probe", "felt from", "5 mm", "2 mm", "1 mm", f"2 mm, {k} fused", "most", "ended by", "moved by"]
+    head = [
+        "along the probe",
+        "felt from",
+        "5 mm",
+        "2 mm",
+        "1 mm",
+        f"2 mm, {k} fused",
+        "most",
+        "ended by",
+        "moved by",
+    ]
     rows = []
     for place in sorted({r.contact_fraction for r in prediction.reach}):
         here = [r for r in prediction.reach if r.contact_fraction == place]

@@ -1,6 +1,7 @@
 """The probe from the side and from above: how it bends under touches, and where it can be touched at all."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.frames import Array
 from probedesign.pages.chart import COLOURS, DASHES, Axis, Chart, span_of
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.workspace import Path, Workspace
+from probedesign.prediction.workspace import STEPS, Path, Workspace
 from probedesign.rod.contact import solve_frictionless
 from probedesign.units import MM
 
@@ -35,7 +36,9 @@ def draw_shapes(estimator: Estimator) -> bytes:
     free = estimator.free()
     if free.ok:
         lines.insert(0, (free.p_at(s) / MM, "#000000", "", "free"))
-    chart = _chart(np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3)), 0, "x [mm]")
+    chart = _chart(
+        np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3)), 0, "x [mm]"
+    )
     for points, colour, dashes, name in lines:
         chart.line(points[:, 2].tolist(), points[:, 0].tolist(), colour, dashes, name=name, width=2.4)
     for dot, colour in dots:
@@ -53,7 +56,7 @@ def draw_workspace(workspace: Workspace, across: int) -> bytes:
     name = "xy"[across]
     sides = {f"+{name}": COLOURS[1], f"-{name}": COLOURS[2]}
     sheets = {side: _sheet(workspace.paths, side) for side in sides}
-    if across == 1 and not len(sheets["-y"]):
+    if not len(sheets.get("-y", "-")) and "-y" in (workspace.area_mm2 or {}):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
     points = np.concatenate([sheet.reshape(-1, 3) for sheet in sheets.values()] + [np.zeros((1, 3))])
     chart = _chart(points, across, f"{name} [mm]")
@@ -62,14 +65,16 @@ def draw_workspace(workspace: Workspace, across: int) -> bytes:
         if len(sheet):
             _draw_sheet(chart, sheet, across, colour, f"pushed along {side}")
     free = next((sheet[:, 0] for sheet in sheets.values() if len(sheet)), np.zeros((0, 3)))
-    chart.line([0.0, *free[:, 2].tolist()], [0.0, *free[:, across].tolist()], "#000000", name="free", width=2.6)
+    chart.line(
+        [0.0, *free[:, 2].tolist()], [0.0, *free[:, across].tolist()], "#000000", name="free", width=2.6
+    )
     return chart.svg()
 
 
 def _draw_sheet(chart: Chart, sheet: Array, across: int, colour: str, name: str) -> None:
     """The swept area with every place's path."""
-    flat = np.concatenate([np.zeros((1, *sheet.shape[1:])), sheet])[:, :, [2, across]]
-    for low, high in zip(flat[:-1], flat[1:], strict=True):
+    flat = np.concatenate([np.zeros((1, STEPS, 3)), sheet])[:, :, [2, across]]
+    for low, high in pairwise(flat):
         corners = [*map(tuple, low.tolist()), *map(tuple, high[::-1].tolist())]
         chart.area(corners, colour, 0.16)
     for path in flat[1:]:
@@ -79,7 +84,7 @@ def _draw_sheet(chart: Chart, sheet: Array, across: int, colour: str, name: str)
 
 def _sheet(paths: Sequence[Path], side: str) -> Array:
     along = sorted((path for path in paths if path.direction == side), key=lambda path: path.contact_fraction)
-    return np.array([path.points for path in along])
+    return np.array([path.points for path in along]).reshape(-1, STEPS, 3)
 
 
 def _chart(points: Array, across: int, label: str) -> Chart:

@@ -119,8 +119,8 @@ def free_answers(rod: Rod, gravity: Array) -> Answers:
 def moved_by(
     answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances, hung: bool = False
 ) -> dict[str, tuple[Array, Array]]:
-    """Of each cause, how one standard deviation of it moves reading and point as told in the model's base frame; `hung` as in
-    `parameters_of`.
+    """Of each cause, how one standard deviation of it moves reading and point as told in the model's base frame.
+    `hung` is that of `parameters_of`.
 
     Returns:
         Of each cause, (n, 6, j) and (n, 3, j): one column for each of its unit normals.

@@ -7,7 +7,8 @@ from dataclasses import asdict
 from typing import Any
 
 from probedesign.prediction.fused_budget import FUSED_CAUSES
-from probedesign.prediction.predict import Prediction
+from probedesign.prediction.predict import Detection, Prediction
+from probedesign.prediction.reach import Reach
 
 Row = Mapping[str, Any]
 
@@ -18,18 +19,21 @@ def conditions_csv(prediction: Prediction) -> bytes:
     rows = [_spread(row) for row in [*single, *(asdict(c) for c in prediction.fused)]]
     first = ["contact_fraction", "force_N", "direction", "touches", "result"]
     causes = [_column(cause) for cause in FUSED_CAUSES]
-    between = [name for name in dict.fromkeys(k for row in rows for k in row) if name not in (*first, *causes)]
+    between = [
+        name for name in dict.fromkeys(k for row in rows for k in row) if name not in (*first, *causes)
+    ]
     return _csv([*first, *between, *causes], rows)
 
 
 def along_csv(prediction: Prediction) -> bytes:
     """A row a place and side: what is felt, what accuracy costs, where it ends; fused_ is of fused touches."""
     rows: dict[tuple[float, str], dict[str, Any]] = {}
-    for one in (*prediction.detection, *prediction.reach):
+    told: tuple[Detection | Reach, ...] = (*prediction.detection, *prediction.reach)
+    for one in told:
         rows.setdefault((one.contact_fraction, one.direction), {}).update(asdict(one))
     for fused in prediction.fused_reach:
-        told = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}
-        rows[fused.contact_fraction, fused.direction].update(told)
+        forces = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}
+        rows[fused.contact_fraction, fused.direction].update(forces)
     for path in prediction.workspace.paths:
         rows[path.contact_fraction, path.direction]["pressed_mm"] = path.pressed_mm
     names = list(dict.fromkeys(k for row in rows.values() for k in row))

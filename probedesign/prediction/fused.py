@@ -73,7 +73,10 @@ def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedReach, ...]:
     for line in lines:
         here = sorted((c for c in conditions if (c.contact_fraction, c.direction) == line and c.result == "ok"),
                       key=lambda c: c.force_N)  # fmt: skip
-        forces, errors = np.array([c.force_N for c in here]), np.array([c.total_error_mm for c in here], dtype=float)
+        forces, errors = (
+            np.array([c.force_N for c in here]),
+            np.array([c.total_error_mm for c in here], dtype=float),
+        )
         found.append(FusedReach(*line, *(_needed(forces, errors, accuracy) for accuracy in ACCURACIES_MM)))
     return tuple(found)
 
@@ -119,7 +122,9 @@ def fused_conditions(
         pressing: how the touches are made.
     """
     steps = {force: _Step(touches[force], pressing) for force in forces_of(pressing, forces_N)}
-    found = [_at(lines, touches, [steps[f] for f in pressing.forces(force)], force, pressing) for force in forces_N]
+    found = [
+        _at(lines, touches, [steps[f] for f in pressing.forces(force)], force, pressing) for force in forces_N
+    ]
     places = list(dict.fromkeys(place for place, _ in lines))
     return tuple(c for place in places for at in found for c in at if c.contact_fraction == place)
 
@@ -138,7 +143,11 @@ class _Step:
 
 
 def _at(
-    lines: Sequence[Line], touches: Mapping[float, Touches], steps: Sequence[_Step], force: float, pressing: Pressing
+    lines: Sequence[Line],
+    touches: Mapping[float, Touches],
+    steps: Sequence[_Step],
+    force: float,
+    pressing: Pressing,
 ) -> list[FusedCondition]:
     """All lines at one greatest force."""
     last = touches[force]

@@ -1,9 +1,10 @@
 """Where the error of several fused touches comes from: its covariance, cause by cause, to first order.
 
-The estimator's unknowns x answer to its readings by the gain Γ = cov Dᵀ V⁻¹ of its least squares, priors in cov. Whether
-it knows of a cause or not, what that adds to the readings moves the answer by Γ times it: what it takes as unknown with
-a prior is thereby caught as far as the prior lets it. The error is the distance in the world between the mean point of
-the centreline where the force acts, as told, and the true one, the robot's poses being told as `robot_mm` allows.
+The estimator's unknowns x answer to its readings by the gain Γ = cov Dᵀ V⁻¹ of its least squares, priors in cov.
+Whether it knows of a cause or not, what that adds to the readings moves the answer by Γ times it: what it takes as
+unknown with a prior is thereby caught as far as the prior lets it. The error is the distance in the world between the
+mean point of the centreline where the force acts, as told, and the true one, the robot's poses being told as `robot_mm`
+allows.
 """
 
 from collections.abc import Sequence
@@ -70,7 +71,9 @@ class Pressed:
         """From touches that there are."""
         wrench, centre = standing.by_stiffness
         misled = {name: (channels @ read, told) for name, (read, told) in standing.misled(tolerances).items()}
-        return cls(channels @ standing.by_place, wrench @ channels.T, standing.centre_by_place, centre, misled)
+        return cls(
+            channels @ standing.by_place, wrench @ channels.T, standing.centre_by_place, centre, misled
+        )
 
     def rows(self, of: Indices) -> "Pressed":
         """Some of them."""
@@ -111,9 +114,9 @@ class _Series:
         unknowns = unknowns_of(self.model, self.tolerances)
         noise = channels @ self.model.noise_base() @ channels.T
         linear = self._linear(noise)
-        cov, gain = Equations(self.model, (), unknowns, channels).gain(linear)
-        by_unknowns = self._centre_by_unknowns()
-        gain = by_unknowns @ gain
+        answer = Equations(self.model, (), unknowns, channels).gain(linear)
+        by_unknowns, by_shift = self._centre_by_unknowns(), self._centre_by_shift()
+        gain = by_unknowns @ answer.unknowns + np.einsum("kij,kjn->in", by_shift, answer.shifts)
         walk = self.tolerances.drift_steps**2 * self.model.averaging_samples * noise
         k = np.arange(1, len(self.touches) + 1)
         found = {
@@ -121,8 +124,8 @@ class _Series:
             "drift": gain @ np.kron(np.minimum.outer(k, k), walk) @ gain.T,
             "robot": self._robot(gain, linear.by_place),
         } | {name: self._misled(name, gain) for name in self.touches[0].misled}
-        told = by_unknowns @ cov @ by_unknowns.T
-        return np.array([found[name] for name in FUSED_CAUSES]), told, cov[POINT, POINT]
+        told = by_unknowns @ answer.cov @ by_unknowns.T
+        return np.array([found[name] for name in FUSED_CAUSES]), told, answer.cov[POINT, POINT]
 
     def _linear(self, noise: Array) -> Linear:
         """The readings as the estimator has them at the truth; the bases turned as in the mount."""
@@ -131,7 +134,9 @@ class _Series:
         design = np.empty((k, m, UNKNOWNS))
         design[:, :, POINT], design[:, :, OFFSET] = by_place, -by_place
         design[:, :, STIFFNESS] = [touch.by_stiffness[self.i] for touch in self.touches]
-        return Linear(np.zeros(k * m), design.reshape(k * m, UNKNOWNS), by_place, np.broadcast_to(noise, (k, m, m)))
+        return Linear(
+            np.zeros(k * m), design.reshape(k * m, UNKNOWNS), by_place, np.broadcast_to(noise, (k, m, m))
+        )
 
     def _centre_by_unknowns(self) -> Array:
         """Of the centreline's mean point in the world by the unknowns, (3, 7)."""
@@ -141,21 +146,28 @@ class _Series:
         found[:, STIFFNESS] = np.mean([touch.centre_by_stiffness[self.i] for touch in self.touches], axis=0)
         return found
 
+    def _centre_by_shift(self) -> Array:
+        """Of it by where each base is told to be, in base axes, the fixed point staying, (k, 3, 3)."""
+        return (np.array([touch.centre_by_place[self.i] for touch in self.touches]) - np.eye(3)) / len(
+            self.touches
+        )
+
     def _misled(self, name: str, gain: Array) -> Array:
         ramp = self.pressing.ramp if name == "creep" else (1.0,) * len(self.touches)
         read, told = (
-            np.array([share * touch.misled[name][part][self.i] for share, touch in zip(ramp, self.touches, strict=True)])
+            np.array(
+                [
+                    share * touch.misled[name][part][self.i]
+                    for share, touch in zip(ramp, self.touches, strict=True)
+                ]
+            )
             for part in (0, 1)
         )
         off = gain @ read.reshape(-1, read.shape[-1]) + told.mean(axis=0)
-        return off @ off.T
+        return np.asarray(off @ off.T)
 
     def _robot(self, gain: Array, by_place: Array) -> Array:
         """A base that is off tells the point amiss by as much, and the reading stays."""
         k, m, _ = by_place.shape
-        cov = np.zeros((3, 3))
-        for j, touch in enumerate(self.touches):
-            told = (touch.centre_by_place[self.i] - np.eye(3)) / k
-            off = told - gain[:, j * m : (j + 1) * m] @ by_place[j]
-            cov += off @ off.T
-        return np.asarray((self.tolerances.robot_mm * MM) ** 2 * cov)
+        off = self._centre_by_shift() - gain.reshape(3, k, m).transpose(1, 0, 2) @ by_place
+        return np.asarray((self.tolerances.robot_mm * MM) ** 2 * np.einsum("kij,klj->il", off, off))

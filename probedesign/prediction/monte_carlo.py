@@ -104,7 +104,9 @@ class Plan:
         """Errors of one condition over all worlds."""
         told = json.dumps([self.seed, *(touch if touch[3] > 1 else touch[:3])]).encode()
         rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
-        errors = self._fused(touch, worlds.pressed, rng) if touch[3] > 1 else self._once(touch, worlds.single, rng)
+        errors = (
+            self._fused(touch, worlds.pressed, rng) if touch[3] > 1 else self._once(touch, worlds.single, rng)
+        )
         off, located = [], 0
         for result, error in errors:
             located += result == "ok"
@@ -157,7 +159,7 @@ def sample(
         KeyboardInterrupt: with where to go on from.
     """
     path = None if folder is None else folder / f"monte-carlo-{plan.key}.json"
-    conditions = (*prediction.conditions, *prediction.fused)
+    conditions: tuple[Condition | FusedCondition, ...] = (*prediction.conditions, *prediction.fused)
     wanted = {_name(touch): touch for touch in map(_touch, conditions) if touch}
     done = {name: row for name, row in _kept(path).items() if name in wanted}
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
@@ -174,9 +176,7 @@ def sample(
     finally:
         if path and done:
             _keep(path, done)
-    return tuple(
-        _sampled(plan, c, done[name]) for c in conditions if (name := _name(_touch(c))) in done
-    )
+    return tuple(_sampled(plan, c, done[name]) for c in conditions if (name := _name(_touch(c))) in done)
 
 
 def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -19,7 +19,16 @@ from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touc
 from probedesign.prediction.workspace import Workspace, workspace_of
 from probedesign.units import MM
 
-__all__ = ["DIRECTIONS", "PRESSING", "Condition", "Detection", "Prediction", "predict", "predict_touch", "tip_sag_mm"]
+__all__ = [
+    "DIRECTIONS",
+    "PRESSING",
+    "Condition",
+    "Detection",
+    "Prediction",
+    "predict",
+    "predict_touch",
+    "tip_sag_mm",
+]
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
@@ -148,7 +157,11 @@ def predict(
     end = model.rod.flank_end / model.rod.length
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
-    workspace, reach, detection = NO_WORKSPACE, _nothing(lines), tuple(Detection(*line, None) for line in lines)
+    workspace, reach, detection = (
+        NO_WORKSPACE,
+        _nothing(lines),
+        tuple(Detection(*line, None) for line in lines),
+    )
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
                   for line in lines for force in forces_N}  # fmt: skip
     fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")

@@ -27,11 +27,13 @@ class Pressing:
     def __post_init__(self) -> None:
         """Raises InputError where there is nothing to fuse."""
         if not 2 <= self.touches <= MOST_TOUCHES:
-            raise InputError(f"touches = {self.touches} must lie in 2 ... {MOST_TOUCHES}, fused into one answer")
+            raise InputError(
+                f"touches = {self.touches} must lie in 2 ... {MOST_TOUCHES}, fused into one answer"
+            )
 
     def forces(self, greatest_N: float) -> tuple[float, ...]:
         """Of each touch in the order of time, the last the greatest [N]."""
-        return tuple(greatest_N * k / self.touches for k in range(1, self.touches)) + (greatest_N,)
+        return (*(greatest_N * k / self.touches for k in range(1, self.touches)), greatest_N)
 
     @property
     def ramp(self) -> tuple[float, ...]:
@@ -41,7 +43,9 @@ class Pressing:
     @property
     def text(self) -> str:
         """For people."""
-        counted = f"moments about the {self.moments_about} alone" if self.moments_about else "forces and moments"
+        counted = (
+            f"moments about the {self.moments_about} alone" if self.moments_about else "forces and moments"
+        )
         return f"{self.touches} touches fused as the base presses on, {counted}"
 
 

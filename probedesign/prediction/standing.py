@@ -71,7 +71,10 @@ class Standing:
         found = {}
         for name, (wrench, surface) in seen.items():
             tared = still[name][0] * tolerances.tared
-            found[name] = (wrench - tared - self.by_place @ surface, self.centre_by_place @ surface - centre[name][1])
+            found[name] = (
+                wrench - tared - self.by_place @ surface,
+                self.centre_by_place @ surface - centre[name][1],
+            )
         return found
 
     @cached_property

@@ -75,9 +75,13 @@ def workspace_of(reach: Sequence[Reach], touches: Mapping[float, Touches], gravi
     free = estimator.free().p_at(places * estimator.model.rod.length) / MM
     points = np.array([touches[f].contacts.batch.p_contact_base[: len(reach)] for f in forces]) / MM
     paths = tuple(
-        _path(row, forces, points[:, i], free[i]) for i, row in enumerate(reach) if row.greatest_force_N is not None
+        _path(row, forces, points[:, i], free[i])
+        for i, row in enumerate(reach)
+        if row.greatest_force_N is not None
     )
-    sheets = {side: _sheet(paths, side) for side in DIRECTIONS if any(path.direction == side for path in paths)}
+    sheets = {
+        side: _sheet(paths, side) for side in DIRECTIONS if any(path.direction == side for path in paths)
+    }
     if "+y" in sheets and "-y" not in sheets and abs(gravity[1]) <= _MIRRORED * np.linalg.norm(gravity):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
     return Workspace(paths, {side: _area(sheet) for side, sheet in sheets.items()}, _volume(sheets))
@@ -120,7 +124,12 @@ def _volume(sheets: Mapping[str, Array]) -> float | None:
     plus, minus, left, right = (sheets[side] for side in ("+x", "-x", "+y", "-y"))
     mean, twice = (plus + minus + left + right) / 4.0, (plus + minus - left - right) / 4.0
     angle = np.linspace(0.0, 2.0 * np.pi, _TURNS + 1)[:, None, None, None]
-    p = mean + (plus - minus) / 2.0 * np.cos(angle) + (left - right) / 2.0 * np.sin(angle) + twice * np.cos(2.0 * angle)
+    p = (
+        mean
+        + (plus - minus) / 2.0 * np.cos(angle)
+        + (left - right) / 2.0 * np.sin(angle)
+        + twice * np.cos(2.0 * angle)
+    )
     by = [_between(np.diff(p, axis=axis), axis) for axis in range(3)]
     return float(np.abs(np.einsum("...i,...i->...", by[0], np.cross(by[1], by[2]))).sum())
 

@@ -66,7 +66,9 @@ class Worlds:
         """The touch in every world: reading without noise and true point, told in the model's base frame, (n, 6) and
         (n, 3); NaN where the probe gives way."""
         contacts = self.contacts(fraction, force_N, direction)
-        return self.told(contacts.batch.wrench_base) + self.off, self.told_point(contacts.batch.p_contact_base)
+        return self.told(contacts.batch.wrench_base) + self.off, self.told_point(
+            contacts.batch.p_contact_base
+        )
 
     def contacts(self, fraction: float, force_N: float, direction: str) -> Contacts:
         """The touch in every world, as its own base sees it, without columns."""
