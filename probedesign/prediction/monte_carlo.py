@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ from probedesign.files import write_atomically
 from probedesign.frames import Array
 from probedesign.prediction.fused import FusedCondition
 from probedesign.prediction.predict import PRESSING, Condition, Prediction
-from probedesign.prediction.pressed_worlds import PressedWorlds, fused
+from probedesign.prediction.pressed_worlds import PressedWorlds, fuse
 from probedesign.prediction.pressing import Pressing
 from probedesign.prediction.sampled import Sampled
 from probedesign.prediction.tolerances import Tolerances
@@ -126,7 +126,7 @@ class Plan:
         series, estimator = worlds.touched(*touch[:3]), Estimator(self.model)
         read, places = series.wrenches + worlds.noise(rng), series.places + worlds.robot(rng)
         for wrenches, there, point in zip(read, places, series.points, strict=True):
-            found = fused(estimator, self.tolerances, self.pressing, wrenches, there)
+            found = fuse(estimator, self.tolerances, self.pressing, wrenches, there)
             best = found.candidates_world[0] if len(found.candidates_world) else None
             yield found.result, _off(found.result, best, point)
 
@@ -141,8 +141,9 @@ def sample(
     folder: Path | None,
     progress: Callable[[float], None] = lambda share: None,
     workers: int | None = None,
+    fused: Sequence[FusedCondition] = (),
 ) -> tuple[Sampled, ...]:
-    """Run a Monte Carlo of every condition that is expected to be located.
+    """Run a Monte Carlo of every condition that is expected to be located, and of some fused ones.
 
     Args:
         plan: what to draw.
@@ -150,6 +151,7 @@ def sample(
         folder: where what is done is kept, so that an interrupted run goes on; nowhere if None.
         progress: told the share done.
         workers: processes; all cores if None, this one alone if 1.
+        fused: conditions of fused touches; each draw takes some hundred times as long as a single touch's.
 
     Returns:
         What came of each condition.
@@ -159,7 +161,7 @@ def sample(
         KeyboardInterrupt: with where to go on from.
     """
     path = None if folder is None else folder / f"monte-carlo-{plan.key}.json"
-    conditions: tuple[Condition | FusedCondition, ...] = (*prediction.conditions, *prediction.fused)
+    conditions: tuple[Condition | FusedCondition, ...] = (*prediction.conditions, *fused)
     wanted = {_name(touch): touch for touch in map(_touch, conditions) if touch}
     done = {name: row for name, row in _kept(path).items() if name in wanted}
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()

@@ -88,7 +88,7 @@ class PressedWorlds:
         return self.worlds.of_rods(rods)
 
 
-def fused(
+def fuse(
     estimator: Estimator, tolerances: Tolerances, pressing: Pressing, wrenches: Array, places: Array
 ) -> Fused:
     """What the estimator makes of one point's readings, told of what is not known.
