@@ -145,10 +145,8 @@ def predict(
         from probedesign.prediction.monte_carlo import Plan, sample
 
         plan = Plan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
-        asked = replace(
-            prediction, fused=tuple(shown(prediction.fused))
-        )  # a fusion takes a quarter of a second
-        sampled = sample(plan, asked, folder, lambda share: tell("Monte Carlo", share))
+        sampled = sample(plan, prediction, folder, lambda share: tell("Monte Carlo", share),
+                         fused=shown(prediction.fused))  # fmt: skip
         prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +46,6 @@ Touch = tuple[float, float, str, int]
 
 Answer = tuple[str, float | None]
 """Result, and how far off [m]; None where nothing counts."""
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """The worlds of single touches, and those that creep while they are pressed."""
-
-    single: Worlds
-    pressed: PressedWorlds
 
 
 @dataclass(frozen=True)
@@ -93,14 +86,7 @@ class Plan:
                            asdict(self.pressing), 2])  # fmt: skip
         return hashlib.sha256(told.encode()).hexdigest()[:12]
 
-    def worlds(self) -> Drawn:
-        """What every condition meets."""
-        return Drawn(
-            Worlds.draw(self.model, self.tolerances, self.draws, self.seed),
-            PressedWorlds.draw(self.model, self.tolerances, self.pressing, self.draws, self.seed),
-        )
-
-    def sample(self, touch: Touch, worlds: Drawn) -> dict[str, Any]:
+    def sample(self, touch: Touch, worlds: "Drawn") -> dict[str, Any]:
         """Errors of one condition over all worlds."""
         told = json.dumps([self.seed, *(touch if touch[3] > 1 else touch[:3])]).encode()
         rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
@@ -129,6 +115,25 @@ class Plan:
             found = fuse(estimator, self.tolerances, self.pressing, wrenches, there)
             best = found.candidates_world[0] if len(found.candidates_world) else None
             yield found.result, _off(found.result, best, point)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What every condition of a plan meets, drawn when it is asked for."""
+
+    plan: Plan
+
+    @cached_property
+    def single(self) -> Worlds:
+        """Of single touches."""
+        plan = self.plan
+        return Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
+
+    @cached_property
+    def pressed(self) -> PressedWorlds:
+        """The same, but they creep while they are pressed."""
+        plan = self.plan
+        return PressedWorlds.draw(plan.model, plan.tolerances, plan.pressing, plan.draws, plan.seed)
 
 
 def _off(result: str, best: Array | None, point: Array) -> float | None:
@@ -186,7 +191,7 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
     if not touches:
         return
     if workers == 1:
-        worlds = plan.worlds()
+        worlds = Drawn(plan)
         yield from ((name, plan.sample(touch, worlds)) for name, touch in touches.items())
         return
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
@@ -209,7 +214,7 @@ def _begin(plan: Plan) -> None:
     """Make a worker ready; an interrupt is its parent's business."""
     global _here
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _here = plan, plan.worlds()
+    _here = plan, Drawn(plan)
 
 
 def _sample_there(touch: Touch) -> dict[str, Any]:
