@@ -1,7 +1,7 @@
 """Monte Carlo of a prediction: probes that differ from their model, noisy readings, and the real estimator on them.
 
-The truth is the fast rod, whose error is micrometres; the estimator is the default one, from a cold start, with no
-knowledge of the draw. Every condition meets the same worlds, so a few prints serve them all.
+The truth is the fast rod, whose error is micrometres; the estimator starts cold, with no knowledge of the draw, and weighs
+readings by the tolerances it was drawn from. Every condition meets the same worlds, so a few prints serve them all.
 """
 
 import hashlib
@@ -39,8 +39,8 @@ DIFFERS = 0.10
 SAVE_EVERY_S = 2.0
 MOST_DRAWS = 1_000_000
 COUNTED = ("ok", "inconsistent")
-"""Answers whose best place counts: also where the consistency test, which knows of the sensor's noise alone, refuses
-it, else the errors would be those of the luckier worlds."""
+"""Answers whose best place counts: also where the consistency test refuses it, else the errors would be those of the
+luckier worlds."""
 Touch = tuple[float, float, str, int]
 """Contact fraction, force [N], direction, and how many touches are fused."""
 

@@ -84,7 +84,7 @@ class PressedWorlds:
         """What the touch adds relaxes; what hangs has done so before the tare."""
         factors = np.exp(share * self.creep).tolist()
         rods = [replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus,
-                        density=f * rod.density) for rod, f in zip(self.worlds.rods.rods, factors, strict=True)]  # fmt: skip
+                        density=f * rod.density) for rod, f in zip(self.worlds.rods, factors, strict=True)]  # fmt: skip
         return self.worlds.of_rods(rods)
 
 
