@@ -1,8 +1,8 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
+"""`python -m benchmarks [PART ...]`: the parts named, or all of them; `PARTS` says which there are."""
 
 import sys
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
+from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start, sweep
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -13,6 +13,7 @@ PARTS = {
     "detection": detection.report,
     "prediction": prediction.report,
     "optimisation": optimisation.report,
+    "sweep": sweep.report,
     "export": export.report,
     "live": live.report,
 }

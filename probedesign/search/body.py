@@ -12,8 +12,11 @@ from probedesign.design import Design, check_design
 from probedesign.design_tables import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.errors import InputError
 from probedesign.frames import Array
+from probedesign.geometry import flange_for
+from probedesign.mounting import widest_through_ring
 from probedesign.printing import limits
 from probedesign.search.grid import tables_of
+from probedesign.units import MM
 
 Free = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5
@@ -135,6 +138,8 @@ class Body:
         if hollow and ratio is not None:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.HELD_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.HOLE - 1.0
+        if self.controls > 2:
+            rules["room for the clamp ring"] = (_widest_mm(d[0]) - d) / limits.TIP
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.TIP
         return rules
@@ -162,3 +167,8 @@ class Body:
             InputError: no design may be so.
         """
         return check_design(self.tables(x, digits))
+
+
+def _widest_mm(base_d_mm: float) -> float:
+    """Over which the clamp ring comes that holds the flange of such a base [mm]."""
+    return widest_through_ring(flange_for(base_d_mm * MM)) / MM

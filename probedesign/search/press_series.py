@@ -42,12 +42,16 @@ class PressSeries:
         """(k, 4, 4)."""
         return np.array([pose(p=-touch.p_surface) for touch in self.touches])
 
-    def rms(self, unknowns: Unknowns, task: Task) -> float:
-        """Of the fixed point [m] by the bound, as `Estimator.fuse` states it."""
+    def equations(self, unknowns: Unknowns, task: Task) -> Equations:
+        """As `Estimator.fuse` would write them down."""
         cov, gravity = self.model.noise_base(), self.model.gravity_base
         readings = tuple(Reading(touch.wrench, cov, T, gravity, True)
                          for touch, T in zip(self.touches, self.Ts_world_base, strict=True))  # fmt: skip
-        equations = Equations(self.model, readings, unknowns, channels_of(self.model, task.moments_about))
+        return Equations(self.model, readings, unknowns, channels_of(self.model, task.moments_about))
+
+    def rms(self, unknowns: Unknowns, task: Task) -> float:
+        """Of the fixed point [m] by the bound, as `Estimator.fuse` states it."""
+        equations = self.equations(unknowns, task)
         return equations.rms(equations.linear(self.touches, np.zeros(UNKNOWNS)), unknowns)
 
 
