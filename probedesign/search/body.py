@@ -26,6 +26,8 @@ PIECES = 11
 LENGTH_MM, RATIO = (20.0, 400.0), (0.2, 0.9)
 _UNIT = {"length": 10.0, "section": 0.1}
 """Of the numbers, so that all of them are between one and fifty."""
+_ROUNDED = 2e-3
+"""Of a rule's limit, kept free where a ratio varies: rounded like the diameters, it must not break the rule."""
 DIGITS = 3
 """Of a millimetre, in a design file: no printer knows the thousandth."""
 
@@ -142,7 +144,8 @@ class Body:
             rules["room for the clamp ring"] = (_widest_mm(d[0]) - d) / limits.TIP
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.TIP
-        return rules
+        spare = _ROUNDED if "section" in self.free else 0.0
+        return {name: room - spare for name, room in rules.items()}
 
     def tables(self, x: Array, digits: int) -> dict[str, Any]:
         """The tables of its design file, dimensions rounded to so many digits of a millimetre."""

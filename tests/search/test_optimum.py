@@ -124,7 +124,7 @@ def test_the_real_estimator_reaches_the_bound(large):
 def test_the_force_that_a_body_bears_is_told_before_it_gives_way(large):
     """Held just below, lost just above; told from forces below, so to a part in a hundred."""
     task = replace(TASK, fractions=(0.9,))
-    for base_d_mm in (5.0, 5.6):
+    for base_d_mm in (5.8, 6.0):
         probe = build_probe(Body.of(large, ("cone",)).design(np.array([base_d_mm, 1.5])))
         most = borne(probe.model, task, 1.4)
         assert 1.0 < most < 1.4
@@ -189,6 +189,15 @@ def test_what_cannot_be_written_is_not_sought(tmp_path, capsys):
     assert run(["optimize", str(LARGE), "--out", str(tmp_path / "file/best.toml")]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "cannot be written" in err
+
+
+def test_a_hollow_body_prints_as_it_is_written(large):
+    """Its wall is at the least that prints; rounding the dimensions does not thin it."""
+    tables = tables_of(large)
+    tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
+    search = Search(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
+    found = optimum(search, "best", quiet)
+    assert "print rule wall" in found.binding and found.after.print_errors == 0
 
 
 @pytest.mark.slow
