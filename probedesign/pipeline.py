@@ -228,6 +228,13 @@ def optimize(
     if shown is not None:
         files.append(path.with_name(f"{path.stem}-front.csv"))
         write_atomically(files[1], shown.csv())
+    if find_spec("matplotlib") is not None:
+        from probedesign.pages.comparison import compare as side_by_side
+        from probedesign.pages.comparison import comparison_page
+
+        files.append(path.with_name(f"{path.stem}-compared.html"))
+        compared = side_by_side([search.start, best.design], best.task)
+        write_atomically(files[-1], comparison_page(compared, best.task))
     return Found(search, best, confirmed, shown, tuple(files))
 
 
