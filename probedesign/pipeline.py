@@ -19,7 +19,7 @@ from probedesign.deployment import check_manifest, check_replaceable, write_froz
 from probedesign.design import Design, load_design
 from probedesign.design_file import write_design
 from probedesign.errors import InputError
-from probedesign.files import write_atomically
+from probedesign.files import check_room, write_atomically
 from probedesign.prediction.csv_tables import along_csv, conditions_csv
 from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
@@ -217,14 +217,19 @@ def optimize(
     tell: Callable[[str, float | None], None],
 ) -> "Found":
     """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
-    from probedesign.search.confirm import confirm
+    from probedesign.search.confirm import check_confirmable, confirm
     from probedesign.search.found import Found, design_text
-    from probedesign.search.front import front
+    from probedesign.search.front import check_installed, front
     from probedesign.search.optimum import optimum
 
     path = out or Path("designs") / f"{search.start.name}-best.toml"
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
+    check_room(path)  # here and below: a search takes a minute, so what cannot end does not begin
+    if draws:
+        check_confirmable(search.task)
+    if trials:
+        check_installed()
     best = optimum(search, path.stem, tell)
     confirmed = None
     if draws:
@@ -236,6 +241,13 @@ def optimize(
     if shown is not None:
         files.append(path.with_name(f"{path.stem}-front.csv"))
         write_atomically(files[1], shown.csv())
+    if find_spec("matplotlib") is not None:
+        from probedesign.pages.comparison import compare as side_by_side
+        from probedesign.pages.comparison import comparison_page
+
+        files.append(path.with_name(f"{path.stem}-compared.html"))
+        compared = side_by_side([search.start, best.design], best.task)
+        write_atomically(files[-1], comparison_page(compared, best.task))
     return Found(search, best, confirmed, shown, tuple(files))
 
 

@@ -1,7 +1,7 @@
 """Monte Carlo of a prediction: probes that differ from their model, noisy readings, and the real estimator on them.
 
-The truth is the fast rod, whose error is micrometres; the estimator starts cold, with no knowledge of the draw, and weighs
-readings by the tolerances it was drawn from. Every condition meets the same worlds, so a few prints serve them all.
+The truth is the fast rod, whose error is micrometres; the estimator starts cold, knows nothing of the draw, and weighs
+readings by the tolerances that it was drawn from. Every condition meets the same worlds, so a few prints serve all.
 """
 
 import hashlib
