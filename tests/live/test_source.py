@@ -13,8 +13,11 @@ from probedesign.live.source import open_source
 @pytest.mark.parametrize(
     ("spec", "told"),
     [
-        ("daq://Dev1/ai0:5?cal=FT1.cal", "source daq: is not in this version; there are netft://HOST"),
-        ("serial:COM1", "'serial:COM1' is not known; there are netft://HOST, replay:FILE and sim:"),
+        (
+            "dac://Dev1/ai0:5",
+            "is not known; there are netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE",
+        ),
+        ("serial:COM1", "'serial:COM1' is not known; there are netft://HOST, daq:"),
         ("sim", "'sim' is not known"),
         ("", "'' is not known"),
         ("sim:20", "sim: takes parameters only"),

@@ -148,7 +148,7 @@ def drained(client: "Client") -> Records:
     """What waits in the client's queue; if nothing does, what comes within `STALE`.
 
     By its native reader: `Client.samples` makes an object of enumerations and floats of each record, which takes
-    three times as long as reading it.
+    three times as long as reading it. That reader is not promised by pynetft: the project pins its version.
     """
     read = client._native.read
     rows: list[tuple[int, ...]] = []
