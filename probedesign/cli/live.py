@@ -24,6 +24,10 @@ def live(
     force: bool = False,
     tare_s: str | None = None,
     average: int = 1,
+    filter_hz: float | None = None,
+    pose: str = "fixed",
+    pose_latency_ms: float = 0.0,
+    gravity_world: str | None = None,
     rate_hz: float = 20.0,
     count: int | None = None,
     seconds: float | None = None,
@@ -44,6 +48,11 @@ def live(
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the mean of so many readings.
+        filter_hz: low-pass before each estimate, down by 3 dB there; the delay is said.
+        pose: of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe) or
+            udp://:PORT (JSON). With poses, touches are fused to points of the world.
+        pose_latency_ms: by which a pose arrives later than a reading of the same moment.
+        gravity_world: in the world's axes [m/s²], as 0,0,-9.81, which it is unless said.
         rate_hz: at most so many estimates a second; readings between are left out.
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
@@ -51,6 +60,7 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
+    from probedesign.live.pose.spec import open_poses
     from probedesign.live.recorder import Recorder
     from probedesign.live.run import Plan, estimate_stream, warm_up
     from probedesign.live.source import open_source
@@ -60,22 +70,23 @@ def live(
     if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
         raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds)
+    plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
     opened = open_source(source, estimator.model, _say)
-    warm_up(estimator, _say)
+    poses = open_poses(pose, pose_latency_ms, gravity_world, _say)
+    warm_up(estimator, _say, fusing=poses is not None)
     _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-    for note in opened.notes:
+    for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
         _say(note)
     with Recorder(record, force=force) if record is not None else nullcontext() as recorder:
-        _print(estimate_stream(estimator, opened, plan, _say, recorder), as_json)
+        _print(estimate_stream(estimator, opened, plan, _say, recorder, poses=poses), as_json)
 
 
 def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
     """A line for each estimate; at the end, Ctrl-C included, a summary."""
-    from probedesign.live.row import json_line, readable_line, row
+    from probedesign.live.row import json_line, readable_line, row, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
@@ -87,9 +98,10 @@ def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
                 start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:
-                    print(json_line(row(reading, estimate)), flush=True)
+                    world = world_row(answer) if answer.fused is not None else {}
+                    print(json_line(row(reading, estimate) | world), flush=True)
                 else:
-                    print(readable_line(reading.time - start, reading, estimate), flush=True)
+                    print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
     except KeyboardInterrupt:
         pass
     _say(describe_counts(count_results(results)))

@@ -20,7 +20,7 @@ from probedesign.estimator import node_kernel as node
 from probedesign.estimator import normal_kernel as normal
 from probedesign.estimator.answer import most_chi2, told, widened
 from probedesign.estimator.bow import Bow, bow_of
-from probedesign.estimator.detector import Detector
+from probedesign.estimator.detector import Detector, Touching
 from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimator.estimate import Result
 from probedesign.estimator.estimator import Estimator
@@ -105,13 +105,16 @@ class Tracker:
         self._bow_found: Bow | None = None
         self._said = Fused("unobservable")
 
-    def update(self, wrench_base: ArrayLike, T_world_base: ArrayLike, time: float) -> Fused:
+    def update(
+        self, wrench_base: ArrayLike, T_world_base: ArrayLike, time: float, touching: Touching | None = None
+    ) -> Fused:
         """Take in one reading.
 
         Args:
             wrench_base: one sample at the base [N, N·m], (6,).
             T_world_base: pose of the base as it was read, (4, 4).
             time: of the sensor's clock [s].
+            touching: what another test says of the reading, as `Detector` would; the tracker's own test if None.
 
         Returns:
             What is known of the touched point: "ok" with its covariance, "no_contact", or why there is no number. A
@@ -131,7 +134,7 @@ class Tracker:
         if not free.ok:
             return Fused("not_converged")
         self._time = float(time)
-        said = self._detector.update(wrench - free.wrench_base)
+        said = touching or self._detector.update(wrench - free.wrench_base)
         if said != "contact":
             self._release(wrench - free.wrench_base, lost=said == "lost")
             return Fused("no_contact")

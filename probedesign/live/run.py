@@ -1,58 +1,49 @@
-"""From readings to estimates: of a recording at once, or of a source as long as it runs."""
+"""From a source to answers, as long as it runs."""
 
-import math
 import threading
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from itertools import islice
 
-from probedesign.errors import InputError
-from probedesign.estimator.estimate import RESULTS, Estimate
+from probedesign.estimator.detector import Detector
+from probedesign.estimator.estimate import RESULTS
 from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tracker import Tracker
+from probedesign.frames import pose
 from probedesign.live.answer import Answer
-from probedesign.live.reading import Reading, averaged, recorded, thinned, until
+from probedesign.live.block import Block, blocks_of
+from probedesign.live.chain import Chain
+from probedesign.live.locate import locate as locate
+from probedesign.live.plan import Plan as Plan
+from probedesign.live.pose.poses import Poses
+from probedesign.live.reading import Reading, recorded, until
 from probedesign.live.recorder import Recorder
+from probedesign.live.requests import Request, Requests
+from probedesign.live.sink import Sink
 from probedesign.live.source import Source
-from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
+from probedesign.live.watch import Tell
 
 Say = Callable[[str], None]
+Asked = Callable[[Request], None]
 
 PATIENCE = 6.0
 """Kernels that take longer than this are not read from the cache but compiled [s]."""
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What `live` does with the readings of a source.
-
-    Attributes:
-        window: when the probe is free, for the tare; None takes none.
-        samples: how many readings are averaged to one.
-        rate: at most so many estimates a second of the source's clock [Hz].
-        count: end after so many estimates.
-        seconds: end so long after the first reading [s].
-    """
-
-    window: Window | None = None
-    samples: int = 1
-    rate: float = math.inf
-    count: int | None = None
-    seconds: float | None = None
-
-    def __post_init__(self) -> None:
-        """Raises InputError where a number cannot be meant."""
-        said = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds}
-        for name, value in said.items():
-            if value is not None and not value > 0:
-                raise InputError(f"--{name} {value} must be positive")
-
-
 def estimate_stream(
-    estimator: Estimator, source: Source, plan: Plan, say: Say, recorder: Recorder | None = None
+    estimator: Estimator,
+    source: Source,
+    plan: Plan,
+    say: Say,
+    recorder: Recorder | None = None,
+    *,
+    sinks: Sequence[Sink] = (),
+    requests: Requests | None = None,
+    poses: Poses | None = None,
+    other: Callable[[Request], None] = lambda request: None,
 ) -> Generator[Answer, None, None]:
-    """Estimates as the readings come.
+    """Answers as the readings come.
 
     Args:
         estimator: of the probe.
@@ -60,35 +51,60 @@ def estimate_stream(
         plan: what to do with them.
         say: takes each line that a user should know.
         recorder: takes every reading as it was read, before averaging and tare.
+        sinks: are given blocks, answers and events; closed at the end.
+        requests: looked at between two blocks: a tare, a mark, the end.
+        poses: of the base; closed at the end. None: it stands as the frozen probe or the source says.
+        other: takes the requests that are not for this loop.
 
     Raises:
         InputError: the tare's window is no good, or the source fails.
     """
-    with closing(iter(source)) as stream:
+
+    def tell(time: float, line: str) -> None:
+        say(line)
+        for sink in sinks:
+            sink.told(time, line)
+
+    with closing(iter(source)) as stream, ExitStack() as closed:
+        for sink in sinks:
+            closed.callback(sink.close)
+        if poses is not None:
+            closed.callback(poses.close)
         readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
         if recorder is not None:
             readings = recorded(readings, recorder)
-        readings = averaged(readings, plan.samples)
-        tare: Tare | None = None
-        if plan.window is not None:
-            inside, readings = split(readings, plan.window)
-            tare = take_tare(inside, plan.window, estimator)
-            say(describe_tare(tare))
-        for reading in islice(thinned(readings, plan.rate), plan.count):
-            yield Answer(reading, locate(estimator, reading, tare))
+        chain = Chain(estimator, plan, poses, tell)
+        answers = _answers(chain, blocks_of(readings), sinks, requests or Requests(), tell, other)
+        for answer in islice(answers, plan.count):
+            for sink in sinks:
+                sink.answered(answer)
+            yield answer
 
 
-def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:
-    """The estimate of one reading; a channel at its limit counts as read, before the bias is taken off."""
-    if read.fault or not estimator.model.reads(read.wrench_sensor):
-        return Estimate("out_of_range")
-    reading = without_bias(read, tare)
-    wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
-    return estimator.estimate(wrench_base, reading.gravity_base)
+def _answers(
+    chain: Chain, blocks: Iterator[Block], sinks: Sequence[Sink], requests: Requests, tell: Tell, other: Asked
+) -> Iterator[Answer]:
+    """Answers block by block, and what is asked for between two."""
+    for block in blocks:
+        for sink in sinks:
+            sink.read(block)
+        yield from chain.take(block)
+        for request in requests.taken():
+            match request.wish:
+                case "tare":
+                    chain.take_tare()
+                case "mark":
+                    tell(float(block.time[-1]), f"mark: {request.text}" if request.text else "mark")
+                case "stop":
+                    return
+                case _:
+                    other(request)
+    yield from chain.ended()
 
 
-def warm_up(estimator: Estimator, say: Say) -> None:
-    """Load or compile the rod's kernels before anything is read, and say so if it takes long."""
+def warm_up(estimator: Estimator, say: Say, fusing: bool = False) -> None:
+    """Load or compile the kernels before anything is read, those of the fusion too if asked, and say so if it takes
+    long."""
     model = estimator.model
     notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, half a minute or so"])
     notice.daemon = True
@@ -98,17 +114,13 @@ def warm_up(estimator: Estimator, say: Say) -> None:
         eq = model.rod.solve(model.gravity_base, (weight, 0.0, 0.0), 0.8 * model.rod.length)
         if eq.ok:
             estimator.estimate(eq.wrench_base)
+        Detector(model).update([0.0] * 6)
+        if fusing:
+            tracker = Tracker(estimator, gravity_world=model.gravity_base)
+            for time in (0.0, 1.0):  # the first reading of a touch, and one more
+                tracker.update(eq.wrench_base, pose(p=(time * 1e-3, 0.0, 0.0)), time, "contact")
     finally:
         notice.cancel()
-
-
-def describe_tare(tare: Tare) -> str:
-    """The tare in one line."""
-    bias = ", ".join(
-        f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
-        for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)
-    )
-    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}"
 
 
 def count_results(answers: Iterable[str]) -> dict[str, int]:
