@@ -33,6 +33,9 @@ from probedesign.frames import Array
 MOST_NODES = 8
 IN_TURN = 4
 """Readings after which one of the older nodes is linearised anew too."""
+LONGEST_WAIT = 256
+"""Readings from one start to the next, which come after 1, 2, 4 ... of them: a start may take a tenth of a second, and
+a touch that fits no single point must not hold up the readings."""
 SETTLING = 8
 """Steps of Gauss and Newton at the first readings, from the place that one reading by itself tells."""
 _APART = 5e-6
@@ -102,6 +105,7 @@ class Tracker:
         self._x: Array | None = None
         self._fixed: Fixed = "surface"
         self._turn, self._bowed_at = 0, 0.0
+        self._idle, self._wait = 0, 1
         self._bow_found: Bow | None = None
         self._said = Fused("unobservable")
 
@@ -297,12 +301,13 @@ class Tracker:
 
     def _begin(self) -> Fused:
         """Start, but not at every reading; between, what was said last holds, never "ok"."""
-        count = int(self._touched[-1, node.COUNT])
-        if count & (count - 1) and count % 256:  # at 1, 2, 4, 8 ... readings of a pose
-            return self._said
         if self.moments_only and self._kept < 2:
             self._said = Fused("unobservable")
             return self._said
+        self._idle += 1
+        if self._idle < self._wait:
+            return self._said
+        self._idle, self._wait = 0, min(2 * self._wait, LONGEST_WAIT)
         self._model_anchor()
         # Moments alone may have rivals that one reading does not show; of one pose, a batch knows no more.
         answer = Fused("not_converged") if self.moments_only else self._from_one()

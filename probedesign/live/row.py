@@ -106,7 +106,9 @@ def readable_line(since: float, reading: Reading, estimate: Estimate, answer: An
     if answer is not None and answer.fused is not None:
         fused = answer.fused
         cells.append(f"{answer.phase:<8}")
-        place = _cell("world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_contact_world), fused.rms / MM)
+        place = _cell(
+            "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_contact_world), fused.rms / MM
+        )
         told = answer.stale and f"world: no {answer.stale}"
         cells.append(place if fused.ok or not told else told)
     if reading.truth is not None:

@@ -116,9 +116,13 @@ def warm_up(estimator: Estimator, say: Say, fusing: bool = False) -> None:
             estimator.estimate(eq.wrench_base)
         Detector(model).update([0.0] * 6)
         if fusing:
-            tracker = Tracker(estimator, gravity_world=model.gravity_base)
-            for time in (0.0, 1.0):  # the first reading of a touch, and one more
-                tracker.update(eq.wrench_base, pose(p=(time * 1e-3, 0.0, 0.0)), time, "contact")
+            tracker, poses = (
+                Tracker(estimator, gravity_world=model.gravity_base),
+                [pose(), pose(p=(1e-3, 0, 0))],
+            )
+            for i in range(2):
+                tracker.update(eq.wrench_base, poses[i], float(i), "contact")
+            estimator.fuse([eq.wrench_base] * 2, poses, model.gravity_base)
     finally:
         notice.cancel()
 
