@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from time import monotonic
 
 import numpy as np
@@ -105,10 +106,10 @@ class Chain:
 
     def _began(self) -> bool:
         """Whether enough is there to tell the rate; if so, all that needs it is made."""
-        times = [batch.block.time for batch in self._waiting]
-        if len(times) * self._plan.samples < FEWEST:
+        needed = math.ceil(FEWEST / self._plan.samples)
+        if len(self._waiting) < needed:
             return False
-        time = np.concatenate(times)
+        time = np.concatenate([batch.block.time for batch in islice(self._waiting, needed)])
         step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
         self._rate = 1.0 / step if step > 0.0 else math.inf
         if math.isinf(self._rate):
