@@ -46,8 +46,9 @@ def estimate(
     from probedesign.deployment import load_estimator
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
-    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.run import describe_counts
     from probedesign.live.tare import parse_window
+    from probedesign.live.warm_up import warm_up
 
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None

@@ -62,9 +62,10 @@ def live(
     from probedesign.deployment import load_estimator
     from probedesign.live.pose.spec import open_poses
     from probedesign.live.recorder import Recorder
-    from probedesign.live.run import Plan, estimate_stream, warm_up
+    from probedesign.live.run import Plan, estimate_stream
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
+    from probedesign.live.warm_up import warm_up
 
     replayed = Path(source.partition("?")[0].removeprefix("replay:"))
     if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
@@ -76,7 +77,7 @@ def live(
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
     opened = open_source(source, estimator.model, _say)
     poses = open_poses(pose, pose_latency_ms, gravity_world, _say)
-    warm_up(estimator, _say, fusing=poses is not None)
+    warm_up(estimator, _say, fusing=True)
     _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
     for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
         _say(note)

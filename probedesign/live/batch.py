@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.live.block import Block
-from probedesign.live.reading import Reading, mean
+from probedesign.live.flow import mean
+from probedesign.live.reading import Reading
 
 
 @dataclass(frozen=True)
@@ -37,31 +38,17 @@ class Batches:
         start = 0
         while self._count + len(block) - start >= self._samples:
             end = start + self._samples - self._count
-            yield _batch([*self._held, _part(block, start, end)])
+            yield _batch([*self._held, block[start:end]])
             self._held, self._count, start = [], 0, end
         if start < len(block):
-            self._held.append(_part(block, start, len(block)))
+            self._held.append(block[start:])
             self._count += len(block) - start
-
-
-def _part(block: Block, start: int, end: int) -> Block:
-    if (start, end) == (0, len(block)):
-        return block
-    return Block(
-        block.time[start:end],
-        block.wrench_sensor[start:end],
-        block.gravity_base,
-        block.received[start:end],
-        block.fault,
-        block.stretch,
-        block.truths[start:end],
-    )
 
 
 def _batch(parts: list[Block]) -> Batch:
     if len(parts) == 1 and len(parts[0]) == 1:
         return Batch(parts[0], next(parts[0].readings()))
-    reading = mean([reading for part in parts for reading in part.readings()])
+    reading = mean(parts)
     whole = Block(
         np.concatenate([part.time for part in parts]),
         np.concatenate([part.wrench_sensor for part in parts]),

@@ -7,12 +7,15 @@ from typing import Any
 
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
+from probedesign.live.block import blocks_of
+from probedesign.live.flow import averaged
 from probedesign.live.locate import locate
-from probedesign.live.reading import Reading, averaged
+from probedesign.live.reading import Reading
 from probedesign.live.recording import Recording, read_recording
 from probedesign.live.replay import readings_of
 from probedesign.live.row import COLUMNS, Row, csv_line, row
 from probedesign.live.run import count_results
+from probedesign.live.spec import MOST
 from probedesign.live.tare import Tare, Window, describe_tare, split, take_tare
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
@@ -102,7 +105,7 @@ def estimate_recording(
     recording = read_recording(path)
     if not mend and (recording.gaps or recording.dropped_lines):
         raise InputError(f"{path}: {'; '.join(recording.notes)}; --mend goes on without what is missing")
-    readings = list(averaged(readings_of(recording, estimator.model), samples))
+    readings = list(averaged(blocks_of(readings_of(recording, estimator.model), MOST), samples))
     if not readings:
         raise InputError(f"{path}: holds {len(recording.time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None

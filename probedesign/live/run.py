@@ -1,23 +1,19 @@
 """From a source to answers, as long as it runs."""
 
-import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from itertools import islice
 
-from probedesign.estimator.detector import Detector
 from probedesign.estimator.estimate import RESULTS
 from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.tracker import Tracker
-from probedesign.frames import pose
 from probedesign.live.answer import Answer
-from probedesign.live.block import Block, blocks_of
+from probedesign.live.block import Block
 from probedesign.live.chain import Chain
+from probedesign.live.flow import recorded, until
 from probedesign.live.locate import locate as locate
 from probedesign.live.plan import Plan as Plan
 from probedesign.live.pose.poses import Poses
-from probedesign.live.reading import Reading, recorded, until
 from probedesign.live.recorder import Recorder
 from probedesign.live.requests import Request, Requests
 from probedesign.live.sink import Sink
@@ -26,9 +22,6 @@ from probedesign.live.watch import Tell
 
 Say = Callable[[str], None]
 Asked = Callable[[Request], None]
-
-PATIENCE = 6.0
-"""Kernels that take longer than this are not read from the cache but compiled [s]."""
 
 
 def estimate_stream(
@@ -70,11 +63,11 @@ def estimate_stream(
             closed.callback(sink.close)
         if poses is not None:
             closed.callback(poses.close)
-        readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
+        blocks: Iterator[Block] = stream if plan.seconds is None else until(stream, plan.seconds)
         if recorder is not None:
-            readings = recorded(readings, recorder)
+            blocks = recorded(blocks, recorder)
         chain = Chain(estimator, plan, poses, tell)
-        answers = _answers(chain, blocks_of(readings), sinks, requests or Requests(), tell, other)
+        answers = _answers(chain, blocks, sinks, requests or Requests(), tell, other)
         for answer in islice(answers, plan.count):
             for sink in sinks:
                 sink.answered(answer)
@@ -100,31 +93,6 @@ def _answers(
                 case _:
                     other(request)
     yield from chain.ended()
-
-
-def warm_up(estimator: Estimator, say: Say, fusing: bool = False) -> None:
-    """Load or compile the kernels before anything is read, those of the fusion too if asked, and say so if it takes
-    long."""
-    model = estimator.model
-    notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, half a minute or so"])
-    notice.daemon = True
-    notice.start()
-    try:
-        weight = 10.0 * float(estimator.model.noise.force)
-        eq = model.rod.solve(model.gravity_base, (weight, 0.0, 0.0), 0.8 * model.rod.length)
-        if eq.ok:
-            estimator.estimate(eq.wrench_base)
-        Detector(model).update([0.0] * 6)
-        if fusing:
-            tracker, poses = (
-                Tracker(estimator, gravity_world=model.gravity_base),
-                [pose(), pose(p=(1e-3, 0, 0))],
-            )
-            for i in range(2):
-                tracker.update(eq.wrench_base, poses[i], float(i), "contact")
-            estimator.fuse([eq.wrench_base] * 2, poses, model.gravity_base)
-    finally:
-        notice.cancel()
 
 
 def count_results(answers: Iterable[str]) -> dict[str, int]:
