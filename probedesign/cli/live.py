@@ -1,7 +1,6 @@
 """`probedesign live`: contacts as the sensor reads them."""
 
-import sys
-from contextlib import closing, nullcontext
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,7 @@ from cyclopts import Parameter
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     from probedesign.live.answer import Answer
 
@@ -62,7 +61,9 @@ def live(
     from probedesign.deployment import load_estimator
     from probedesign.live.pose.spec import open_poses
     from probedesign.live.recorder import Recorder
+    from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream
+    from probedesign.live.sinks import RawRecording, Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
     from probedesign.live.warm_up import warm_up
@@ -75,17 +76,20 @@ def live(
     estimator = load_estimator(bundle, manifest)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    opened = open_source(source, estimator.model, _say)
-    poses = open_poses(pose, pose_latency_ms, gravity_world, _say)
-    warm_up(estimator, _say, fusing=True)
-    _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-    for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
-        _say(note)
-    with Recorder(record, force=force) if record is not None else nullcontext() as recorder:
-        _print(estimate_stream(estimator, opened, plan, _say, recorder, poses=poses), as_json)
+    with closing(Sinks(Spoken())) as sinks:
+        opened = open_source(source, estimator.model, sinks.say)
+        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
+        warm_up(estimator, sinks.say, fusing=True)
+        sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+        for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
+            sinks.say(note)
+        if record is not None:
+            sinks.add(RawRecording(Recorder(record, force=force)))
+        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests(), poses)
+        _print(answers, sinks.say, as_json)
 
 
-def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
+def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
     """A line for each estimate; at the end, Ctrl-C included, a summary."""
     from probedesign.live.row import json_line, readable_line, row, world_row
     from probedesign.live.run import count_results, describe_counts
@@ -105,8 +109,4 @@ def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
                     print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
     except KeyboardInterrupt:
         pass
-    _say(describe_counts(count_results(results)))
-
-
-def _say(note: str) -> None:
-    print(note, file=sys.stderr, flush=True)
+    say(describe_counts(count_results(results)))

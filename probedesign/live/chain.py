@@ -26,7 +26,7 @@ from probedesign.live.plan import Plan
 from probedesign.live.pose.poses import Poses
 from probedesign.live.reading import Reading
 from probedesign.live.tare import ASKED, Tare, Taring, Window, describe_tare, without_bias
-from probedesign.live.watch import Seen, Tell, Watch
+from probedesign.live.watch import Say, Seen, Watch
 
 FEWEST = 8
 """Samples from which the source's rate is told, before anything else."""
@@ -41,17 +41,17 @@ class Chain:
         tare: taken from every reading; None where none was.
     """
 
-    def __init__(self, estimator: Estimator, plan: Plan, poses: Poses | None, tell: Tell) -> None:
+    def __init__(self, estimator: Estimator, plan: Plan, poses: Poses | None, say: Say) -> None:
         """Begin.
 
         Args:
             estimator: of the probe.
             plan: what to do with the readings.
             poses: of the base; None if it stands as the frozen probe or the source says.
-            tell: takes events.
+            say: takes each line that a user should know.
         """
         self.tare: Tare | None = None
-        self._estimator, self._plan, self._poses, self._tell = estimator, plan, poses, tell
+        self._estimator, self._plan, self._poses, self._say = estimator, plan, poses, say
         self._batches, self._waiting = Batches(plan.samples), deque[Batch]()
         self._taring = Taring(plan.window, estimator) if plan.window is not None else None
         self._contacts = Contacts()
@@ -90,17 +90,17 @@ class Chain:
         while self._waiting:
             yield from self._step(self._waiting.popleft())
         if self._taring is not None and not self._taring.asked:
-            self._tell(self._now, describe_tare(self._taring.tare()))
+            self._say(describe_tare(self._taring.tare()))
 
     def take_tare(self) -> None:
         """Take a tare from the readings that come next; what comes of it is told."""
         if math.isnan(self._first) or self._taring is not None:
-            return self._tell(self._now, "tare: not now, one is being taken")
+            return self._say("tare: not now, one is being taken")
         if self._refused():
             return
         start = self._now - self._first
         self._taring = Taring(Window(start, start + ASKED), self._estimator, asked=True)
-        self._tell(self._now, f"tare: keep the probe free and still for {ASKED:g} s")
+        self._say(f"tare: keep the probe free and still for {ASKED:g} s")
 
     # before the first batch goes on
 
@@ -113,17 +113,17 @@ class Chain:
         step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
         self._rate = 1.0 / step if step > 0.0 else math.inf
         if math.isinf(self._rate):
-            self._tell(self._now, "the source's clock stands still: no phases, no filter")
+            self._say("the source's clock stands still: no phases, no filter")
             return True
         if self._rate / self._plan.samples > MANY:
             fits = self._estimator.model.averaging_samples
-            self._tell(
+            self._say(
                 self._now, f"{self._rate:.0f} readings/s: --average {fits} is what the probe's noise counts"
             )
         if self._plan.filter_hz is not None:
             self._low_pass = LowPass(self._plan.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
-            self._tell(
+            self._say(
                 self._now, f"low-pass {self._plan.filter_hz:g} Hz: estimates tell of {delay:.1f} ms before"
             )
         self._anew()
@@ -132,7 +132,7 @@ class Chain:
     def _anew(self) -> None:
         """Watch with nothing seen yet."""
         self._watch = Watch(
-            self._estimator, self._contacts, self._rate, self._plan.samples, self._poses, self._tell
+            self._estimator, self._contacts, self._rate, self._plan.samples, self._poses, self._say
         )
 
     # one batch
@@ -193,7 +193,7 @@ class Chain:
             return
         self._lacks_pose = lacks
         why = self._poses.why(reading.time) + "; no estimate until there is one"
-        self._tell(reading.time, why if lacks else "the base's pose is known again")
+        self._say(why if lacks else "the base's pose is known again")
 
     def _interrupted(self, stretch: int) -> None:
         """Readings are missing before this one."""
@@ -226,8 +226,8 @@ class Chain:
         except InputError as error:
             if not taring.asked:
                 raise
-            return self._tell(reading.time, f"tare refused: {error}")
-        self._tell(reading.time, describe_tare(self.tare))
+            return self._say(f"tare refused: {error}")
+        self._say(describe_tare(self.tare))
         self._contacts.follow(reading.time, "", None)
         if self._watch is not None:
             self._anew()
@@ -239,7 +239,7 @@ class Chain:
         if self.tare is None or phase in ("", "free"):
             return False
         self._taring = None
-        self._tell(self._now, f"tare refused: the probe is {phase}; the tare from before is kept")
+        self._say(f"tare refused: the probe is {phase}; the tare from before is kept")
         return True
 
     def _see(self, batch: Batch) -> Seen:

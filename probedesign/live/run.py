@@ -1,8 +1,8 @@
 """From a source to answers, as long as it runs."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
 from itertools import islice
 
 from probedesign.estimator.estimate import RESULTS
@@ -10,18 +10,15 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.chain import Chain
-from probedesign.live.flow import recorded, until
+from probedesign.live.flow import until
 from probedesign.live.locate import locate as locate
 from probedesign.live.plan import Plan as Plan
 from probedesign.live.pose.poses import Poses
-from probedesign.live.recorder import Recorder
-from probedesign.live.requests import Request, Requests
+from probedesign.live.requests import Requests
 from probedesign.live.sink import Sink
 from probedesign.live.source import Source
-from probedesign.live.watch import Tell
 
 Say = Callable[[str], None]
-Asked = Callable[[Request], None]
 
 
 def estimate_stream(
@@ -29,12 +26,9 @@ def estimate_stream(
     source: Source,
     plan: Plan,
     say: Say,
-    recorder: Recorder | None = None,
-    *,
-    sinks: Sequence[Sink] = (),
+    sink: Sink | None = None,
     requests: Requests | None = None,
     poses: Poses | None = None,
-    other: Callable[[Request], None] = lambda request: None,
 ) -> Generator[Answer, None, None]:
     """Answers as the readings come.
 
@@ -43,55 +37,44 @@ def estimate_stream(
         source: of the readings; closed at the end, however that comes.
         plan: what to do with them.
         say: takes each line that a user should know.
-        recorder: takes every reading as it was read, before averaging and tare.
-        sinks: are given blocks, answers and events; closed at the end.
-        requests: looked at between two blocks: a tare, a mark, the end.
+        sink: takes every reading as it was read, before averaging and tare, and every answer.
+        requests: what a person asks meanwhile: a tare, a mark, the end.
         poses: of the base; closed at the end. None: it stands as the frozen probe or the source says.
-        other: takes the requests that are not for this loop.
 
     Raises:
         InputError: the tare's window is no good, or the source fails.
     """
-
-    def tell(time: float, line: str) -> None:
-        say(line)
-        for sink in sinks:
-            sink.told(time, line)
-
-    with closing(iter(source)) as stream, ExitStack() as closed:
-        for sink in sinks:
-            closed.callback(sink.close)
+    chain = Chain(estimator, plan, poses, say)
+    try:
+        with closing(iter(source)) as stream:
+            blocks: Iterator[Block] = stream if plan.seconds is None else until(stream, plan.seconds)
+            for answer in islice(_answers(chain, blocks, say, sink, requests), plan.count):
+                if sink is not None:
+                    sink.answered(answer)
+                yield answer
+    finally:
         if poses is not None:
-            closed.callback(poses.close)
-        blocks: Iterator[Block] = stream if plan.seconds is None else until(stream, plan.seconds)
-        if recorder is not None:
-            blocks = recorded(blocks, recorder)
-        chain = Chain(estimator, plan, poses, tell)
-        answers = _answers(chain, blocks, sinks, requests or Requests(), tell, other)
-        for answer in islice(answers, plan.count):
-            for sink in sinks:
-                sink.answered(answer)
-            yield answer
+            poses.close()
 
 
 def _answers(
-    chain: Chain, blocks: Iterator[Block], sinks: Sequence[Sink], requests: Requests, tell: Tell, other: Asked
+    chain: Chain, blocks: Iterator[Block], say: Say, sink: Sink | None, requests: Requests | None
 ) -> Iterator[Answer]:
     """Answers block by block, and what is asked for between two."""
     for block in blocks:
-        for sink in sinks:
+        if sink is not None:
             sink.read(block)
         yield from chain.take(block)
-        for request in requests.taken():
+        for request in requests.taken() if requests is not None else ():
             match request.wish:
                 case "tare":
                     chain.take_tare()
                 case "mark":
-                    tell(float(block.time[-1]), f"mark: {request.text}" if request.text else "mark")
+                    say(f"mark: {request.text}")
                 case "stop":
                     return
                 case _:
-                    other(request)
+                    say(f"{request.wish} is not possible here")
     yield from chain.ended()
 
 

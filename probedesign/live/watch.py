@@ -15,8 +15,8 @@ from probedesign.live.pose.latency import TOLD, Timing
 from probedesign.live.pose.poses import Poses
 from probedesign.live.tare import Tare
 
-Tell = Callable[[float, str], None]
-"""Takes an event: the source's time [s] and a line."""
+Say = Callable[[str], None]
+"""Takes a line that a user should know."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Watch:
         rate: float,
         samples: int,
         poses: Poses | None,
-        tell: Tell,
+        say: Say,
     ) -> None:
         """With nothing seen yet.
 
@@ -53,10 +53,10 @@ class Watch:
             rate: of single samples [Hz].
             samples: of a batch.
             poses: of the base, if they are known.
-            tell: takes events.
+            say: takes each line that a user should know.
         """
         model = estimator.model
-        self._estimator, self._contacts, self._poses, self._tell = estimator, contacts, poses, tell
+        self._estimator, self._contacts, self._poses, self._say = estimator, contacts, poses, say
         self._detector = Detector(replace(model, averaging_samples=samples), rate)
         self._phases = Phases(model, rate / samples)
         self._timing = Timing(model.whiten)
@@ -109,7 +109,7 @@ class Watch:
     def _follow(self, time: float, phase: Phase, fused: Fused | None) -> None:
         ended = self._contacts.follow(time, phase, fused)
         if ended is not None:
-            self._tell(time, ended.line)
+            self._say(ended.line)
 
     def _check(self, time: float, phase: Phase, beyond: Array, T: Array | None) -> None:
         """Of every touch, when it settles, whether poses and wrench moved at one time."""
@@ -121,8 +121,7 @@ class Watch:
             late = self._timing.late()
             if abs(late) > TOLD:
                 stated = 1e3 * self._poses.latency
-                self._tell(
-                    time,
+                self._say(
                     f"poses: in this touch they came {1e3 * late:.0f} ms later than stated, by the wrench; "
                     f"is it --pose-latency-ms {stated + 1e3 * late:.0f} rather than {stated:g}?",
                 )
