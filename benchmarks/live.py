@@ -27,6 +27,7 @@ from probedesign.live.box.box import OFF
 from probedesign.live.netft.source import NetFT
 from probedesign.live.recorder import Recorder
 from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.sinks import RawRecording
 from probedesign.live.source import open_source
 from probedesign.live.tare import Window
 from probedesign.live.warm_up import warm_up
@@ -94,7 +95,7 @@ def _rate(estimator: Estimator, spec: str, seconds: float, recording: Path) -> N
     wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
     with Recorder(recording) as recorder:
         for answer in estimate_stream(
-            estimator, source, Plan(TARE, AVERAGE, seconds=seconds), print, recorder
+            estimator, source, Plan(TARE, AVERAGE, seconds=seconds), print, RawRecording(recorder)
         ):
             late.append(1e3 * (time.monotonic() - answer.reading.received))
             memory.append(_resident())

@@ -1,7 +1,6 @@
 """`probedesign live`: contacts as the sensor reads them."""
 
-import sys
-from contextlib import closing, nullcontext
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,7 @@ from cyclopts import Parameter
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     from probedesign.live.answer import Answer
 
@@ -24,6 +23,10 @@ def live(
     force: bool = False,
     tare_s: str | None = None,
     average: int = 1,
+    filter_hz: float | None = None,
+    pose: str = "fixed",
+    pose_latency_ms: float = 0.0,
+    gravity_world: str | None = None,
     rate_hz: float = 20.0,
     count: int | None = None,
     seconds: float | None = None,
@@ -44,6 +47,11 @@ def live(
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the mean of so many readings.
+        filter_hz: low-pass before each estimate, down by 3 dB there; the delay is said.
+        pose: of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe) or
+            udp://:PORT (JSON). With poses, touches are fused to points of the world.
+        pose_latency_ms: by which a pose arrives later than a reading of the same moment.
+        gravity_world: in the world's axes [m/s²], as 0,0,-9.81, which it is unless said.
         rate_hz: at most so many estimates a second; readings between are left out.
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
@@ -51,8 +59,11 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
+    from probedesign.live.pose.spec import open_poses
     from probedesign.live.recorder import Recorder
+    from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream
+    from probedesign.live.sinks import RawRecording, Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
     from probedesign.live.warm_up import warm_up
@@ -61,22 +72,26 @@ def live(
     if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
         raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds)
+    plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    opened = open_source(source, estimator.model, _say)
-    warm_up(estimator, _say, fusing=True)
-    _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-    for note in opened.notes:
-        _say(note)
-    with Recorder(record, force=force) if record is not None else nullcontext() as recorder:
-        _print(estimate_stream(estimator, opened, plan, _say, recorder), as_json)
+    with closing(Sinks(Spoken())) as sinks:
+        opened = open_source(source, estimator.model, sinks.say)
+        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
+        warm_up(estimator, sinks.say, fusing=True)
+        sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+        for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
+            sinks.say(note)
+        if record is not None:
+            sinks.add(RawRecording(Recorder(record, force=force)))
+        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests(), poses)
+        _print(answers, sinks.say, as_json)
 
 
-def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
+def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
     """A line for each estimate; at the end, Ctrl-C included, a summary."""
-    from probedesign.live.row import json_line, readable_line, row
+    from probedesign.live.row import json_line, readable_line, row, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
@@ -88,13 +103,10 @@ def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
                 start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:
-                    print(json_line(row(reading, estimate)), flush=True)
+                    world = world_row(answer) if answer.fused is not None else {}
+                    print(json_line(row(reading, estimate) | world), flush=True)
                 else:
-                    print(readable_line(reading.time - start, reading, estimate), flush=True)
+                    print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
     except KeyboardInterrupt:
         pass
-    _say(describe_counts(count_results(results)))
-
-
-def _say(note: str) -> None:
-    print(note, file=sys.stderr, flush=True)
+    say(describe_counts(count_results(results)))

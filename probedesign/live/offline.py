@@ -9,13 +9,14 @@ from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.live.block import blocks_of
 from probedesign.live.flow import averaged
+from probedesign.live.locate import locate
 from probedesign.live.reading import Reading
 from probedesign.live.recording import Recording, read_recording
 from probedesign.live.replay import readings_of
 from probedesign.live.row import COLUMNS, Row, csv_line, row
-from probedesign.live.run import count_results, describe_tare, locate
+from probedesign.live.run import count_results
 from probedesign.live.spec import MOST
-from probedesign.live.tare import Tare, Window, split, take_tare
+from probedesign.live.tare import Tare, Window, describe_tare, split, take_tare
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
 
