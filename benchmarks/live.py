@@ -20,6 +20,7 @@ from probedesign.design import load_design
 from probedesign.live.netft.source import NetFT
 from probedesign.live.recorder import Recorder
 from probedesign.live.run import Plan, estimate_stream, warm_up
+from probedesign.live.sinks import RawRecording
 from probedesign.live.source import open_source
 from probedesign.live.tare import Window
 from probedesign.probe import build_probe
@@ -49,7 +50,7 @@ def _measure(bundle: Path, spec: str, recording: Path) -> None:
     late, memory, plan = [], [], Plan(Window(0.0, 3.0), AVERAGE, seconds=SECONDS)
     start, used = time.monotonic(), time.process_time()
     with Recorder(recording) as recorder:
-        for answer in estimate_stream(estimator, source, plan, print, recorder):
+        for answer in estimate_stream(estimator, source, plan, print, RawRecording(recorder)):
             late.append(time.monotonic() - answer.reading.received)
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     wall, used = time.monotonic() - start, time.process_time() - used

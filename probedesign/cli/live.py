@@ -1,7 +1,6 @@
 """`probedesign live`: contacts as the sensor reads them."""
 
-import sys
-from contextlib import closing, nullcontext
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,7 @@ from cyclopts import Parameter
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     from probedesign.live.answer import Answer
 
@@ -52,7 +51,9 @@ def live(
     """
     from probedesign.deployment import load_estimator
     from probedesign.live.recorder import Recorder
+    from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream, warm_up
+    from probedesign.live.sinks import RawRecording, Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
 
@@ -64,16 +65,18 @@ def live(
     estimator = load_estimator(bundle, manifest)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    opened = open_source(source, estimator.model, _say)
-    warm_up(estimator, _say)
-    _say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-    for note in opened.notes:
-        _say(note)
-    with Recorder(record, force=force) if record is not None else nullcontext() as recorder:
-        _print(estimate_stream(estimator, opened, plan, _say, recorder), as_json)
+    with closing(Sinks(Spoken())) as sinks:
+        opened = open_source(source, estimator.model, sinks.say)
+        warm_up(estimator, sinks.say)
+        sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+        for note in opened.notes:
+            sinks.say(note)
+        if record is not None:
+            sinks.add(RawRecording(Recorder(record, force=force)))
+        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests()), sinks.say, as_json)
 
 
-def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
+def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
     """A line for each estimate; at the end, Ctrl-C included, a summary."""
     from probedesign.live.row import json_line, readable_line, row
     from probedesign.live.run import count_results, describe_counts
@@ -92,8 +95,4 @@ def _print(answers: "Generator[Answer, None, None]", as_json: bool) -> None:
                     print(readable_line(reading.time - start, reading, estimate), flush=True)
     except KeyboardInterrupt:
         pass
-    _say(describe_counts(count_results(results)))
-
-
-def _say(note: str) -> None:
-    print(note, file=sys.stderr, flush=True)
+    say(describe_counts(count_results(results)))

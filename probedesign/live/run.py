@@ -2,18 +2,24 @@
 
 import math
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 
+import numpy as np
+
 from probedesign.errors import InputError
 from probedesign.estimator.estimate import RESULTS, Estimate
 from probedesign.estimator.estimator import Estimator
+from probedesign.frames import Array
 from probedesign.live.answer import Answer
-from probedesign.live.reading import Reading, averaged, recorded, thinned, until
-from probedesign.live.recorder import Recorder
+from probedesign.live.block import blocks_of
+from probedesign.live.reading import Reading, averaged, thinned, until
+from probedesign.live.requests import Requests
+from probedesign.live.sink import Sink
 from probedesign.live.source import Source
 from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
 
@@ -50,7 +56,12 @@ class Plan:
 
 
 def estimate_stream(
-    estimator: Estimator, source: Source, plan: Plan, say: Say, recorder: Recorder | None = None
+    estimator: Estimator,
+    source: Source,
+    plan: Plan,
+    say: Say,
+    sink: Sink | None = None,
+    requests: Requests | None = None,
 ) -> Generator[Answer, None, None]:
     """Estimates as the readings come.
 
@@ -59,23 +70,51 @@ def estimate_stream(
         source: of the readings; closed at the end, however that comes.
         plan: what to do with them.
         say: takes each line that a user should know.
-        recorder: takes every reading as it was read, before averaging and tare.
+        sink: takes every reading as it was read, before averaging and tare, and every answer.
+        requests: what a person asks meanwhile.
 
     Raises:
         InputError: the tare's window is no good, or the source fails.
     """
     with closing(iter(source)) as stream:
         readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
-        if recorder is not None:
-            readings = recorded(readings, recorder)
-        readings = averaged(readings, plan.samples)
+        readings = averaged(_fed(readings, say, sink, requests), plan.samples)
         tare: Tare | None = None
         if plan.window is not None:
             inside, readings = split(readings, plan.window)
             tare = take_tare(inside, plan.window, estimator)
             say(describe_tare(tare))
         for reading in islice(thinned(readings, plan.rate), plan.count):
-            yield Answer(reading, locate(estimator, reading, tare))
+            answer = Answer(
+                reading,
+                locate(estimator, reading, tare),
+                wrench_base=_without_fault(estimator, reading, tare),
+                made=time.monotonic(),
+            )
+            if sink is not None:
+                sink.answered(answer)
+            yield answer
+
+
+def _fed(
+    readings: Iterable[Reading], say: Say, sink: Sink | None, requests: Requests | None
+) -> Iterator[Reading]:
+    """The same readings, each given to the sink before it is passed on; ends when that is asked."""
+    for block in blocks_of(readings):
+        if sink is not None:
+            sink.read(block)
+        yield from block.readings()
+        for request in requests.taken() if requests is not None else ():
+            if request.wish == "stop":
+                return
+            say(f"mark: {request.text}" if request.wish == "mark" else f"{request.wish} is not possible here")
+
+
+def _without_fault(estimator: Estimator, read: Reading, tare: Tare | None) -> Array:
+    """What is estimated from, at the base, (6,); NaN where there is a fault."""
+    if read.fault:
+        return np.full(6, np.nan)
+    return estimator.model.to_base(without_bias(read, tare).wrench_sensor, read.gravity_base)
 
 
 def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:

@@ -11,12 +11,13 @@ from probedesign.live.recording import read_recording
 from probedesign.live.replay import Replay
 from probedesign.live.run import Plan, estimate_stream, locate
 from probedesign.live.simulate import Simulation
+from probedesign.live.sinks import RawRecording
 
 QUERY = "speed=max&rate_hz=3"
 
 
-def run(estimator, source, plan=None, recorder=None):
-    answers = estimate_stream(estimator, source, plan or Plan(), lambda note: None, recorder)
+def run(estimator, source, plan=None, sink=None):
+    answers = estimate_stream(estimator, source, plan or Plan(), lambda note: None, sink)
     return [(answer.reading, answer.estimate) for answer in answers]
 
 
@@ -25,7 +26,7 @@ def recorded(estimator, tmp_path_factory):
     """A recording and the estimates that were made while it was taken."""
     path = tmp_path_factory.mktemp("replay") / "sim.csv"
     with Recorder(path) as recorder:
-        answers = run(estimator, Simulation(estimator.model, QUERY), recorder=recorder)
+        answers = run(estimator, Simulation(estimator.model, QUERY), sink=RawRecording(recorder))
     return path, answers
 
 
