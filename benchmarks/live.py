@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,8 @@ from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.live.netft.source import NetFT
-from probedesign.live.recorder import Recorder
+from probedesign.live.recordings import Recordings
 from probedesign.live.run import Plan, estimate_stream, warm_up
-from probedesign.live.sinks import RawRecording
 from probedesign.live.source import open_source
 from probedesign.live.tare import Window
 from probedesign.probe import build_probe
@@ -37,7 +37,7 @@ def report() -> None:
         write_frozen(build_probe(load_design(DESIGN)).model, bundle)
         with _box(bundle) as box:
             try:
-                _measure(bundle, _source(box), Path(folder) / "record.csv")
+                _measure(bundle, _source(box), Path(folder) / "record.mcap")
             finally:
                 box.terminate()
 
@@ -49,8 +49,9 @@ def _measure(bundle: Path, spec: str, recording: Path) -> None:
     assert isinstance(source, NetFT)
     late, memory, plan = [], [], Plan(Window(0.0, 3.0), AVERAGE, seconds=SECONDS)
     start, used = time.monotonic(), time.process_time()
-    with Recorder(recording) as recorder:
-        for answer in estimate_stream(estimator, source, plan, print, RawRecording(recorder)):
+    with closing(Recordings(recording, estimator.model, print)) as recordings:
+        recordings.start()
+        for answer in estimate_stream(estimator, source, plan, print, recordings):
             late.append(time.monotonic() - answer.reading.received)
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     wall, used = time.monotonic() - start, time.process_time() - used

@@ -17,7 +17,7 @@ ENABLES = {
     "sweep": "sweep: grids of designs, on many machines",
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
-    "live": "live on a Net F/T box",
+    "live": "live on a Net F/T box, recordings in MCAP, ROS 2 bags",
 }
 """What the packages of an extra are for; "" is what the program cannot do without."""
 

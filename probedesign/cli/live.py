@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from probedesign.cli.ending import ending_well
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def live(
         bundle: the frozen probe, NAME.probe.json.
         source: netft://HOST (a Net F/T box), replay:FILE (a recording) or sim: (a simulated contact that moves
             along the probe).
-        record: write every reading to this recording.
+        record: write everything to NAME.mcap, or raw readings to NAME.csv.
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the mean of so many readings.
@@ -50,10 +51,10 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
-    from probedesign.live.recorder import Recorder
+    from probedesign.live.recordings import Recordings, check_name
     from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream, warm_up
-    from probedesign.live.sinks import RawRecording, Sinks, Spoken
+    from probedesign.live.sinks import Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
 
@@ -63,17 +64,24 @@ def live(
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds)
     estimator = load_estimator(bundle, manifest)
+    if record is not None:
+        check_name(record)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    with closing(Sinks(Spoken())) as sinks:
+    about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}"}
+    with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
         warm_up(estimator, sinks.say)
         sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in opened.notes:
             sinks.say(note)
+        requests, recordings = Requests(), Recordings(record, estimator.model, sinks.say, force, about)
+        requests.does("start recording", lambda _: recordings.asked_to_start())
+        requests.does("stop recording", lambda _: recordings.stop())
+        sinks.add(recordings)
         if record is not None:
-            sinks.add(RawRecording(Recorder(record, force=force)))
-        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests()), sinks.say, as_json)
+            recordings.start()
+        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, requests), sinks.say, as_json)
 
 
 def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:

@@ -4,9 +4,10 @@ import difflib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from probedesign.errors import InputError, MissingDependencyError
+from probedesign.live.mcap import require
 from probedesign.live.recording_table import shown
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -59,6 +60,19 @@ class Bag(Protocol):
         ...
 
 
+@runtime_checkable
+class Attached(Bag, Protocol):
+    """A bag that holds more than messages.
+
+    Attributes:
+        metadata: by name.
+        probe: the frozen probe that is attached to it, if there is one.
+    """
+
+    metadata: dict[str, dict[str, str]]
+    probe: dict[str, object] | None
+
+
 def is_bag(path: Path) -> bool:
     """Whether a file or folder is a bag, by what it begins with; by its name if it begins with nothing."""
     try:
@@ -80,6 +94,7 @@ def open_bag(path: Path) -> Bag:
     """
     if path.suffix == ".db3" or path.is_dir():
         return RosBag(path)
+    require()
     from probedesign.live.mcap.reading import McapBag
 
     return McapBag(path)
@@ -101,7 +116,8 @@ def choose(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
     wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
     listed = ", ".join(map(shown, fit[:10])) or "none"
     if topic and topic in found and topic not in fit:
-        raise InputError(f"{bag.path}: topic {topic} holds {shown(found[topic].type)}, not {wanted}; such are: {listed}")
+        other = shown(found[topic].type)
+        raise InputError(f"{bag.path}: topic {topic} holds {other}, not {wanted}; such are: {listed}")
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
         hint = f"did you mean {near[0]}? " if near else ""

@@ -61,7 +61,9 @@ def find_wrenches(bag: Bag, topic: str = "") -> Published:
     channel = choose(bag, {WRENCH}, topic)
     first = next(iter(bag.messages({channel.topic})), None)
     if first is None:
-        raise InputError(f"{bag.path}: topic {channel.topic} holds no messages" + (bag.damage and f"; {bag.damage}"))
+        raise InputError(
+            f"{bag.path}: topic {channel.topic} holds no messages" + (bag.damage and f"; {bag.damage}")
+        )
     stamp, frame_id, _ = _read(bag, first)
     return Published(bag, channel, frame_id, stamp == 0)
 

@@ -63,8 +63,8 @@ class Behind:
 
     def read(self, block: Block) -> None:
         """See `Sink`."""
-        if self._asked(len(block), partial(self._file.read, block)):
-            self.readings += len(block)
+        if self._asked(len(block) or 1, partial(self._file.read, block)):
+            self.readings += 0 if self._failed else len(block)
         else:
             self._leave_out(0, len(block))
 
@@ -91,6 +91,8 @@ class Behind:
 
     def _asked(self, weight: int, job: Callable[[], None]) -> bool:
         """Have the job done, unless too much waits already."""
+        if self._failed:
+            return True  # it was told that nothing is recorded any more
         waiting = self._put - self._done
         if waiting and waiting + weight > self._most:
             return False
@@ -102,8 +104,6 @@ class Behind:
         return True
 
     def _leave_out(self, kind: int, count: int) -> None:
-        if self._failed:
-            return
         if not self.lost and kind == 0:
             self._say(f"{self._name}: the disk does not keep up; readings are left out")
         self._missing[kind] += count
@@ -116,7 +116,9 @@ class Behind:
         except Exception as error:  # a full disk, or a fault of ours: either way the run goes on
             self._failed = True
             reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self._say(f"{self._name}: recording ended: {reason}; the file is whole up to there, the run goes on")
+            self._say(
+                f"{self._name}: recording ended: {reason}; the file is whole up to there, the run goes on"
+            )
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
 

@@ -22,13 +22,12 @@ class OwnBlocks:
 
     Attributes:
         left_out: readings that the recorder left out, as far as it was read.
-        half: readings at the end whose block is not whole.
     """
 
     def __init__(self, bag: Bag) -> None:
         """Blocks of a bag that holds `RAW` and `BLOCK`."""
         self._bag = bag
-        self.left_out = self.half = 0
+        self.left_out = 0
 
     def __iter__(self) -> Iterator[Block]:
         """The blocks in order.
@@ -37,7 +36,7 @@ class OwnBlocks:
             InputError: the file is none of ours, whatever it says.
         """
         raw: list[bytes | memoryview] = []
-        self.left_out = self.half = 0
+        self.left_out = 0
         seen, skips = 0, 0
         for message in self._bag.messages({RAW.name, BLOCK.name}):
             if message.topic == RAW.name:
@@ -53,7 +52,6 @@ class OwnBlocks:
                 self.left_out, skips = first - seen, skips + 1
             seen, raw = seen + len(block), []
             yield block if not skips else _moved(block, skips)
-        self.half = len(raw)
 
 
 def _block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
@@ -68,9 +66,9 @@ def _block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
     first, stretch, fault = known["first"], known["stretch"], known["fault"]
     if type(first) is not int or type(stretch) is not int or type(fault) is not str or gravity.shape != (3,):
         raise ValueError("it is not as its schema says")
-    if len(time) != len(raw) or not raw:
+    if len(time) != len(raw):
         raise ValueError(f"it tells of {len(time)} readings, {len(raw)} wrenches stand before it")
-    wrench = np.array([read_stamped(data, 6)[2] for data in raw])
+    wrench = np.array([read_stamped(data, 6)[2] for data in raw]).reshape(-1, 6)
     return first, Block(time, wrench, gravity, np.full(len(time), np.nan), fault[:200], stretch)
 
 

@@ -2,17 +2,19 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
-from probedesign.live.bag import Bag, is_bag, open_bag
+from probedesign.live.bag import Attached, Bag, is_bag, open_bag
 from probedesign.live.bag_wrenches import Published, find_wrenches
 from probedesign.live.block import Block
+from probedesign.live.mcap.topics import OURS
 from probedesign.live.recording import Recording, read_recording
 from probedesign.live.recording_columns import CEILING
 from probedesign.live.recording_table import Frame, shown
@@ -21,6 +23,7 @@ from probedesign.units import MM
 MomentUnit = Literal["Nm", "Nmm"]
 AT_ONCE = 256
 """Readings to a block, where the recording names none."""
+CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 LIMITS = np.repeat([CEILING["force"], CEILING["moment"]], 3)
 
 
@@ -78,7 +81,7 @@ def open_recording(path: Path, model: ProbeModel, choice: Choice | None = None) 
     if not is_bag(path):
         return _table(path, model, choice)
     bag = open_bag(path)
-    if not choice.topic and getattr(bag, "metadata", {}).get("probedesign"):
+    if isinstance(bag, Attached) and OURS in bag.metadata and not choice.topic:
         return _own(bag, model, choice)
     return _foreign(bag, model, choice)
 
@@ -96,9 +99,10 @@ def _rows(recording: Recording, model: ProbeModel) -> Iterator[Block]:
     """The samples of a table; a block has one gravity."""
     n = len(recording.time)
     gravity = recording.gravity_base
-    turns = np.arange(0) if gravity is None else np.flatnonzero((np.diff(gravity, axis=0) != 0).any(axis=1)) + 1
-    cuts = np.unique(np.concatenate([turns, np.arange(0, n, AT_ONCE), [n]]))
-    for start, end in zip(cuts[:-1], cuts[1:], strict=True):
+    told = np.zeros((n, 3)) if gravity is None else gravity
+    turns = np.flatnonzero((np.diff(told, axis=0) != 0).any(axis=1)) + 1
+    cuts = np.unique(np.concatenate([turns, np.arange(0, n, AT_ONCE), [n]])).tolist()
+    for start, end in pairwise(cuts):
         here = model.gravity_base if gravity is None else gravity[start]
         wrench = recording.wrench[start:end]
         if recording.frame == "base":  # one by one: a product of many rows rounds otherwise
@@ -106,7 +110,7 @@ def _rows(recording: Recording, model: ProbeModel) -> Iterator[Block]:
         yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan))
 
 
-def _own(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
+def _own(bag: Attached, model: ProbeModel, choice: Choice) -> Recorded:
     from probedesign.live.own_blocks import OwnBlocks
 
     notes = _check_probe(bag, model, choice)
@@ -117,13 +121,15 @@ def _own(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
         if blocks.left_out:
             told.append(f"{blocks.left_out} readings were left out by the recorder, whose disk was too slow")
         if bag.damage:
-            told.append(f"not whole: {bag.damage}" + (f"; {blocks.half} readings before that" if blocks.half else ""))
+            told.append(f"not whole: {bag.damage}")
         return tuple(told)
 
-    return Recorded(bag.path, "our own", "sensor", notes, lambda: _checked(bag.path, blocks), lacking)
+    about = bag.metadata[OURS]
+    what = f"recorded {about.get('started', '')[:30]} from {about.get('source', '')[:100]}"
+    return Recorded(bag.path, what, "sensor", notes, lambda: _checked(bag.path, blocks), lacking)
 
 
-def _check_probe(bag: Any, model: ProbeModel, choice: Choice) -> tuple[str, ...]:
+def _check_probe(bag: Attached, model: ProbeModel, choice: Choice) -> tuple[str, ...]:
     """What is to say of the probe that the recording was made with.
 
     Raises:
@@ -132,15 +138,17 @@ def _check_probe(bag: Any, model: ProbeModel, choice: Choice) -> tuple[str, ...]
     probe = bag.probe or {}
     name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
     if fingerprint != model.fingerprint:
-        told = f"recorded with probe {shown(name)} of fingerprint {shown(fingerprint)}, not {model.fingerprint}"
+        told = f"recorded with probe {shown(name)}, fingerprint {shown(fingerprint)}, not {model.fingerprint}"
         if not choice.other_probe:
-            raise InputError(f"{bag.path}: {told}; take its own frozen probe, or say other_probe to read it anyhow")
+            raise InputError(
+                f"{bag.path}: {told}; take its own frozen probe, or read it anyhow with other_probe"
+            )
         return (told,)
     from probedesign.deployment import freeze
 
     if probe.get("checksum") == freeze(model)["checksum"]:
         return ()
-    return ("recorded with another freezing of this probe (material, sensor or program): estimates may differ",)
+    return ("recorded with another freezing of this probe (material, sensor, program): estimates may differ",)
 
 
 def _foreign(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
@@ -188,7 +196,7 @@ def _checked(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
             raise InputError(f"{path}: time runs backward, from {times[i]:.9g} s to {times[i + 1]:.9g} s")
         if not block.fault:
             _check_values(path, block)
-        last = float(block.time[-1])
+        last = float(times[-1])
         yield block
 
 
@@ -196,5 +204,7 @@ def _check_values(path: Path, block: Block) -> None:
     bad = ~(np.abs(block.wrench_sensor) <= LIMITS)
     if bad.any():
         i, j = np.argwhere(bad)[0]
-        value = f"{('Fx', 'Fy', 'Fz', 'Mx', 'My', 'Mz')[j]} = {block.wrench_sensor[i, j]:g} {'N' if j < 3 else 'N·m'}"
-        raise InputError(f"{path}: {value} at {block.time[i]:.9g} s is no reading; raw counts or a wrong unit?")
+        value = f"{CHANNELS[j]} = {block.wrench_sensor[i, j]:g} {'N' if j < 3 else 'N·m'}"
+        raise InputError(
+            f"{path}: {value} at {block.time[i]:.9g} s is no reading; raw counts or a wrong unit?"
+        )

@@ -11,18 +11,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.deployment import freeze
-from probedesign.errors import MissingDependencyError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
-from probedesign.live.mcap import messages, topics
-from probedesign.live.mcap.pieces import Pieces
+from probedesign.live.mcap import messages, require, topics
+from probedesign.live.mcap.topics import OURS
+from probedesign.live.pieces import Pieces
 from probedesign.live.row import json_line, row
 
-PROFILE, METADATA = "ros2", "probedesign"
+PROFILE = "ros2"
 JSON = "application/json"
-UNITS = {"unit_of_force": "N", "unit_of_moment": "N m", "unit_of_position": "m", "unit_in_json": "as names end"}
+UNITS = {
+    "unit_of_force": "N",
+    "unit_of_moment": "N m",
+    "unit_of_position": "m",
+    "unit_in_json": "as names end",
+}
 UNTOLD = math.pi**2
 """Variance of each angle of a contact's orientation [rad²], which is not estimated: half a turn either way."""
 
@@ -45,10 +50,9 @@ class McapFile:
             InputError: the file exists and `force` is not said, or it cannot be written.
             MissingDependencyError: the MCAP package is not installed.
         """
-        try:
-            from mcap.writer import Writer
-        except ImportError:
-            raise MissingDependencyError('MCAP needs: pip install "probedesign[live]"') from None
+        require()
+        from mcap.writer import Writer
+
         self._pieces = Pieces(path, force)
         self._writer = Writer(self._pieces)  # type: ignore[arg-type]  # all that it asks of a stream
         self._first, self._wall, self._logged = 0, 0, time.time_ns()
@@ -58,14 +62,15 @@ class McapFile:
         self._writer.add_attachment(self._logged, self._logged, f"{model.name}.probe.json", JSON, probe)
         known = {"probe": model.name, "fingerprint": model.fingerprint, "written_by": frozen["written_by"]}
         started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
-        self._writer.add_metadata(METADATA, known | started | UNITS | dict(about or {}))
+        self._writer.add_metadata(OURS, known | started | UNITS | dict(about or {}))
         self._channels = self._registered()
         self._pieces.flush()
 
     def read(self, block: Block) -> None:
         """Every reading as a wrench; then one line with what their headers cannot tell."""
         stamps = messages.nanoseconds(block.time).tolist()
-        for i, (stamp, wrench) in enumerate(zip(stamps, block.wrench_sensor.tolist(), strict=True), self._first):
+        rows = zip(stamps, block.wrench_sensor.tolist(), strict=True)
+        for i, (stamp, wrench) in enumerate(rows, self._first):
             self._add(topics.RAW, stamp, messages.stamped("sensor", stamp, wrench), i)
         known = {
             "first": self._first,
@@ -75,7 +80,7 @@ class McapFile:
             "fault": block.fault,
         }
         self._first += len(block)
-        self._add(topics.BLOCK, stamps[-1], messages.text(json.dumps(known)))
+        self._add(topics.BLOCK, stamps[-1] if stamps else None, messages.text(json.dumps(known)))
 
     def answered(self, answer: Answer) -> None:
         """What was said, and what was said it from."""
@@ -124,11 +129,13 @@ class McapFile:
             name: self._writer.register_schema(name, "ros2msg", messages.definition(name))
             for name in dict.fromkeys(topic.type for topic in topics.TOPICS)
         }
-        return {
-            topic.name: self._writer.register_channel(
-                topic.name, "cdr", schemas[topic.type], {"json_schema": json.dumps(topic.schema)} if topic.schema else {}
-            )
+        told = {
+            topic: {"json_schema": json.dumps(topic.schema)} if topic.schema else {}
             for topic in topics.TOPICS
+        }
+        return {
+            topic.name: self._writer.register_channel(topic.name, "cdr", schemas[topic.type], metadata)
+            for topic, metadata in told.items()
         }
 
     def _add(self, topic: topics.Topic, stamp: int | None, data: bytes, sequence: int = 0) -> None:
@@ -136,7 +143,8 @@ class McapFile:
         if stamp is not None:
             self._wall = self._wall or time.time_ns() - stamp
             self._logged = min(max(stamp + self._wall, 0), 2**63 - 1)
-        self._writer.add_message(self._channels[topic.name], self._logged, data, self._logged, sequence % 2**32)
+        channel = self._channels[topic.name]
+        self._writer.add_message(channel, self._logged, data, self._logged, sequence % 2**32)
 
 
 def _pose(T: Array) -> list[float]:

@@ -59,7 +59,7 @@ class McapBag:
         try:
             for opcode, content in self._flat():
                 if opcode == Opcode.MESSAGE:
-                    number, _, logged, data = message(memoryview(content))
+                    number, _, logged, _, data = message(memoryview(content))
                     channel = self._channels.get(number)
                     if channel is None:
                         raise DamagedError(f"a message belongs to channel {number}, which there is not")
@@ -127,7 +127,9 @@ class McapBag:
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(size - FOOTER_AND_MAGIC, len(MCAP)))
-            footers = [parse(records.Footer, content) for opcode, content in walk(file) if opcode == Opcode.FOOTER]
+            footers = [
+                parse(records.Footer, content) for opcode, content in walk(file) if opcode == Opcode.FOOTER
+            ]
             if len(footers) != 1 or file.read() != MCAP or not 0 < footers[0].summary_start < size:
                 raise DamagedError("it has no summary")
             file.seek(footers[0].summary_start)

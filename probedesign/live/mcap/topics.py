@@ -7,8 +7,11 @@ from probedesign.estimator.estimate import RESULTS
 from probedesign.live.mcap.messages import POSE, TEXT, UNCERTAIN_POSE, WRENCH
 from probedesign.live.row import COLUMNS
 
+OURS = "probedesign"
+"""Metadata of this name stand in our recordings."""
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Topic:
     """One topic.
 
@@ -23,7 +26,7 @@ class Topic:
     schema: dict[str, Any]
 
 
-def _object(title: str, required: list[str], **properties: dict[str, Any]) -> dict[str, Any]:
+def _object(title: str, required: list[str], properties: dict[str, Any]) -> dict[str, Any]:
     """A JSON Schema of one flat object; what it does not name may be there too."""
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object"}
     return head | {"properties": properties, "required": required}
@@ -42,11 +45,16 @@ BLOCK = Topic(
     _object(
         "Readings that came together: the raw wrenches since the last of these, and what their headers cannot tell",
         ["first", "time_s", "gravity_base_m_s2", "stretch", "fault"],
-        first={"type": "integer", "description": "readings before it, those included that were left out"},
-        time_s={**NUMBERS, "description": "of each, by the source's clock, to the last bit"},
-        gravity_base_m_s2={**NUMBERS, "minItems": 3, "maxItems": 3},
-        stretch={"type": "integer", "description": "counts what was read without an interruption"},
-        fault={**TEXT_VALUE, "description": "what is wrong with all of them; empty if nothing"},
+        {
+            "first": {
+                "type": "integer",
+                "description": "readings before it, those included that were left out",
+            },
+            "time_s": {**NUMBERS, "description": "of each, by the source's clock, to the last bit"},
+            "gravity_base_m_s2": {**NUMBERS, "minItems": 3, "maxItems": 3},
+            "stretch": {"type": "integer", "description": "counts what was read without an interruption"},
+            "fault": {**TEXT_VALUE, "description": "what is wrong with all of them; empty if nothing"},
+        },
     ),
 )
 WITHOUT_BIAS = Topic("/probedesign/wrench", WRENCH, {})
@@ -63,11 +71,19 @@ ESTIMATE = Topic(
     _object(
         "What the probe says; null where the result does not tell",
         ["time_s", "result"],
-        **{name: NUMBER_OR_NULL for name in COLUMNS},
-        **{"time_s": NUMBER, "result": {"enum": list(RESULTS)}, "phase": TEXT_VALUE},
-        T_world_base={"type": "array", "items": NUMBERS, "description": "pose of the base, 4 × 4, where known"},
+        {
+            **{name: NUMBER_OR_NULL for name in COLUMNS},
+            "time_s": NUMBER,
+            "result": {"enum": list(RESULTS)},
+            "phase": TEXT_VALUE,
+            "T_world_base": {"type": "array", "items": NUMBERS, "description": "4 × 4, where it is known"},
+        },
     ),
 )
-EVENT = Topic("/probedesign/event", TEXT, _object("An event", ["event"], time_s=NUMBER_OR_NULL, event=TEXT_VALUE))
+EVENT = Topic(
+    "/probedesign/event",
+    TEXT,
+    _object("An event", ["event"], {"time_s": NUMBER_OR_NULL, "event": TEXT_VALUE}),
+)
 """Tares, marks, silence, loss, faults."""
 TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT)

@@ -11,26 +11,20 @@ from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, TypeVar
 
-from probedesign.errors import MissingDependencyError
+import zstandard
+from lz4.frame import LZ4FrameDecompressor
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 
-try:
-    import zstandard
-    from lz4.frame import LZ4FrameDecompressor
-    from mcap import records
-    from mcap.data_stream import ReadDataStream
-    from mcap.opcode import Opcode
-except ImportError:
-    raise MissingDependencyError('MCAP needs: pip install "probedesign[live]"') from None
-
-MAGIC = b"\x89MCAP0\r\n"
 LONGEST = 256 * 1024 * 1024
 """No record and no unpacked chunk is longer [bytes]: writers aim at one megabyte, large images included."""
 Record = TypeVar("Record", bound=records.McapRecord)
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
-Message = tuple[int, int, int, memoryview]
-"""Channel, sequence, log time [ns] and data."""
+Message = tuple[int, int, int, int, memoryview]
+"""Channel, sequence, when it was logged and when published [ns], and data."""
 
 
 class DamagedError(Exception):
@@ -63,9 +57,10 @@ def parse(kind: type[Record], content: bytes) -> Record:
         DamagedError: it is none.
     """
     try:
-        return kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]
+        record: Record = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]
     except Exception as error:  # it was written for honest files: whatever it meets here is the file's fault
         raise DamagedError(f"a {kind.__name__} record cannot be read ({type(error).__name__})") from None
+    return record
 
 
 def unpack(content: bytes) -> bytes:
@@ -121,5 +116,5 @@ def message(content: memoryview) -> Message:
     """
     if len(content) < _MESSAGE.size:
         raise DamagedError("a message is too short")
-    channel, sequence, logged, _ = _MESSAGE.unpack_from(content)
-    return channel, sequence, logged, content[_MESSAGE.size :]
+    channel, sequence, logged, published = _MESSAGE.unpack_from(content)
+    return channel, sequence, logged, published, content[_MESSAGE.size :]
