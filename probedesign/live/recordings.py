@@ -29,13 +29,16 @@ def check_name(path: Path) -> None:
 def open_file(path: Path, model: ProbeModel, force: bool, about: Mapping[str, str]) -> File:
     """The file to record to, of the kind that its name says; for the arguments see `McapFile`."""
     check_name(path)
-    if path.suffix.lower() == ".csv":
-        from probedesign.live.csv_file import CsvFile
+    try:
+        if path.suffix.lower() == ".csv":
+            from probedesign.live.csv_file import CsvFile
 
-        return CsvFile(path, force)
-    from probedesign.live.mcap.file import McapFile
+            return CsvFile(path, force)
+        from probedesign.live.mcap.file import McapFile
 
-    return McapFile(path, model, force, about)
+        return McapFile(path, model, force, about)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 class Recordings:

@@ -132,16 +132,17 @@ def recover(path: Path, out: Path, force: bool = False) -> Recovered:
 
 
 def _copied(copy: _Copy, file: BinaryIO) -> str:
-    """Copy record by record; what ended it, empty if that was the end of the data."""
+    """Copy record by record; what ended it, empty if that was the end."""
     try:
+        ended = False
         for i, (opcode, content) in enumerate(walk(file)):
             if (i == 0) != (opcode == Opcode.HEADER):
                 return "its records do not begin with a header"
-            if opcode == Opcode.DATA_END:
-                return ""
-            copy.outer(opcode, content)
+            ended = ended or opcode == Opcode.DATA_END
+            if not ended:
+                copy.outer(opcode, content)
     except DamagedError as error:
         return str(error)
     except struct.error:
         return "it names more channels than there can be"
-    return ""
+    return "" if ended and file.read() == MCAP else "it was cut off"
