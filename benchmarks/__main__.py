@@ -1,8 +1,19 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
+"""`python -m benchmarks [NAME ...]`: all parts or some, as `PARTS` names them."""
 
 import sys
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
+from benchmarks import (
+    detection,
+    estimation,
+    export,
+    live,
+    optimisation,
+    peak,
+    prediction,
+    recording,
+    rod,
+    start,
+)
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -15,6 +26,7 @@ PARTS = {
     "optimisation": optimisation.report,
     "export": export.report,
     "live": live.report,
+    "recording": recording.report,
 }
 
 

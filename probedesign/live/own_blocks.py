@@ -10,7 +10,7 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.bag import Bag
 from probedesign.live.block import Block
-from probedesign.live.mcap.messages import read_stamped, read_text
+from probedesign.live.mcap.messages import read_text, read_wrenches
 from probedesign.live.mcap.topics import BLOCK, RAW
 
 LONGEST = 1_000_000
@@ -68,7 +68,7 @@ def _block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
         raise ValueError("it is not as its schema says")
     if len(time) != len(raw):
         raise ValueError(f"it tells of {len(time)} readings, {len(raw)} wrenches stand before it")
-    wrench = np.array([read_stamped(data, 6)[2] for data in raw]).reshape(-1, 6)
+    wrench = read_wrenches(raw)
     return first, Block(time, wrench, gravity, np.full(len(time), np.nan), fault[:200], stretch)
 
 

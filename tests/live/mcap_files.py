@@ -42,6 +42,11 @@ def same(a: Block, b: Block) -> bool:
     return (a.fault, a.stretch) == (b.fault, b.stretch) and all(x.tobytes() == y.tobytes() for x, y in arrays)
 
 
+def joined(blocks: list[Block]) -> list[bytes]:
+    """Times and wrenches of all of them, however they were cut."""
+    return [b"".join(getattr(each, name).tobytes() for each in blocks) for name in ("time", "wrench_sensor")]
+
+
 def bag(path: Path, topics: dict[str, list[tuple[float, list[float]]]], frame: str = "ft", **how) -> Path:
     """A bag as rosbags writes one: by topic, times [s] and wrenches."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer

@@ -302,8 +302,9 @@ def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
     file = McapFile(tmp_path / "lie.mcap", model)
     honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
     text = said if isinstance(said, str) else json.dumps(honest | said)
-    file._add(topics.RAW, 0, messages.stamped("sensor", 0, [0.0] * 6))
-    file._add(topics.BLOCK, 0, messages.text(text))
+    now = np.array([0])
+    file._add(topics.RAW, now, messages.stamped("sensor", now, [[0.0] * 6]))
+    file._add(topics.BLOCK, now, messages.text(text))
     file.close()
     with pytest.raises(InputError, match=told):
         read(tmp_path / "lie.mcap", model)

@@ -15,7 +15,7 @@ from probedesign.live.recording import read_recording
 from probedesign.live.recordings import Recordings
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
-from tests.live.mcap_files import block, read, same
+from tests.live.mcap_files import block, joined, read, same
 
 SIM = "speed=max&rate_hz=20&seconds=4"
 
@@ -68,13 +68,14 @@ def test_a_slow_disk_costs_readings_and_says_so(model, tmp_path):
     assert behind.lost + behind.readings == 100 and behind.lost >= 50
     assert said[1] == f"slow.mcap: the disk was too slow: {behind.lost} readings left out, and marked there"
     _, blocks = read(path, model)
-    assert all(map(same, blocks, written)) and sum(map(len, blocks)) == behind.readings
+    assert joined(blocks) == joined(written[: behind.readings // 10])
 
 
 def test_nothing_is_averaged_over_what_was_left_out(model, tmp_path):
     file = McapFile(tmp_path / "gap.mcap", model)
     for each in (block(0, 5), block(5, 5)):
         file.read(each)
+        file.flush()
     file.left_out(7, 0)
     file.read(block(17, 5))
     file.close()

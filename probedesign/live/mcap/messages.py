@@ -8,8 +8,13 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from probedesign.frames import Array
+
+Nanoseconds = NDArray[np.int64]
+Bytes = NDArray[np.void]
+"""Messages of one length, (n,)."""
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -46,37 +51,49 @@ def definition(name: str) -> bytes:
     return (_RULE.join([own, *(f"MSG: {part}\n{text}" for part, text in parts.items())]) + "\n").encode()
 
 
-def nanoseconds(time: float | Array) -> Array:
+def nanoseconds(time: ArrayLike) -> Nanoseconds:
     """Times [s] as whole nanoseconds, as near as a header can tell them."""
-    return np.rint(np.clip(np.nan_to_num(time), -_TELLABLE, _TELLABLE) * 1e9).astype(np.int64)
+    told = np.nan_to_num(np.asarray(time, dtype=float))
+    whole: Nanoseconds = np.rint(np.clip(told, -_TELLABLE, _TELLABLE) * 1e9).astype(np.int64)
+    return whole
 
 
-def stamped(frame: str, nanosecond: int, values: Sequence[float]) -> bytes:
-    """A message that is a header and then doubles: a wrench, a pose, a pose with covariance.
+def stamped(frame: str, stamps: ArrayLike, values: ArrayLike) -> Bytes:
+    """Messages that are a header and then doubles: wrenches, poses, poses with covariance.
 
     Args:
         frame: of the values.
-        nanosecond: the header's stamp; one that 32 bits of seconds do not hold is told as the nearest that they do.
-        values: [SI], as they stand in the message.
+        stamps: of the headers [ns], (n,); one that 32 bits of seconds do not hold is told as the nearest they do.
+        values: [SI], as they stand in the message, (n, doubles).
+
+    Returns:
+        The messages, (n,), each of the same length.
     """
-    layout, name = _layout(frame, len(values))
-    second, rest = divmod(nanosecond, 1_000_000_000)
-    if not _SECONDS[0] <= second <= _SECONDS[1]:
-        second, rest = (_SECONDS[0], 0) if second < 0 else (_SECONDS[1], 999_999_999)
-    return layout.pack(LITTLE, second, rest, len(name), name, *values)
+    numbers = np.asarray(values, dtype=float)
+    seconds, rest = np.divmod(np.asarray(stamps, dtype=np.int64), 1_000_000_000)
+    name = frame.encode() + b"\0"
+    laid = np.zeros(len(numbers), _layout(len(name), numbers.shape[1]))
+    laid["encapsulation"], laid["length"], laid["name"] = np.void(LITTLE), len(name), np.void(name)
+    laid["second"] = np.clip(seconds, *_SECONDS)
+    laid["rest"] = np.where(seconds < _SECONDS[0], 0, np.where(seconds > _SECONDS[1], 999_999_999, rest))
+    laid["values"] = numbers
+    return laid.view(f"V{laid.dtype.itemsize}")
 
 
 @cache
-def _layout(frame: str, doubles: int) -> tuple[struct.Struct, bytes]:
-    name = frame.encode() + b"\0"
-    padding = -(12 + len(name)) % 8
-    return struct.Struct(f"<4siII{len(name)}s{padding}x{doubles}d"), name
+def _layout(name: int, doubles: int) -> np.dtype[np.void]:
+    """A message with a frame's name of so many bytes."""
+    return np.dtype([
+        ("encapsulation", "V4"), ("second", "<i4"), ("rest", "<u4"), ("length", "<u4"), ("name", f"V{name}"),
+        ("padding", f"V{-(12 + name) % 8}"), ("values", "<f8", (doubles,)),
+    ])  # fmt: skip
 
 
-def text(data: str) -> bytes:
-    """A string message."""
+def text(data: str) -> Bytes:
+    """A string message, (1,)."""
     content = data.encode() + b"\0"
-    return LITTLE + struct.pack("<I", len(content)) + content
+    message = LITTLE + struct.pack("<I", len(content)) + content
+    return np.frombuffer(message, f"V{len(message)}")
 
 
 def read_stamped(data: bytes | memoryview, doubles: int) -> tuple[int, str, tuple[float, ...]]:
@@ -93,6 +110,26 @@ def read_stamped(data: bytes | memoryview, doubles: int) -> tuple[int, str, tupl
     except struct.error:
         raise ValueError(f"{len(data)} bytes are too few for it") from None
     return second * 1_000_000_000 + rest, _string(data[16 : 16 + length]), values
+
+
+def read_wrenches(messages: Sequence[bytes | memoryview]) -> Array:
+    """What wrenches say, (n, 6), without their headers; those of one writer are read at once.
+
+    Raises:
+        ValueError: one is no such message.
+    """
+    if messages and len({(len(each), bytes(each[:4]), bytes(each[12:16])) for each in messages}) == 1:
+        first = messages[0]
+        if bytes(first[:4]) == LITTLE and len(first) >= 16:
+            layout = _layout(_length(first), 6) if _length(first) < len(first) else None
+            if layout is not None and layout.itemsize == len(first):
+                return np.frombuffer(b"".join(messages), layout)["values"]
+    return np.array([read_stamped(each, 6)[2] for each in messages]).reshape(-1, 6)
+
+
+def _length(message: bytes | memoryview) -> int:
+    """Of the frame's name in a little-endian header."""
+    return int.from_bytes(message[12:16], "little")
 
 
 def read_text(data: bytes | memoryview) -> str:
