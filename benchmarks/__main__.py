@@ -1,5 +1,6 @@
 """`python -m benchmarks [NAME ...]`: all parts or some, as `PARTS` names them."""
 
+import argparse
 import sys
 
 from benchmarks import (
@@ -30,15 +31,18 @@ PARTS = {
 }
 
 
-def main(names: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the parts named, all if none; the exit status."""
-    unknown = [name for name in names if name not in PARTS]
+    parser = argparse.ArgumentParser(prog="python -m benchmarks")
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
+    parser.add_argument("--minutes", type=float, default=live.MINUTES, help="how long live streams")
+    said = parser.parse_args(arguments)
+    unknown = [name for name in said.parts if name not in PARTS]
     if unknown:
-        print(f"benchmarks: error: no part '{unknown[0]}'; there are {', '.join(PARTS)}", file=sys.stderr)
-        return 2
+        parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     print_machine()
-    for name in names or PARTS:
-        PARTS[name]()
+    for name in said.parts or PARTS:
+        live.report(said.minutes) if name == "live" else PARTS[name]()
     return 0
 
 

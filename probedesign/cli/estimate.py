@@ -53,8 +53,9 @@ def estimate(
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
     from probedesign.live.recorded import Choice
-    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.run import describe_counts
     from probedesign.live.tare import parse_window
+    from probedesign.live.warm_up import warm_up
 
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None

@@ -24,6 +24,10 @@ def live(
     force: bool = False,
     tare_s: str | None = None,
     average: int = 1,
+    filter_hz: float | None = None,
+    pose: str = "fixed",
+    pose_latency_ms: float = 0.0,
+    gravity_world: str | None = None,
     rate_hz: float = 20.0,
     count: int | None = None,
     seconds: float | None = None,
@@ -44,6 +48,11 @@ def live(
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the mean of so many readings.
+        filter_hz: low-pass before each estimate, down by 3 dB there; the delay is said.
+        pose: of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe) or
+            udp://:PORT (JSON). With poses, touches are fused to points of the world.
+        pose_latency_ms: by which a pose arrives later than a reading of the same moment.
+        gravity_world: in the world's axes [m/s²], as 0,0,-9.81, which it is unless said.
         rate_hz: at most so many estimates a second; readings between are left out.
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
@@ -51,18 +60,20 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
+    from probedesign.live.pose.spec import open_poses
     from probedesign.live.recordings import Recordings, check_name
     from probedesign.live.requests import Requests
-    from probedesign.live.run import Plan, estimate_stream, warm_up
+    from probedesign.live.run import Plan, estimate_stream
     from probedesign.live.sinks import Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
+    from probedesign.live.warm_up import warm_up
 
     replayed = Path(source.partition("?")[0].removeprefix("replay:"))
     if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
         raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds)
+    plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
     if record is not None:
         check_name(record)
@@ -71,9 +82,10 @@ def live(
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}"}
     with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
-        warm_up(estimator, sinks.say)
+        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
+        warm_up(estimator, sinks.say, fusing=True)
         sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-        for note in opened.notes:
+        for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
             sinks.say(note)
         requests, recordings = Requests(), Recordings(record, estimator.model, sinks.say, force, about)
         requests.does("start recording", lambda _: recordings.asked_to_start())
@@ -81,12 +93,13 @@ def live(
         sinks.add(recordings)
         if record is not None:
             recordings.start()
-        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, requests), sinks.say, as_json)
+        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
+        _print(answers, sinks.say, as_json)
 
 
 def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
     """A line for each estimate; at the end, Ctrl-C included, a summary."""
-    from probedesign.live.row import json_line, readable_line, row
+    from probedesign.live.row import json_line, readable_line, row, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
@@ -98,9 +111,10 @@ def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]
                 start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:
-                    print(json_line(row(reading, estimate)), flush=True)
+                    world = world_row(answer) if answer.fused is not None else {}
+                    print(json_line(row(reading, estimate) | world), flush=True)
                 else:
-                    print(readable_line(reading.time - start, reading, estimate), flush=True)
+                    print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
     except KeyboardInterrupt:
         pass
     say(describe_counts(count_results(results)))

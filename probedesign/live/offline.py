@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,14 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
-from probedesign.live.reading import Reading, averaged
+from probedesign.live.flow import averaged
+from probedesign.live.locate import locate
+from probedesign.live.reading import Reading
 from probedesign.live.recorded import Choice, Recorded, open_recording
 from probedesign.live.recording import gaps_in
 from probedesign.live.row import COLUMNS, Row, csv_line, row
-from probedesign.live.run import count_results, describe_tare, locate
-from probedesign.live.tare import Tare, Window, split, take_tare
+from probedesign.live.run import count_results
+from probedesign.live.tare import Tare, Window, describe_tare, split, take_tare
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
 
@@ -110,7 +111,7 @@ def estimate_recording(
     if (lacking := recorded.lacking()) and not mend:
         raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
     time = np.concatenate([np.empty(0), *(block.time for block in blocks)])
-    readings = list(averaged(chain.from_iterable(block.readings() for block in blocks), samples))
+    readings = list(averaged(blocks, samples))
     if not readings:
         raise InputError(f"{path}: holds {len(time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None

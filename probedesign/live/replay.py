@@ -7,10 +7,12 @@ from urllib.parse import parse_qsl, urlencode
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
-from probedesign.live.reading import Reading, paced
+from probedesign.live.block import Block, blocks_of
+from probedesign.live.flow import paced
+from probedesign.live.reading import Reading
 from probedesign.live.recorded import Choice, MomentUnit, open_recording
 from probedesign.live.recording_table import Frame
-from probedesign.live.spec import SPEED, Parameter, parse_parameters
+from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
 
 PARAMETERS = {"speed": SPEED, "other_probe": Parameter(0, 0, 1, whole=True)}
 WORDS = {"topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}
@@ -54,8 +56,8 @@ class Replay:
         self.title = f"replay of {path}, {self._recorded.what}"
         self.notes = self._recorded.notes
 
-    def __iter__(self) -> Generator[Reading, None, None]:
-        return paced(self._readings(), self._speed)
+    def __iter__(self) -> Generator[Block, None, None]:
+        return paced(blocks_of(self._readings(), MOST, TICK * self._speed), self._speed)
 
     def _readings(self) -> Iterator[Reading]:
         for block in self._recorded.blocks():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.frames import inverse, wrench_map
+from probedesign.live.block import blocks_of
 from probedesign.live.csv_file import CsvFile
 from probedesign.live.offline import estimate_recording
 from probedesign.live.reading import Reading
@@ -102,7 +103,7 @@ class Closing:
 
     def __iter__(self):
         try:
-            yield from self.readings
+            yield from blocks_of(self.readings)
         finally:
             self.closed = True
 

@@ -20,7 +20,7 @@ from probedesign.live.mcap import messages, require, topics
 from probedesign.live.mcap.messages import Nanoseconds
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.pieces import Pieces
-from probedesign.live.row import json_line, row
+from probedesign.live.row import json_line, row, world_row
 
 PROFILE = "ros2"
 JSON = "application/json"
@@ -103,7 +103,7 @@ class McapFile:
     def answered(self, answer: Answer) -> None:
         """What was said, and what was said it from."""
         stamp = messages.nanoseconds([answer.reading.time])
-        said = row(answer.reading, answer.estimate)
+        said = row(answer.reading, answer.estimate) | (world_row(answer) if answer.fused is not None else {})
         pose = answer.T_world_base
         if np.isfinite(answer.wrench_base).all():
             wrench = messages.stamped("base", stamp, [answer.wrench_base])

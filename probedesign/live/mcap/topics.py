@@ -5,7 +5,7 @@ from typing import Any
 
 from probedesign.estimator.estimate import RESULTS
 from probedesign.live.mcap.messages import POSE, TEXT, UNCERTAIN_POSE, WRENCH
-from probedesign.live.row import COLUMNS
+from probedesign.live.row import COLUMNS, WORLD_COLUMNS
 
 OURS = "probedesign"
 """Metadata of this name stand in our recordings."""
@@ -72,10 +72,10 @@ ESTIMATE = Topic(
         "What the probe says; null where the result does not tell",
         ["time_s", "result"],
         {
-            **{name: NUMBER_OR_NULL for name in COLUMNS},
+            **{name: NUMBER_OR_NULL for name in (*COLUMNS, *WORLD_COLUMNS)},
+            **{name: TEXT_VALUE for name in ("phase", "fused_result", "stale")},
             "time_s": NUMBER,
             "result": {"enum": list(RESULTS)},
-            "phase": TEXT_VALUE,
             "T_world_base": {"type": "array", "items": NUMBERS, "description": "4 × 4, where it is known"},
         },
     ),
