@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
+from probedesign.live.block import readings_in
 from probedesign.live.offline import estimate_recording
 from probedesign.live.recorded import Choice
 from probedesign.live.recorder import write_recording
@@ -56,7 +57,7 @@ def test_a_single_file_of_a_bag_is_read_too(model, tmp_path):
 
 def test_a_bag_gives_the_estimates_of_its_csv(estimator, tmp_path):
     """Contacts of the rod itself, at whole seconds, published by somebody and written down by hand."""
-    readings = list(Simulation(estimator.model, "speed=max&rate_hz=1&seconds=6"))
+    readings = list(readings_in(Simulation(estimator.model, "speed=max&rate_hz=1&seconds=6")))
     times, wrenches = [r.time for r in readings], [r.wrench_sensor.tolist() for r in readings]
     folder = bag(tmp_path / "b", {"/ft": list(zip(times, wrenches, strict=True))})
     write_recording(tmp_path / "b.csv", times, wrenches)

@@ -98,7 +98,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
         estimate_stream(estimator, Simulation(estimator.model, SIM), Plan(), said.append, recordings)
     )
     recordings.close()
-    assert len(answers) == 80
+    assert len(answers) == 240
     (line,) = [line for line in said if "recording ended" in line]
     assert "No space left on device" in line and "the run goes on" in line
     if kind == "csv":
