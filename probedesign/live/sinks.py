@@ -25,7 +25,8 @@ class Sinks:
 
     def read(self, block: Block) -> None:
         """Readings as the source gave them."""
-        self._time = float(block.time[-1])
+        if len(block):
+            self._time = float(block.time[-1])
         self._each(lambda sink: sink.read(block))
 
     def answered(self, answer: Answer) -> None:
