@@ -65,6 +65,20 @@ def test_the_page_is_served_to_this_machine(view):
         assert b"<title>" in page.read()
 
 
+def test_only_the_page_itself_may_talk_to_its_server(view):
+    """A page of the internet, open in a browser on this machine, could else press the buttons."""
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+    from websockets.typing import Origin, Subprotocol
+
+    ours, protocol = view.url.replace("http", "ws"), Subprotocol(f"viser-v{viser.__version__}")
+    with connect(ours, origin=Origin(view.url), subprotocols=[protocol]) as own:
+        assert len(own.recv(timeout=30)) > 0
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(ours, origin=Origin("http://example.org"), subprotocols=[protocol])
+
+
 def test_a_port_in_use_is_passed_over_and_a_network_is_told(estimator, tmp_path, view):
     port = int(view.url.rpartition(":")[2])
     said = []
@@ -175,7 +189,7 @@ def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
     for name in ("contact", "force", "point"):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
     tab.get_by_text("stale: nothing read for", exact=False).first.wait_for(timeout=PATIENCE)
-    tab.locator("input[type=text], textarea").first.fill("third card", timeout=PATIENCE)
+    tab.locator("input.mantine-TextInput-input").last.fill("third card", timeout=PATIENCE)
     for button in ("Tare", "Mark", "Start", "Stop"):
         tab.locator("button", has_text=button).dispatch_event("click")
     asked = []
