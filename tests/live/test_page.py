@@ -190,12 +190,12 @@ def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
     tab.get_by_text("stale: nothing read for", exact=False).first.wait_for(timeout=PATIENCE)
     tab.locator("input.mantine-TextInput-input").last.fill("third card", timeout=PATIENCE)
-    for button in ("Tare", "Mark", "Start", "Stop"):
-        tab.locator("button", has_text=button).dispatch_event("click")
     asked = []
-    until(lambda: asked.extend(view.requests.taken()) or len(asked) >= 4)
-    assert {request.wish for request in asked} == {"tare", "mark", "start recording", "stop recording"}
-    assert next(request.text for request in asked if request.wish == "mark") == "third card"
+    for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
+        tab.locator("button", has_text=button).dispatch_event("click")
+        until(lambda: asked.extend(view.requests.taken()) or len(asked) > i)  # noqa: B023
+    assert [request.wish for request in asked] == ["tare", "mark", "start recording", "stop recording"]
+    assert asked[1].text == "third card"
     assert tab.locator("text=Share").count() == 0
     outside = [url for url in tab.foreign if not url.startswith((view.url, "data:", "blob:"))]
     assert outside == []  # no request to the internet
