@@ -14,6 +14,7 @@ from benchmarks import (
     recording,
     rod,
     start,
+    view,
 )
 from benchmarks.timing import print_machine
 
@@ -28,6 +29,7 @@ PARTS = {
     "export": export.report,
     "live": live.report,
     "recording": recording.report,
+    "view": view.report,
 }
 
 

@@ -8,6 +8,8 @@ from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.sink import Sink
 
+Say = Callable[[str], None]
+
 
 class Sinks:
     """A sink of sinks. One that fails is dropped, with one line to the others, and the run goes on."""
@@ -42,13 +44,11 @@ class Sinks:
         """The run ends: every sink is closed, whatever becomes of the others, the last first, so that they can
         still say something."""
         while self._sinks:
-            last = self._sinks[-1]
+            last = self._sinks.pop()
             try:
                 last.close()
             except Exception as error:
-                self._drop(last, error)
-            if last in self._sinks:
-                self._sinks.remove(last)
+                self.say(f"{type(last).__name__} cannot be closed: {error} ({type(error).__name__})")
 
     def _each(self, call: Callable[[Sink], None]) -> None:
         for sink in tuple(self._sinks):
