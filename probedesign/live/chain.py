@@ -117,15 +117,11 @@ class Chain:
             return True
         if self._rate / self._plan.samples > MANY:
             fits = self._estimator.model.averaging_samples
-            self._say(
-                self._now, f"{self._rate:.0f} readings/s: --average {fits} is what the probe's noise counts"
-            )
+            self._say(f"{self._rate:.0f} readings/s: --average {fits} is what the probe's noise counts")
         if self._plan.filter_hz is not None:
             self._low_pass = LowPass(self._plan.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
-            self._say(
-                self._now, f"low-pass {self._plan.filter_hz:g} Hz: estimates tell of {delay:.1f} ms before"
-            )
+            self._say(f"low-pass {self._plan.filter_hz:g} Hz: estimates tell of {delay:.1f} ms before")
         self._anew()
         return True
 

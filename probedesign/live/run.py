@@ -60,22 +60,32 @@ def estimate_stream(
 def _answers(
     chain: Chain, blocks: Iterator[Block], say: Say, sink: Sink | None, requests: Requests | None
 ) -> Iterator[Answer]:
-    """Answers block by block, and what is asked for between two."""
+    """Answers block by block, and what is asked for meanwhile."""
     for block in blocks:
         if sink is not None:
             sink.read(block)
-        yield from chain.take(block)
-        for request in requests.taken() if requests is not None else ():
-            match request.wish:
-                case "tare":
-                    chain.take_tare()
-                case "mark":
-                    say(f"mark: {request.text}")
-                case "stop":
-                    return
-                case _:
-                    say(f"{request.wish} is not possible here")
+        for answer in chain.take(block):
+            yield answer
+            if _asked_to_stop(chain, say, requests):
+                return
+        if _asked_to_stop(chain, say, requests):
+            return
     yield from chain.ended()
+
+
+def _asked_to_stop(chain: Chain, say: Say, requests: Requests | None) -> bool:
+    """Do what is asked for; whether that is the end."""
+    for request in requests.taken() if requests is not None else ():
+        match request.wish:
+            case "tare":
+                chain.take_tare()
+            case "mark":
+                say(f"mark: {request.text}")
+            case "stop":
+                return True
+            case _:
+                say(f"{request.wish} is not possible here")
+    return False
 
 
 def count_results(answers: Iterable[str]) -> dict[str, int]:

@@ -55,9 +55,7 @@ def told_poses(motion, late=0.0, latency=0.0):
 def run(estimator, stream, poses=None, plan=None, ask=()):
     """Answers, events and the chain; `ask` holds times at which a tare is asked for."""
     lines, asked = [], list(ask)
-    chain = Chain(
-        estimator, plan or Plan(Window(0.0, 2.0), SAMPLES, 25.0), poses, lambda t, line: lines.append(line)
-    )
+    chain = Chain(estimator, plan or Plan(Window(0.0, 2.0), SAMPLES, 25.0), poses, lines.append)
     answers = []
     for block in stream:
         answers += chain.take(block)
