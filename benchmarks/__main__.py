@@ -1,9 +1,21 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
+"""`python -m benchmarks [NAME ...]`: all parts or some, as `PARTS` names them."""
 
 import argparse
 import sys
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
+from benchmarks import (
+    detection,
+    estimation,
+    export,
+    live,
+    optimisation,
+    peak,
+    prediction,
+    recording,
+    rod,
+    start,
+    view,
+)
 from benchmarks.timing import print_machine
 
 PARTS = {
@@ -16,6 +28,8 @@ PARTS = {
     "optimisation": optimisation.report,
     "export": export.report,
     "live": live.report,
+    "recording": recording.report,
+    "view": view.report,
 }
 
 
