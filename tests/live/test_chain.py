@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
+from probedesign.errors import InputError
 from probedesign.estimator.detector import DRIFT_STEPS
 from probedesign.frames import pose
 from probedesign.live.block import Block
 from probedesign.live.box import scene
 from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
+from probedesign.live.box.robot import Robot
 from probedesign.live.chain import Chain
 from probedesign.live.phases import SPAN
 from probedesign.live.plan import Plan
 from probedesign.live.pose.poses import Poses
 from probedesign.live.pose.timed import TimedPose, of_matrix
+from probedesign.live.pose.words import pose_of_json
 from probedesign.live.tare import Window
 
 RATE, SAMPLES = 500.0, 5
@@ -273,3 +276,19 @@ def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion
         expected = motion.model.to_base(motion.wrench_sensor(at)[0], motion.model.gravity_base)
         std = np.sqrt(np.diag(motion.model.noise_base()))
         assert (np.abs(a.wrench_base - expected) < 5.0 * std).all()
+
+
+def test_the_robot_of_the_simulated_box_is_heard_in_an_upright_world(motion):
+    """What it sends, read as a robot's: gravity is down there, and the way is the base's."""
+    model = motion.model
+    told = [pose_of_json(Robot(motion, float, "127.0.0.1:1").datagram(t, t))[0] for t in (0.0, 7.0, 7.01)]
+    poses = Poses("robot", told)
+    assert poses.gravity(poses.at(0.0)) == pytest.approx(model.gravity_base, abs=1e-9)
+    way = poses.at(7.0)[:3, :3].T @ (poses.at(7.0) - poses.at(0.0))[:3, 3]
+    assert way == pytest.approx(motion.p_world_base(np.array([7.0]))[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("to", ["", "127.0.0.1", ":1", "127.0.0.1:0", "127.0.0.1:port"])
+def test_a_robot_needs_an_address(to, motion):
+    with pytest.raises(InputError, match="--pose-to"):
+        Robot(motion, float, to)
