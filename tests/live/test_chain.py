@@ -125,7 +125,8 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
 
 def test_poses_that_come_later_than_stated_are_noticed(estimator, motion):
     """The base stops in the middle of 20 ms of readings' own time: told to a fifth of the 60 ms that it is off."""
-    _, lines, _ = run(estimator, touch(motion), told_poses(motion, late=0.060))
+    stream = (b for b in touch(motion) if b.time[-1] < REST + MOVE + PRESS + 2.0 * SPAN)
+    _, lines, _ = run(estimator, stream, told_poses(motion, late=0.060))
     (said,) = [line for line in lines if "--pose-latency-ms" in line]
     assert "rather than 0?" in said
     assert 48.0 <= float(said.split("is it --pose-latency-ms ")[1].split()[0]) <= 72.0
@@ -234,9 +235,9 @@ def test_a_tare_that_is_touched_meanwhile_is_refused(estimator, motion):
 def test_the_first_tare_may_be_asked_for(estimator, motion):
     """Before it the bias looks like a touch, and does not stand in its way."""
     stream = (b for b in touch(motion) if b.time[-1] < 4.0)
-    answers, _, chain = run(estimator, stream, None, Plan(samples=SAMPLES, rate=5.0), ask=[1.0])
+    answers, _, chain = run(estimator, stream, None, Plan(samples=SAMPLES, rate=1.0), ask=[1.0])
     assert chain.tare is not None and answers[-1].estimate.result == "no_contact"
-    assert answers[0].phase in ("touching", "settled") and answers[-1].phase == "free"
+    assert answers[1].phase in ("touching", "settled") and answers[-1].phase == "free"
 
 
 def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):
@@ -259,7 +260,7 @@ def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_bias_that_walks_is_no_touch(seed, estimator, motion):
     """As fast as the test for touches allows for: since the tare, and over a touch in which nothing could follow it."""
-    _, _, chain = run(estimator, touch(motion, walk=DRIFT_STEPS, seed=seed), told_poses(motion))
+    _, _, chain = run(estimator, touch(motion, walk=DRIFT_STEPS, seed=seed))
     assert len(chain.contacts) == 1 and chain.contacts[0].settled
 
 

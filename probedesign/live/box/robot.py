@@ -37,10 +37,10 @@ class Robot:
         self._motion, self._gone = motion, gone
         try:
             parts = urlsplit(f"//{to}")
-            self._to = (socket.gethostbyname(parts.hostname or ""), parts.port or 0)
+            self._to = (socket.gethostbyname(parts.hostname) if parts.hostname else "", parts.port or 0)
         except (ValueError, OSError):
             self._to = ("", 0)
-        if not self._to[1]:
+        if not all(self._to):
             raise InputError(f"--pose-to {to} must be HOST:PORT, as 127.0.0.1:30010")
         self._R = upright(motion.model.gravity_base)
         self._ended = threading.Event()
