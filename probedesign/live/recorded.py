@@ -11,6 +11,7 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
+from probedesign.live.ati_demo import is_ati_demo, read_ati_demo
 from probedesign.live.bag import Attached, Bag, is_bag, open_bag
 from probedesign.live.bag_wrenches import Published, find_wrenches
 from probedesign.live.block import Block
@@ -89,7 +90,7 @@ def open_recording(path: Path, model: ProbeModel, choice: Choice | None = None) 
 def _table(path: Path, model: ProbeModel, choice: Choice) -> Recorded:
     if choice.topic:
         raise InputError(f"{path}: has no topic {choice.topic!r}: it is no ROS 2 bag")
-    recording = read_recording(path)
+    recording = read_ati_demo(path) if is_ati_demo(path) else read_recording(path)
     hurt = recording.notes if recording.gaps or recording.dropped_lines else ()
     return Recorded(path, f"{len(recording.time)} readings", recording.frame, recording.notes,
                     lambda: _rows(recording, model), lambda: hurt)  # fmt: skip
