@@ -38,13 +38,14 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--minutes", type=float, default=live.MINUTES, help="how long live streams")
+    parser.add_argument("--view", action="store_true", help="live with its page open")
     said = parser.parse_args(arguments)
     unknown = [name for name in said.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     print_machine()
     for name in said.parts or PARTS:
-        live.report(said.minutes) if name == "live" else PARTS[name]()
+        live.report(said.minutes, said.view) if name == "live" else PARTS[name]()
     return 0
 
 

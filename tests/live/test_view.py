@@ -278,11 +278,12 @@ def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
     rows[:, 0] = np.arange(40_000) / 1000.0
     rows[::2, 7] = np.nan
     assert charts.add(rows)
-    time, *_ = charts.place()
+    time, s, low, high = charts.lines()["place"]
+    assert np.isnan([s, low, high]).any() and np.isfinite([s, low, high]).any()
     assert 400 <= len(time) <= 450 and charts.window() == pytest.approx((time[-1] - 15.0, time[-1]))
     assert not charts.add(rows[:0])
     assert charts.add(np.zeros((1, len(STRIP))))  # another run's clock
-    assert len(charts.push()[0]) == 1
+    assert len(charts.lines()["push"][0]) == 1
 
 
 # terminal
