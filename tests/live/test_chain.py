@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from probedesign.estimator.detector import DRIFT_STEPS
 from probedesign.frames import pose
 from probedesign.live.block import Block
 from probedesign.live.box import scene
@@ -28,10 +29,11 @@ def motion(estimator):
         return Motion(estimator.model, scene.press_scene(estimator.model, "edge"))
 
 
-def blocks(model, wrench_sensor, time, size=25, seed=1):
-    """Blocks of single samples with their noise, of (n, 6) at (n,)."""
-    std = np.sqrt(np.diag(model.noise.covariance()) * SAMPLES)
-    read = wrench_sensor + std * np.random.default_rng(seed).standard_normal((len(time), 6))
+def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):
+    """Blocks of single samples with their noise, of (n, 6) at (n,); `walk` of their bias in a second, over it."""
+    rng, std = np.random.default_rng(seed), np.sqrt(np.diag(model.noise.covariance()) * SAMPLES)
+    read = wrench_sensor + std * rng.standard_normal((len(time), 6))
+    read += walk * std * np.cumsum(rng.standard_normal((len(time), 6)), axis=0) / np.sqrt(RATE)
     for i in range(0, len(time), size):
         part = slice(i, i + size)
         unknown = np.full(len(time[part]), np.nan)
@@ -249,6 +251,13 @@ def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):
     answers, _, _ = run(estimator, spoiled(), None, Plan(Window(0.0, 0.3), SAMPLES))
     bad = [a for a in answers if a.reading.fault]
     assert len(bad) == 1 and bad[0].estimate.result == "out_of_range" and bad[0].phase == ""
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bias_that_walks_is_no_touch(seed, estimator, motion):
+    """As fast as the test for touches allows for: since the tare, and over a touch in which nothing could follow it."""
+    _, _, chain = run(estimator, touch(motion, walk=DRIFT_STEPS, seed=seed), told_poses(motion))
+    assert len(chain.contacts) == 1 and chain.contacts[0].settled
 
 
 def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion):
