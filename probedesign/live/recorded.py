@@ -18,7 +18,7 @@ from probedesign.live.block import Block
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.recording import Recording, read_recording
 from probedesign.live.recording_columns import CEILING
-from probedesign.live.recording_table import Frame, shown
+from probedesign.live.recording_table import Frame, plain, shown
 from probedesign.units import MM
 
 MomentUnit = Literal["Nm", "Nmm"]
@@ -126,7 +126,7 @@ def _own(bag: Attached, model: ProbeModel, choice: Choice) -> Recorded:
         return tuple(told)
 
     about = bag.metadata[OURS]
-    what = f"recorded {about.get('started', '')[:30]} from {about.get('source', '')[:100]}"
+    what = f"recorded {plain(about.get('started', ''))} from {plain(about.get('source', ''))}"
     return Recorded(bag.path, what, "sensor", notes, lambda: _checked(bag.path, blocks), lacking)
 
 
@@ -156,7 +156,9 @@ def _foreign(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
     published = find_wrenches(bag, choice.topic)
     named: Frame = "base" if published.frame_id == "base" else "sensor"
     frame = choice.frame or named
-    notes = [f"topic {published.channel.topic}, frame {shown(published.frame_id)}, taken for the {frame}'s"]
+    notes = [
+        f"topic {plain(published.channel.topic)}, frame {shown(published.frame_id)}, taken for the {frame}'s"
+    ]
     if published.unstamped:
         notes.append("its headers hold no time: the time of recording counts")
     notes += _check_unit(published, model, choice)
@@ -170,7 +172,7 @@ def _foreign(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
                 wrench = model.to_sensor(wrench, model.gravity_base)
             yield Block(time, wrench, model.gravity_base, unread[: len(time)])
 
-    return Recorded(bag.path, f"topic {published.channel.topic}", frame, tuple(notes),
+    return Recorded(bag.path, f"topic {plain(published.channel.topic)}", frame, tuple(notes),
                     lambda: _checked(bag.path, blocks()),
                     lambda: (f"not whole: {bag.damage}",) if bag.damage else ())  # fmt: skip
 

@@ -68,6 +68,11 @@ def shown(text: str) -> str:
     return quoted if len(quoted) <= 40 else quoted[:37] + "..."
 
 
+def plain(text: str, most: int = 100) -> str:
+    """A piece of a file as it may stand in a sentence: nothing that a terminal obeys, never long."""
+    return "".join(c for c in text[:most] if c.isprintable())
+
+
 def read_text(path: Path) -> str:
     """The text of a file.
 
