@@ -209,7 +209,7 @@ def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--source", "netfd://host"], "there are netft://HOST, replay:FILE and sim:"),
+        (["--source", "netfd://host"], "replay:FILE and sim:"),
         (["--source", "sim:?force=1"], "did you mean force_mN?"),
         (["--source", SIM, "--rate-hz", "nan"], "--rate-hz nan must be positive"),
         (["--source", SIM, "--seconds", "0"], "--seconds 0.0 must be positive"),
