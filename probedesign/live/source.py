@@ -6,33 +6,35 @@ from typing import Protocol
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.live.block import Block
+from probedesign.live.daq.source import DAQ
 from probedesign.live.netft.source import NetFT
-from probedesign.live.reading import Reading
 from probedesign.live.replay import Replay
 from probedesign.live.simulate import Simulation
 
 
 class Source(Protocol):
-    """Where readings come from. Iterating opens it; closing the iterator closes it."""
+    """Where readings come from, raw. Iterating opens it; closing the iterator closes it."""
 
     title: str
     """One line that says what it is."""
     notes: tuple[str, ...]
     """What a user should know of it, each one line."""
 
-    def __iter__(self) -> Generator[Reading, None, None]:
-        """Readings in order of time, each as soon as it is there."""
+    def __iter__(self) -> Generator[Block, None, None]:
+        """Readings in order of time, a few at once, each block as soon as it is there; while a sensor is silent,
+        blocks without readings."""
         ...
 
 
-SOURCES = "netft://HOST, replay:FILE and sim:"
+SOURCES = "netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE and sim:"
 
 
 def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambda line: None) -> Source:
     """The source that a specification names.
 
     Args:
-        spec: `netft://HOST[:PORT]`, `replay:FILE?speed=max` or `sim:?name=value&...`.
+        spec: `netft://HOST[:PORT]`, `daq://Dev1/ai0:5?cal=FILE`, `replay:FILE?speed=max` or `sim:?name=value&...`.
         model: the probe on the sensor.
         say: takes each line that a user should know while it runs: what is late, lost or broken.
 
@@ -48,10 +50,10 @@ def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambd
         case "sim":
             raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {place!r}")
         case "replay":
-            return Replay(model, Path(place), query)
+            return Replay(model, Path(place), query, say)
         case "netft":
             return NetFT(model, place, query, say)
         case "daq":
-            raise InputError(f"source {scheme}: is not in this version; there are {SOURCES}")
+            return DAQ(model, place, query, say)
         case _:
             raise InputError(f"source {spec!r} is not known; there are {SOURCES}")
