@@ -20,8 +20,10 @@ drop_stale(Path(__file__).parent)
 MOST = 8
 """Places that one reading is fitted from at most, the likeliest ones."""
 FITTED, FOUND, TOLD = 0, 1, 1 + STATE
-"""Where in a row stand what became of its fit, the unknowns found (STATE), and the answer (ANSWER)."""
-ROW = TOLD + ANSWER
+FROM = TOLD + ANSWER
+"""Where in a row stand what became of its fit, the unknowns found (STATE), the answer (ANSWER), and the arclength of
+the place of the trace that it was fitted from [m]."""
+ROW = FROM + 1
 LIKELY, SHARE = 8.0, 0.05
 """Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 force's lever together, and over the moment itself. Of 3600 touches of random probes, up to where they give way, no
@@ -40,11 +42,11 @@ WORK = _SWEEP + 3 * UNKNOWNS + 15 * (UNKNOWNS + 1) + SPREAD_WORK
 
 def room_for(knots: int) -> int:
     """Numbers that `fit_everywhere` works in, of a rod with so many knots."""
-    return WORK + trace.ROOM + knots
+    return WORK + trace.ROOM + knots + 1
 
 
 @merged
-def _fit(body, end, gravity, weight, wrench, whiten, most, work, row):
+def _fit(body, end, gravity, weight, wrench, whiten, most, rough, work, row):
     """Fit from the guess in a row, and fill it."""
     a = LOAD
     b = a + STEP_WORK
@@ -58,7 +60,7 @@ def _fit(body, end, gravity, weight, wrench, whiten, most, work, row):
     row[FITTED] = locate_contact(
         body, gravity, weight, wrench, whiten, 0.0, end, most, work[:a], work[a:b], work[g:g], work[b:c],
         work[c:d], work[d:e], work[e:f].reshape((3, UNKNOWNS)), work[f:g].reshape((15, UNKNOWNS + 1)),
-        work[g : g + SPREAD_WORK], row[FOUND:TOLD], row[TOLD:],
+        work[g : g + SPREAD_WORK], row[FOUND:TOLD], rough, row[TOLD:FROM],
     )  # fmt: skip
 
 
@@ -74,14 +76,17 @@ def fit_near(body, end, gravity, weight, wrench, whiten, work, row):
         work: scratch, (WORK,) or more.
         row: the guess where its unknowns stand, filled, (ROW,).
     """
-    _fit(body, end, gravity, weight, wrench, whiten, MAX_ITERATIONS, work, row)
+    _fit(body, end, gravity, weight, wrench, whiten, MAX_ITERATIONS, False, work, row)
 
 
 @kernel
-def fit_everywhere(body, end, gravity, weight, wrench, whiten, work, rows):
+def fit_everywhere(body, end, gravity, weight, wrench, whiten, known, rough, work, rows):
     """Fit contacts wherever the trace says that one may lie, the likeliest place first.
 
     Args:
+        known: rows of this before for the same wrench with another whitening and this scratch, untouched since, which
+            fits then start from; none at first, (n, ROW).
+        rough: whether covariances are not asked for beyond the first order.
         work: scratch, (room_for(knots),).
         rows: filled, (MOST, ROW).
         The others as in `fit_near`.
@@ -90,8 +95,11 @@ def fit_everywhere(body, end, gravity, weight, wrench, whiten, work, rows):
         How many rows.
     """
     room = work[WORK:]
+    drawn = room.shape[0] - 1
     force, g = minus(take(wrench, 0), take(weight, 0)), take(gravity, 0)
-    reached = trace.trace(body, end, g, force, take(wrench, 3), work, room)
+    if known.shape[0] == 0:
+        room[drawn] = trace.trace(body, end, g, force, take(wrench, 3), work, room)
+    reached = int(room[drawn])
     places, fitted = _places(end, wrench, whiten, room, reached, rows), 0
     for k in range(places):
         s, likely = rows[k, FOUND], rows[k, TOLD] > 0.0
@@ -99,14 +107,27 @@ def fit_everywhere(body, end, gravity, weight, wrench, whiten, work, rows):
             continue
         for back in BACK:
             row, start, status = rows[fitted], max(s - back * end, 0.0), LOST
-            if trace.guess(body, end, g, force, work, room, start, reached, row[FOUND:TOLD]):
+            begun = back == 0.0 and _recalled(known, s, row)
+            if begun or trace.guess(body, end, g, force, work, room, start, reached, row[FOUND:TOLD]):
                 most = MAX_ITERATIONS if k == 0 else FEW
-                _fit(body, end, gravity, weight, wrench, whiten, most, work, row)
+                _fit(body, end, gravity, weight, wrench, whiten, most, rough, work, row)
                 status = int(row[FITTED])
+            row[FROM] = s
             if k > 0 or status in (FIT, AT_END):
                 break
         fitted += status != LOST
     return fitted
+
+
+@inner
+def _recalled(known, s, row):
+    """Whether a row is known that was fitted from the trace's place at s; its unknowns are then the guess."""
+    for n in range(known.shape[0]):
+        if known[n, FROM] == s and known[n, FITTED] <= AT_END:
+            for q in range(FOUND, TOLD):
+                row[q] = known[n, q]
+            return True
+    return False
 
 
 @inner
