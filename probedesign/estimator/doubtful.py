@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.fit import PLACE
 from probedesign.estimator.likelihood import Fitter
 from probedesign.estimator.observation import Observation
-from probedesign.estimator.weighing import Weighing
+from probedesign.estimator.weighing import Causes, Weighing
 from probedesign.frames import Array
 
 NEAR = 0.05
@@ -18,19 +17,19 @@ ROUNDS = 3
 """How often they are told anew at most."""
 
 
-def locate(doubts: Doubts, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
+def locate(causes: Causes, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
     """The contacts of greatest likelihood, weighed by the reading's noise and the probe's tolerances together.
 
     What the tolerances do to a reading depends on where it is touched, so they are weighed as at the place that the
     noise alone makes likeliest, and once more where that leads elsewhere.
 
     Args:
-        doubts: of the probe under the reading's gravity.
+        causes: of doubt, under the reading's gravity.
         seen: the reading, with its noise alone.
         near: a neighbouring reading's place, as for `likelihood.locate`.
     """
-    rod = doubts.model.rod
-    fitter, weighing = Fitter(rod, seen), Weighing(doubts, seen)
+    rod = causes.model.rod
+    fitter, weighing = Fitter(rod, seen), Weighing(causes, seen)
     place = fitter.likeliest() if near is None else _unknowns(near)
     found: list[Candidate] = []
     for _ in range(ROUNDS):

@@ -10,7 +10,6 @@ it by the gain G = P (Jᵀ Σ⁻¹ J)⁻¹ Jᵀ Σ⁻¹, so that the point is kn
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from probedesign.estimator.causes import Answers, answers_of, by_turns, free_ans
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
-from probedesign.frames import Array, inverse, wrench_map
+from probedesign.frames import Array
 from probedesign.rod.contacts import contacts_at
 
 
@@ -50,16 +49,6 @@ class Doubt:
         gain = (self.P / scale) @ np.linalg.pinv(white / scale) @ whiten
         off = gain @ self.wrench - self.point
         return np.asarray(gain @ noise @ gain.T + off @ off.T)
-
-
-class Arrays(NamedTuple):
-    """What the compiled weighing needs of doubts, contiguous; its docstring says what they are."""
-
-    drift: Array
-    own: Array
-    turns: Array
-    hanging: Array
-    still: Array
 
 
 @dataclass(frozen=True)
@@ -111,13 +100,6 @@ class Doubts:
         own = np.concatenate(list(parameters_of(self.model.rod, self.tolerances).values()))
         turns = np.concatenate(list(turns_of(self.gravity, self.tolerances).values()))
         return own[own.any(axis=1)], turns[turns.any(axis=1)]
-
-    @cached_property
-    def arrays(self) -> Arrays:
-        """The same as the compiled weighing takes it."""
-        hanging = wrench_map(inverse(self.model.T_sensor_base)) @ self.model.hanging_by_gravity
-        parts = self.drift, *self._steps, hanging, self.still
-        return Arrays(*(np.ascontiguousarray(part) for part in parts))
 
     def _moved(self, answers: Answers) -> tuple[Array, Array]:
         """Of reading and point, told in the model's base frame, by every cause, (n, 6, j) and (n, 3, j)."""

@@ -41,7 +41,7 @@ WORK = _SWEEP + 3 * UNKNOWNS + 15 * (UNKNOWNS + 1) + SPREAD_WORK
 
 
 def room_for(knots: int) -> int:
-    """Numbers that `fit_everywhere` works in, of a rod with so many knots."""
+    """Numbers that `fit_contacts` works in, of a rod with so many knots."""
     return WORK + trace.ROOM + knots + 1
 
 
@@ -65,58 +65,54 @@ def _fit(body, end, gravity, weight, wrench, whiten, most, rough, work, row):
 
 
 @kernel
-def fit_near(body, end, gravity, weight, wrench, whiten, work, row):
-    """Fit a contact from a guess.
+def fit_contacts(body, end, gravity, weight, wrench, whiten, near, known, rough, work, rows):
+    """Fit contacts from a guess alone, or wherever the trace says that one may lie, the likeliest place first.
 
     Args:
         body: of the rod; end: the furthest arclength at which a touch acts [m].
         gravity: [m/s²], (3,); weight: of the flexible part [N], (3,).
         wrench: read at the base, (6,).
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
-        work: scratch, (WORK,) or more.
-        row: the guess where its unknowns stand, filled, (ROW,).
-    """
-    _fit(body, end, gravity, weight, wrench, whiten, MAX_ITERATIONS, False, work, row)
-
-
-@kernel
-def fit_everywhere(body, end, gravity, weight, wrench, whiten, known, rough, work, rows):
-    """Fit contacts wherever the trace says that one may lie, the likeliest place first.
-
-    Args:
-        known: rows of this before for the same wrench with another whitening and this scratch, untouched since, which
-            fits then start from; none at first, (n, ROW).
+        near: whether the guess stands where the first row's unknowns do; nothing is traced then.
+        known: rows traced before for the same wrench with another whitening and this scratch, which fits then start
+            from; none at first, (n, ROW).
         rough: whether covariances are not asked for beyond the first order.
         work: scratch, (room_for(knots),).
-        rows: filled, (MOST, ROW).
-        The others as in `fit_near`.
+        rows: filled, (m, ROW).
 
     Returns:
         How many rows.
     """
-    room = work[WORK:]
-    drawn = room.shape[0] - 1
+    room, reached, places, fitted = work[WORK:], 0, 1, 0
     force, g = minus(take(wrench, 0), take(weight, 0)), take(gravity, 0)
-    if known.shape[0] == 0:
-        room[drawn] = trace.trace(body, end, g, force, take(wrench, 3), work, room)
-    reached = int(room[drawn])
-    places, fitted = _places(end, wrench, whiten, room, reached, rows), 0
+    if not near:
+        reached = _traced(body, end, g, force, wrench, known.shape[0] > 0, work, room)
+        places = _places(end, wrench, whiten, room, reached, rows)
     for k in range(places):
-        s, likely = rows[k, FOUND], rows[k, TOLD] > 0.0
+        s, likely = rows[k, FOUND], near or rows[k, TOLD] > 0.0
         if k > 0 and not likely:
             continue
         for back in BACK:
             row, start, status = rows[fitted], max(s - back * end, 0.0), LOST
-            begun = back == 0.0 and _recalled(known, s, row)
+            begun = near or (back == 0.0 and _recalled(known, s, row))
             if begun or trace.guess(body, end, g, force, work, room, start, reached, row[FOUND:TOLD]):
                 most = MAX_ITERATIONS if k == 0 else FEW
                 _fit(body, end, gravity, weight, wrench, whiten, most, rough, work, row)
                 status = int(row[FITTED])
             row[FROM] = s
-            if k > 0 or status in (FIT, AT_END):
+            if near or k > 0 or status in (FIT, AT_END):
                 break
         fitted += status != LOST
     return fitted
+
+
+@inner
+def _traced(body, end, gravity, force, wrench, before, work, room):
+    """How far the trace reaches that stands in its room, drawn now if not before."""
+    drawn = room.shape[0] - 1
+    if not before:
+        room[drawn] = trace.trace(body, end, gravity, force, take(wrench, 3), work, room)
+    return int(room[drawn])
 
 
 @inner

@@ -29,6 +29,7 @@ _SAME = 1e-5
 _ALIKE = 0.05
 """Likewise over a standard deviation; a fit ends within a hundredth or so."""
 _UNKNOWNS = slice(everywhere.FOUND, everywhere.TOLD)
+_NONE = np.empty((0, everywhere.ROW))
 
 
 def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
@@ -59,7 +60,7 @@ class Fitter:
     def __post_init__(self) -> None:
         """The memory that the kernels work in."""
         self._work = np.empty(everywhere.room_for(len(self.rod.body.knots)))
-        self._rows = np.empty((0, everywhere.ROW))
+        self._rows = _NONE
 
     @property
     def _reading(self) -> tuple[Any, ...]:
@@ -106,7 +107,7 @@ class Fitter:
     def _everywhere(self, rough: bool) -> Array:
         """Fits from wherever the trace says or, where it was asked before, from what was fitted there, (n, ROW)."""
         rows = np.empty((everywhere.MOST, everywhere.ROW))
-        count = everywhere.fit_everywhere(*self._reading, self._rows, rough, self._work, rows)
+        count = everywhere.fit_contacts(*self._reading, False, self._rows, rough, self._work, rows)
         self._rows = rows[:count]
         return self._rows
 
@@ -128,11 +129,11 @@ class Fitter:
 
     def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
         """The fit from one guess; None if there is no least misfit near."""
-        row = np.empty(everywhere.ROW)
-        state = row[_UNKNOWNS]
+        rows = np.empty((1, everywhere.ROW))
+        state = rows[0, _UNKNOWNS]
         state[: fit.PUSH], state[fit.PUSH : fit.PLACE], state[fit.PLACE] = tip, force, s
-        everywhere.fit_near(*self._reading, self._work, row)
-        return self._place(row)
+        everywhere.fit_contacts(*self._reading, True, _NONE, False, self._work, rows)
+        return self._place(rows[0])
 
     def _place(self, row: Array) -> Candidate | None:
         """What a fit has found, if it is a least misfit."""

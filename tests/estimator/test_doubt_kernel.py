@@ -11,7 +11,7 @@ from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.observation import Observation
 from probedesign.estimator.tolerances import Tolerances
-from probedesign.estimator.weighing import Weighing
+from probedesign.estimator.weighing import Causes, Weighing
 from probedesign.prediction.worlds import Worlds
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
@@ -77,10 +77,11 @@ def test_the_compiled_weighing_is_the_clear_one(shape, tared):
     model = model_of(shape)
     tolerances = replace(Tolerances.of(model), tared=tared)
     doubts = Doubts.of(model, GRAVITY, tolerances)
+    causes = causes_of(model, tolerances)
     for touch in TOUCHES:
         state, wrench = touch_of(model.rod, *touch)
         seen = seen_of(model, wrench)
-        weighing = Weighing(doubts, seen)
+        weighing = Weighing(causes, seen)
         assert weighing.at(state)
         clear = doubts.at([candidate_of(state)])[0]
         noise = seen.cov + doubts.drift
@@ -94,27 +95,29 @@ def test_the_compiled_weighing_is_the_clear_one(shape, tared):
         assert np.allclose(weighing.cov_point, cov, rtol=0.0, atol=5e-3 * np.abs(cov).max())
 
 
+def causes_of(model, tolerances, gravity=GRAVITY):
+    return Causes.of(model, tolerances, gravity, model.rod.solve(gravity))
+
+
 def test_a_touch_that_the_probe_cannot_hold_weighs_nothing():
     model = model_of("large")
-    doubts = Doubts.of(model, GRAVITY, Tolerances.of(model))
     state, wrench = touch_of(model.rod, 0.95, 0.01, 0.4)
-    weighing = Weighing(doubts, seen_of(model, wrench))
+    weighing = Weighing(causes_of(model, Tolerances.of(model)), seen_of(model, wrench))
     state[6:9] *= 1e4
     assert not weighing.at(state)
 
 
-def test_the_free_probe_weighs_nothing_once_tared():
-    """What a tare has taken away is gone: untouched, the causes that are the rod's own do not move the reading."""
+@pytest.mark.parametrize("gravity", [GRAVITY, np.array([0.0, 0.0, -9.81])])
+def test_what_a_tare_takes_away_is_the_free_probe_s(gravity):
     model = model_of("large")
-    free = model.rod.solve(GRAVITY)
-    doubts = Doubts.of(model, GRAVITY, Tolerances.of(model))
-    weighing = Weighing(doubts, seen_of(model, free.wrench_base))
-    assert weighing.at(np.concatenate([free.tip, np.zeros(3), [model.rod.length]]))
-    bare = Doubts.of(model, GRAVITY, replace(Tolerances.of(model), tared=False))
-    raw = Weighing(bare, seen_of(model, free.wrench_base))
-    assert raw.at(np.concatenate([free.tip, np.zeros(3), [model.rod.length]]))
-    # As above: hundredths of a percent.
-    assert np.abs(weighing.wrench).max() < 1e-3 * np.abs(raw.wrench).max()
+    tolerances = Tolerances.of(model)
+    wanted = Doubts.of(model, gravity, tolerances).still
+    there = causes_of(model, tolerances).under(gravity, model.rod.solve(gravity))
+    for causes in (causes_of(model, tolerances, gravity), there):
+        # Hundredths of a percent, as above.
+        assert np.allclose(
+            causes.still, wanted, rtol=0.0, atol=1e-3 * np.abs(wanted).max(axis=1, keepdims=True)
+        )
 
 
 def test_the_estimate_is_the_likeliest_under_the_clear_doubts(probes):
