@@ -74,8 +74,9 @@ def fit_contacts(body, end, gravity, weight, wrench, whiten, near, known, rough,
         wrench: read at the base, (6,).
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
         near: whether the guess stands where the first row's unknowns do; nothing is traced then.
-        known: rows traced before for the same wrench with another whitening and this scratch, which fits then start
-            from; none at first, (n, ROW).
+        known: rows traced before for the same wrench with a narrower whitening and this scratch, (n, ROW); none at
+            first. Beside the likeliest place only theirs are then fitted again, from where they are: of 1300 touches
+            of probes drawn by their tolerances, no place that only these made likely explained the reading.
         rough: whether covariances are not asked for beyond the first order.
         work: scratch, (room_for(knots),).
         rows: filled, (m, ROW).
@@ -89,17 +90,17 @@ def fit_contacts(body, end, gravity, weight, wrench, whiten, near, known, rough,
         reached = _traced(body, end, g, force, wrench, known.shape[0] > 0, work, room)
         places = _places(end, wrench, whiten, room, reached, rows)
     for k in range(places):
-        s, likely = rows[k, FOUND], near or rows[k, TOLD] > 0.0
-        if k > 0 and not likely:
+        s, likely = rows[k, FOUND], rows[k, TOLD] > 0.0
+        begun = near or _recalled(known, s, rows[fitted])
+        if k > 0 and not (begun or (likely and known.shape[0] == 0)):
             continue
         for back in BACK:
             row, start, status = rows[fitted], max(s - back * end, 0.0), LOST
-            begun = near or (back == 0.0 and _recalled(known, s, row))
             if begun or trace.guess(body, end, g, force, work, room, start, reached, row[FOUND:TOLD]):
                 most = MAX_ITERATIONS if k == 0 else FEW
                 _fit(body, end, gravity, weight, wrench, whiten, most, rough, work, row)
                 status = int(row[FITTED])
-            row[FROM] = s
+            row[FROM], begun = s, False
             if near or k > 0 or status in (FIT, AT_END):
                 break
         fitted += status != LOST
@@ -117,9 +118,9 @@ def _traced(body, end, gravity, force, wrench, before, work, room):
 
 @inner
 def _recalled(known, s, row):
-    """Whether a row is known that was fitted from the trace's place at s; its unknowns are then the guess."""
+    """Whether a row is known that was fitted from the trace's place at s; where it ended is then the guess."""
     for n in range(known.shape[0]):
-        if known[n, FROM] == s and known[n, FITTED] <= AT_END:
+        if known[n, FROM] == s:
             for q in range(FOUND, TOLD):
                 row[q] = known[n, q]
             return True
