@@ -1,32 +1,31 @@
-"""`python -m benchmarks [rod|peak|start|estimation|detection|prediction|optimisation|export|live ...]`: all or some."""
+"""`python -m benchmarks [PART ...]`: all parts or some; an unknown name is told which there are."""
 
+import argparse
 import sys
+from importlib import import_module
 
-from benchmarks import detection, estimation, export, live, optimisation, peak, prediction, rod, start
 from benchmarks.timing import print_machine
 
-PARTS = {
-    "rod": rod.report,
-    "peak": peak.report,
-    "start": start.report,
-    "estimation": estimation.report,
-    "detection": detection.report,
-    "prediction": prediction.report,
-    "optimisation": optimisation.report,
-    "export": export.report,
-    "live": live.report,
-}
+PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "prediction", "optimisation", "export", "live",
+         "view")  # fmt: skip
+"""Modules, each imported when its turn comes: worker processes import this one again."""
 
 
-def main(names: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the parts named, all if none; the exit status."""
-    unknown = [name for name in names if name not in PARTS]
+    parser = argparse.ArgumentParser(prog="python -m benchmarks")
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
+    parser.add_argument(
+        "--minutes", type=float, help="how long live streams, a third of a minute if not said"
+    )
+    said = parser.parse_args(arguments)
+    unknown = [name for name in said.parts if name not in PARTS]
     if unknown:
-        print(f"benchmarks: error: no part '{unknown[0]}'; there are {', '.join(PARTS)}", file=sys.stderr)
-        return 2
+        parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     print_machine()
-    for name in names or PARTS:
-        PARTS[name]()
+    for name in said.parts or PARTS:
+        options = {"minutes": said.minutes} if name == "live" and said.minutes is not None else {}
+        import_module(f"benchmarks.{name}").report(**options)
     return 0
 
 

@@ -1,15 +1,18 @@
-"""Live over loopback: a simulated box sends 7000 records a second to `netft://`, estimator and recording on.
+"""Live over loopback: a simulated box in another process sends 7000 records a second to `netft://`.
 
-`PROBEDESIGN_LIVE_SECONDS=600` runs ten minutes. Box and reader are two processes on one machine, as nobody
-runs them, so what is lost in the kernel's buffer is lost to both.
+Box and reader share one machine, as nobody runs them, so what is lost in the kernel's buffer is lost to both.
 """
 
-import os
+import gc
 import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,70 +20,144 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
+from probedesign.estimator.estimator import Estimator
+from probedesign.live.answer import Answer
+from probedesign.live.block import Block
+from probedesign.live.box.box import OFF
 from probedesign.live.netft.source import NetFT
 from probedesign.live.recorder import Recorder
-from probedesign.live.run import Plan, estimate_stream, warm_up
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.sinks import RawRecording
 from probedesign.live.source import open_source
 from probedesign.live.tare import Window
+from probedesign.live.warm_up import warm_up
 from probedesign.probe import build_probe
 
-SECONDS = float(os.environ.get("PROBEDESIGN_LIVE_SECONDS", "20"))
+MINUTES = 1.0 / 3.0
 AVERAGE = 36
+TARE = Window(0.0, 3.0)
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
+PARTS = 10
+"""Of the run, for what grows."""
 
 
-def report() -> None:
-    """Print losses, latency and their growth."""
-    with tempfile.TemporaryDirectory() as folder:
-        bundle = Path(folder) / "large.probe.json"
+def report(minutes: float = MINUTES) -> None:
+    """Print losses, latency and their growth; then what a restart of the box does.
+
+    Args:
+        minutes: how long the records stream [min].
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        bundle = folder / "large.probe.json"
         write_frozen(build_probe(load_design(DESIGN)).model, bundle)
-        with _box(bundle) as box:
-            try:
-                _measure(bundle, _source(box), Path(folder) / "record.csv")
-            finally:
-                box.terminate()
+        estimator = load_estimator(bundle)
+        warm_up(estimator, print, fusing=True)
+        with _box(bundle) as spec:
+            _rate(estimator, spec, 60.0 * minutes, folder / "record.csv")
+        with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as spec:
+            _faults(estimator, spec, 20.0)
 
 
-def _measure(bundle: Path, spec: str, recording: Path) -> None:
-    estimator = load_estimator(bundle)
-    warm_up(estimator, print)
+@dataclass
+class Watched:
+    """A source, and when its blocks came.
+
+    Attributes:
+        source: whose blocks pass.
+        silences: from the last reading to the first block that tells silence, of each [s].
+        gaps: from the last reading before to the first after each [s].
+    """
+
+    source: NetFT
+    silences: list[float] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.title, self.notes = self.source.title, self.source.notes
+
+    def __iter__(self) -> Iterator[Block]:
+        last, quiet = np.nan, False
+        for block in self.source:
+            if len(block) == 0 and not quiet:
+                self.silences.append(time.monotonic() - last)
+            if len(block) and quiet:
+                self.gaps.append(float(block.received[0]) - last)
+            quiet = len(block) == 0
+            last = last if quiet else float(block.received[-1])
+            yield block
+
+
+def _rate(estimator: Estimator, spec: str, seconds: float, recording: Path) -> None:
     source = open_source(spec, estimator.model, print)
     assert isinstance(source, NetFT)
-    late, memory, plan = [], [], Plan(Window(0.0, 3.0), AVERAGE, seconds=SECONDS)
-    start, used = time.monotonic(), time.process_time()
+    late, memory = [], []
+    wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
     with Recorder(recording) as recorder:
-        for answer in estimate_stream(estimator, source, plan, print, recorder):
-            late.append(time.monotonic() - answer.reading.received)
-            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    wall, used = time.monotonic() - start, time.process_time() - used
-    counts, late_ms = source.counts, 1e3 * np.array(late)
-    half = len(late) // 2
+        for answer in estimate_stream(
+            estimator, source, Plan(TARE, AVERAGE, seconds=seconds), print, RawRecording(recorder)
+        ):
+            late.append(1e3 * (time.monotonic() - answer.reading.received))
+            memory.append(_resident())
+    wall, cpu = time.monotonic() - wall, time.process_time() - cpu
+    counts, parts = source.counts, [float(np.median(part)) for part in np.array_split(late, PARTS)]
+    tenth = len(memory) // PARTS
     lost = f"{counts['lost']} ({counts['lost'] / max(counts['received'], 1):.3%})"
-    halves = f"{np.median(late_ms[:half]):.2f}, {np.median(late_ms[half:]):.2f}"
     rows = [
         ["records", str(counts["received"]), ""],
         ["estimates a second", f"{len(late) / wall:.0f}", ""],
         ["dropped by our queue", str(counts["dropped"]), "0"],
         ["lost before it, in the kernel", lost, "< 1 %"],
-        ["latency, median [ms]", f"{np.median(late_ms):.2f}", "≤ 2"],
-        ["latency, 99.9 % [ms]", f"{np.percentile(late_ms, 99.9):.1f}", "≤ 20"],
-        ["latency, median of each half [ms]", halves, "does not grow"],
-        ["memory grew in the second half [MB]", f"{(memory[-1] - memory[half]) / 1024:.1f}", "flat"],
-        ["processor, of one core", f"{used / wall:.0%}", ""],
-    ]
-    title = f"live over loopback: {SECONDS:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded"
+        ["datagram to estimate, median [ms]", f"{np.median(late):.2f}", "≤ 2"],
+        ["datagram to estimate, 99.9 % [ms]", f"{np.percentile(late, 99.9):.1f}", "≤ 20"],
+        ["the latest [ms]", f"{max(late):.1f}", ""],
+        ["median of the first, the last tenth [ms]", f"{parts[0]:.2f}, {parts[-1]:.2f}", "does not grow"],
+        ["memory after a tenth, at the end [MB]", f"{memory[tenth]:.1f}, {memory[-1]:.1f}", "flat"],
+        ["wall, processor [s]", f"{wall:.1f}, {cpu:.1f} ({cpu / wall:.0%} of one core)", ""],
+        ["full collections of garbage", str(gc.get_stats()[2]["collections"] - collected), ""],
+    ]  # fmt: skip
+    title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded"
     print_table(title, ["", "measured", "target"], rows)
 
 
-def _box(bundle: Path) -> "subprocess.Popen[str]":
-    """A box in a process of its own, as `probedesign simulate` makes it."""
-    command = [sys.executable, "-m", "probedesign.cli.main", "simulate", str(bundle)]
-    return subprocess.Popen([*command, "--port", "0", "--http-port", "0"], stdout=subprocess.PIPE, text=True)
+def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
+    said: list[str] = []
+    source = open_source(spec, estimator.model, said.append)
+    assert isinstance(source, NetFT)
+    watched = Watched(source)
+    answers: list[Answer] = list(
+        estimate_stream(estimator, watched, Plan(TARE, AVERAGE, seconds=seconds), print)
+    )
+    back = ", ".join(f"{max(gap - OFF, 0.0):.2f}" for gap in watched.gaps)
+    after = Counter(a.estimate.result for a in answers if a.reading.stretch > 0)
+    stretches = [a.reading.stretch for a in answers]
+    rows = [
+        ["silence told after [ms]", ", ".join(f"{1e3 * s:.0f}" for s in watched.silences), "≤ 50"],
+        ["records again after the box is back [s]", back, "≤ 2"],
+        ["kept and told", str(sum("the tare is kept" in line for line in said)), str(len(watched.gaps))],
+        ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
+        ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
+    ]  # fmt: skip
+    print_table(f"the box restarts, then stalls, for {OFF:g} s each", ["", "measured", "target"], rows)
 
 
-def _source(box: "subprocess.Popen[str]") -> str:
-    assert box.stdout is not None
-    for line in box.stdout:
-        if "netft://" in line:
-            return line.split('"')[1]
-    raise RuntimeError("the box did not start")
+def _resident() -> float:
+    """Memory of this process now [MB]."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:  # no Linux: the most it ever had
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return pages * resource.getpagesize() / 2**20
+
+
+@contextmanager
+def _box(bundle: Path, *options: str) -> Iterator[str]:
+    """A box in a process of its own, as `probedesign simulate` makes it; what `--source` takes to read it."""
+    command = [sys.executable, "-m", "probedesign.cli.main", "simulate", str(bundle), *options]
+    box = subprocess.Popen([*command, "--port", "0", "--http-port", "0"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert box.stdout is not None
+        yield next(line.split('"')[1] for line in box.stdout if "netft://" in line)
+    finally:
+        box.terminate()
+        box.wait()

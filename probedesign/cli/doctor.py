@@ -18,6 +18,7 @@ ENABLES = {
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live on a Net F/T box",
+    "view": "live --view: the probe on a page",
 }
 """What the packages of an extra are for; "" is what the program cannot do without."""
 

@@ -25,6 +25,7 @@ def estimate(
     average: int = 1,
     mend: bool = False,
     manifest: Path | None = None,
+    exact_model: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Locate the contacts of a recording, one estimate a row.
@@ -41,17 +42,21 @@ def estimate(
         average: estimate from the means of so many readings.
         mend: go on with a recording that has gaps or half a line at its end.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
+            else they hold the tolerances of material, print and mount too.
         as_json: print one JSON document: the rows and all that is to know of them.
     """
     from probedesign.deployment import load_estimator
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
-    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.run import describe_counts
     from probedesign.live.tare import parse_window
+    from probedesign.live.warm_up import warm_up
 
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None
     estimator = load_estimator(bundle, manifest)
+    estimator = estimator if exact_model else estimator.with_tolerances()
     with working("loading the rod kernels"):
         warm_up(estimator, _say)
     estimates = estimate_recording(estimator, recording, window, average, _progress, mend)

@@ -1,4 +1,4 @@
-"""How well the things are known that a prediction counts with: standard deviations, each with where it comes from."""
+"""How well a probe, its mount and its sensor are known: standard deviations, each with where it comes from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -74,9 +74,11 @@ class Tolerances:
         """What a design says of them, the material's spread and creep where it says nothing, and else the defaults.
 
         Args:
-            model: of the probe.
+            model: of the probe; where it has tolerances of its own, they are it.
             said: by name; None where nothing is said.
         """
+        if model.tolerances is not None:
+            return model.tolerances
         spread = Unknowns.of(model)
         own = cls(youngs_modulus=spread.stiffness, shear_modulus=spread.stiffness,
                   creep=spread.creep or cls.creep)  # fmt: skip

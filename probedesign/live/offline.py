@@ -1,17 +1,20 @@
 """A recording in, one estimate a row out."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
-from probedesign.live.reading import Reading, averaged
+from probedesign.live.block import blocks_of
+from probedesign.live.flow import averaged
+from probedesign.live.reading import Reading
 from probedesign.live.recording import Recording, read_recording
 from probedesign.live.replay import readings_of
 from probedesign.live.row import COLUMNS, Row, csv_line, row
 from probedesign.live.run import count_results, describe_tare, locate
+from probedesign.live.spec import MOST
 from probedesign.live.tare import Tare, Window, split, take_tare
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
@@ -62,6 +65,7 @@ class Estimates:
             "average": self.samples,
             "noise_force_N": model.noise.force,
             "noise_moment_Nm": model.noise.moment,
+            "tolerances": self.estimator.tolerances and asdict(self.estimator.tolerances),
             "tare": tare and {
                 "start_s": tare.window.start,
                 "end_s": tare.window.end,
@@ -101,7 +105,7 @@ def estimate_recording(
     recording = read_recording(path)
     if not mend and (recording.gaps or recording.dropped_lines):
         raise InputError(f"{path}: {'; '.join(recording.notes)}; --mend goes on without what is missing")
-    readings = list(averaged(readings_of(recording, estimator.model), samples))
+    readings = list(averaged(blocks_of(readings_of(recording, estimator.model), MOST), samples))
     if not readings:
         raise InputError(f"{path}: holds {len(recording.time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None

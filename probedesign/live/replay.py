@@ -5,9 +5,11 @@ from pathlib import Path
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
-from probedesign.live.reading import Reading, paced
+from probedesign.live.block import Block, blocks_of
+from probedesign.live.flow import paced
+from probedesign.live.reading import Reading
 from probedesign.live.recording import Recording, read_recording
-from probedesign.live.spec import SPEED, parse_parameters
+from probedesign.live.spec import MOST, SPEED, TICK, parse_parameters
 
 PARAMETERS = {"speed": SPEED}
 
@@ -39,8 +41,9 @@ class Replay:
         self.title = f"replay of {path}, {len(self._recording.time)} readings"
         self.notes = self._recording.notes
 
-    def __iter__(self) -> Generator[Reading, None, None]:
-        return paced(readings_of(self._recording, self._model), self._speed)
+    def __iter__(self) -> Generator[Block, None, None]:
+        readings = readings_of(self._recording, self._model)
+        return paced(blocks_of(readings, MOST, TICK * self._speed), self._speed)
 
 
 def readings_of(recording: Recording, model: ProbeModel) -> Iterator[Reading]:

@@ -1,26 +1,29 @@
 """From readings to estimates: of a recording at once, or of a source as long as it runs."""
 
 import math
-import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 
+import numpy as np
+
 from probedesign.errors import InputError
 from probedesign.estimator.estimate import RESULTS, Estimate
 from probedesign.estimator.estimator import Estimator
+from probedesign.frames import Array
 from probedesign.live.answer import Answer
-from probedesign.live.reading import Reading, averaged, recorded, thinned, until
-from probedesign.live.recorder import Recorder
+from probedesign.live.block import Block
+from probedesign.live.flow import averaged, thinned, until
+from probedesign.live.reading import Reading
+from probedesign.live.requests import Requests
+from probedesign.live.sink import Sink
 from probedesign.live.source import Source
 from probedesign.live.tare import CHANNELS, Tare, Window, split, take_tare, without_bias
 
 Say = Callable[[str], None]
-
-PATIENCE = 6.0
-"""Kernels that take longer than this are not read from the cache but compiled [s]."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,12 @@ class Plan:
 
 
 def estimate_stream(
-    estimator: Estimator, source: Source, plan: Plan, say: Say, recorder: Recorder | None = None
+    estimator: Estimator,
+    source: Source,
+    plan: Plan,
+    say: Say,
+    sink: Sink | None = None,
+    requests: Requests | None = None,
 ) -> Generator[Answer, None, None]:
     """Estimates as the readings come.
 
@@ -59,23 +67,49 @@ def estimate_stream(
         source: of the readings; closed at the end, however that comes.
         plan: what to do with them.
         say: takes each line that a user should know.
-        recorder: takes every reading as it was read, before averaging and tare.
+        sink: takes every reading as it was read, before averaging and tare, and every answer.
+        requests: what a person asks meanwhile.
 
     Raises:
         InputError: the tare's window is no good, or the source fails.
     """
     with closing(iter(source)) as stream:
-        readings: Iterator[Reading] = stream if plan.seconds is None else until(stream, plan.seconds)
-        if recorder is not None:
-            readings = recorded(readings, recorder)
-        readings = averaged(readings, plan.samples)
+        blocks: Iterator[Block] = stream if plan.seconds is None else until(stream, plan.seconds)
+        readings = averaged(_fed(blocks, say, sink, requests), plan.samples)
         tare: Tare | None = None
         if plan.window is not None:
             inside, readings = split(readings, plan.window)
             tare = take_tare(inside, plan.window, estimator)
             say(describe_tare(tare))
         for reading in islice(thinned(readings, plan.rate), plan.count):
-            yield Answer(reading, locate(estimator, reading, tare))
+            answer = Answer(
+                reading,
+                locate(estimator, reading, tare),
+                wrench_base=_without_fault(estimator, reading, tare),
+                made=time.monotonic(),
+            )
+            if sink is not None:
+                sink.answered(answer)
+            yield answer
+
+
+def _fed(blocks: Iterable[Block], say: Say, sink: Sink | None, requests: Requests | None) -> Iterator[Block]:
+    """The same blocks, each given to the sink before it is passed on; ends when that is asked."""
+    for block in blocks:
+        if sink is not None:
+            sink.read(block)
+        yield block
+        for request in requests.taken() if requests is not None else ():
+            if request.wish == "stop":
+                return
+            say(f"mark: {request.text}" if request.wish == "mark" else f"{request.wish} is not possible here")
+
+
+def _without_fault(estimator: Estimator, read: Reading, tare: Tare | None) -> Array:
+    """What is estimated from, at the base, (6,); NaN where there is a fault."""
+    if read.fault:
+        return np.full(6, np.nan)
+    return estimator.model.to_base(without_bias(read, tare).wrench_sensor, read.gravity_base)
 
 
 def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:
@@ -85,21 +119,6 @@ def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Est
     reading = without_bias(read, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
     return estimator.estimate(wrench_base, reading.gravity_base)
-
-
-def warm_up(estimator: Estimator, say: Say) -> None:
-    """Load or compile the rod's kernels before anything is read, and say so if it takes long."""
-    model = estimator.model
-    notice = threading.Timer(PATIENCE, say, ["compiling the rod kernels, once, half a minute or so"])
-    notice.daemon = True
-    notice.start()
-    try:
-        weight = 10.0 * float(estimator.model.noise.force)
-        eq = model.rod.solve(model.gravity_base, (weight, 0.0, 0.0), 0.8 * model.rod.length)
-        if eq.ok:
-            estimator.estimate(eq.wrench_base)
-    finally:
-        notice.cancel()
 
 
 def describe_tare(tare: Tare) -> str:

@@ -8,8 +8,10 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
-from probedesign.live.reading import FREE, Reading, Truth, paced
-from probedesign.live.spec import SPEED, Parameter, parse_parameters
+from probedesign.live.block import Block, blocks_of
+from probedesign.live.flow import paced
+from probedesign.live.reading import FREE, Reading, Truth
+from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
 from probedesign.units import MILLINEWTON, MM
@@ -70,8 +72,8 @@ class Simulation:
             f"{said['seconds']:g} s at {self._rate:g} readings/s, noise seed {self._seed}"
         )
 
-    def __iter__(self) -> Generator[Reading, None, None]:
-        return paced(self._readings(), self._speed)
+    def __iter__(self) -> Generator[Block, None, None]:
+        return paced(blocks_of(self._readings(), MOST, TICK * self._speed), self._speed)
 
     def _readings(self) -> Iterator[Reading]:
         for where in np.linspace(min(WHERE), max(WHERE), 8):  # an unbearable force fails here, not halfway

@@ -6,22 +6,23 @@ from typing import Protocol
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.live.block import Block
 from probedesign.live.netft.source import NetFT
-from probedesign.live.reading import Reading
 from probedesign.live.replay import Replay
 from probedesign.live.simulate import Simulation
 
 
 class Source(Protocol):
-    """Where readings come from. Iterating opens it; closing the iterator closes it."""
+    """Where readings come from, raw. Iterating opens it; closing the iterator closes it."""
 
     title: str
     """One line that says what it is."""
     notes: tuple[str, ...]
     """What a user should know of it, each one line."""
 
-    def __iter__(self) -> Generator[Reading, None, None]:
-        """Readings in order of time, each as soon as it is there."""
+    def __iter__(self) -> Generator[Block, None, None]:
+        """Readings in order of time, a few at once, each block as soon as it is there; while a sensor is silent,
+        blocks without readings."""
         ...
 
 

@@ -30,6 +30,8 @@ class Parameter:
 
 SPEED = Parameter(1.0, 1e-3, 1e6, words={"max": math.inf})
 """How many times as fast as the source's own clock; shared by every source that does not run by itself."""
+TICK, MOST = 0.002, 64
+"""Readings of such sources come in blocks of so long at most, as they are paced [s], and of so many."""
 
 
 def parse_parameters(source: str, query: str, known: Mapping[str, Parameter]) -> dict[str, float]:

@@ -3,9 +3,11 @@
 import numpy as np
 
 from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
-from probedesign.prediction.predict import predict_touch
+from probedesign.prediction.touches import touches_of
 from probedesign.report import blank, svg
+from probedesign.units import MM
 
 PLACES = np.linspace(0.1, 1.0, 16)
 FORCES_N = np.geomspace(1e-3, 0.3, 15)
@@ -28,7 +30,7 @@ def draw_heat_map(estimator: Estimator) -> bytes:
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
     errors, results = _computed(estimator)
-    figure = blank(6.4, 4.4)
+    figure = blank(6.4, 4.4, (0.75, 0.05, 0.5, 0.15))
     ax = figure.subplots()
     x, y = PLACES, 1e3 * FORCES_N
     for codes, colour, hatch in ((("too_light", "unobservable"), "0.8", ""), (_ENDS, "white", "////")):
@@ -52,16 +54,11 @@ _ENDS = ("gives_way", "out_of_range", "not_converged")
 
 def _computed(estimator: Estimator) -> tuple[Array, np.ndarray[tuple[int, ...], np.dtype[np.str_]]]:
     """Errors [mm], NaN where there is none, and results, (forces, places)."""
-    errors, results = (
-        np.full((len(FORCES_N), len(PLACES)), np.nan),
-        np.full((len(FORCES_N), len(PLACES)), "gives_way", dtype="<U16"),
-    )
-    for j, s in enumerate(PLACES):
-        for i, force in enumerate(FORCES_N):
-            c = predict_touch(estimator, float(s), float(force), DIRECTION)
-            if c.result == "gives_way":  # and under any greater force, too
-                break
-            results[i, j] = c.result
-            if c.result == "ok" and c.predicted_error_mm is not None:
-                errors[i, j] = c.predicted_error_mm
-    return errors, results
+    if not estimator.free().ok:  # it cannot even stand
+        nothing = np.full((len(FORCES_N), len(PLACES)), np.nan)
+        return nothing, np.full(nothing.shape, "gives_way")
+    lines = [(float(place), DIRECTION) for place in PLACES]
+    touches = touches_of(estimator, Tolerances.of(estimator.model), lines, FORCES_N.tolist())
+    results = np.array([touch.results() for touch in touches.values()])
+    errors = np.array([touch.rms[0] for touch in touches.values()]) / MM
+    return np.where(results == "ok", errors, np.nan), results

@@ -81,13 +81,14 @@ class Plan:
         rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
         wrenches, points = worlds.touched(*touch)
         read, estimator = wrenches + worlds.noise(len(wrenches), rng), Estimator(self.model)
-        off, located = [], 0
-        for wrench, point in zip(read, points, strict=True):
+        places, located = np.full(points.shape, np.nan), 0
+        for place, wrench in zip(places, read, strict=True):
             found = estimator.estimate(wrench)
             located += found.result == "ok"
             if found.result in COUNTED and found.candidates:
-                off.append(float(np.linalg.norm(found.candidates[0].p_contact_base - point)))
-        return _summary(np.array(off), located)
+                place[:] = found.candidates[0].p_contact_base
+        off = np.linalg.norm(places - points, axis=1)
+        return _summary(off[np.isfinite(off)], located)
 
 
 def sample(
@@ -145,6 +146,8 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
         return
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context = multiprocessing.get_context(method)
+    if method == "forkserver":  # imports once for all workers
+        context.set_forkserver_preload([__name__])
     with ProcessPoolExecutor(workers, context, _begin, (plan,)) as pool:
         futures = {pool.submit(_sample_there, touch): name for name, touch in touches.items()}
         try:

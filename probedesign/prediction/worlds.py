@@ -10,7 +10,7 @@ from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array, inverse, wrench_map
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.rod.batch import solve_batch
+from probedesign.rod.batch import Rods, solve_batch
 from probedesign.rod.contacts import Start, follow_contacts, solve_contacts
 from probedesign.rod.rod import Rod
 
@@ -22,7 +22,7 @@ class Worlds:
     Attributes:
         model: of the probe.
         tolerances: it was drawn by.
-        rods: as printed.
+        rods: as printed, one a draw.
         parameters: by which they differ: log E, log G, log density, log length, log diameters, (n, 4 + K).
         gravity: as each base sees it [m/s²], (n, 3).
         R: turn of each base, (n, 3, 3).
@@ -33,7 +33,7 @@ class Worlds:
 
     model: ProbeModel
     tolerances: Tolerances
-    rods: list[Rod]
+    rods: Rods
     parameters: Array
     gravity: Array
     R: Array
@@ -53,17 +53,16 @@ class Worlds:
         R = Rotation.from_rotvec(turns[:, 3:6]).as_matrix()
         pulled = gravity + turns[:, 6:9]
         seen = np.einsum("nji,nj->ni", R, pulled)
-        worlds = cls(model, tolerances, [_printed(model.rod, row) for row in parameters], parameters, seen, R,
-                     turns[:, 0:3], np.zeros((n, 6)))  # fmt: skip
+        rods = Rods.of([_printed(model.rod, row) for row in parameters])
+        worlds = cls(model, tolerances, rods, parameters, seen, R, turns[:, 0:3], np.zeros((n, 6)))
         return replace(worlds, off=worlds._off(pulled))
 
     def touched(self, fraction: float, force_N: float, direction: str) -> tuple[Array, Array]:
         """The touch in every world: reading without noise and true point, told in the model's base frame, (n, 6) and
         (n, 3); NaN where the probe gives way."""
-        n, length = len(self.rods), np.array([rod.length for rod in self.rods])
-        angle = DIRECTIONS[direction]
+        n, angle = len(self.rods), DIRECTIONS[direction]
         contacts = solve_contacts(
-            self.rods, self.gravity, fraction * length, np.full(n, angle), np.full(n, force_N),
+            self.rods, self.gravity, fraction * self.rods.length, np.full(n, angle), np.full(n, force_N),
             start=self._start(fraction, force_N, angle), columns="none", threads=1,
         )  # fmt: skip
         wrench = self._told(contacts.batch.wrench_base) + self.off

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.frames import inverse, wrench_map
+from probedesign.live.block import blocks_of
 from probedesign.live.offline import estimate_recording
 from probedesign.live.reading import Reading
 from probedesign.live.recorder import Recorder, write_recording
@@ -11,12 +12,13 @@ from probedesign.live.recording import read_recording
 from probedesign.live.replay import Replay
 from probedesign.live.run import Plan, estimate_stream, locate
 from probedesign.live.simulate import Simulation
+from probedesign.live.sinks import RawRecording
 
 QUERY = "speed=max&rate_hz=3"
 
 
-def run(estimator, source, plan=None, recorder=None):
-    answers = estimate_stream(estimator, source, plan or Plan(), lambda note: None, recorder)
+def run(estimator, source, plan=None, sink=None):
+    answers = estimate_stream(estimator, source, plan or Plan(), lambda note: None, sink)
     return [(answer.reading, answer.estimate) for answer in answers]
 
 
@@ -25,7 +27,7 @@ def recorded(estimator, tmp_path_factory):
     """A recording and the estimates that were made while it was taken."""
     path = tmp_path_factory.mktemp("replay") / "sim.csv"
     with Recorder(path) as recorder:
-        answers = run(estimator, Simulation(estimator.model, QUERY), recorder=recorder)
+        answers = run(estimator, Simulation(estimator.model, QUERY), sink=RawRecording(recorder))
     return path, answers
 
 
@@ -99,7 +101,7 @@ class Closing:
 
     def __iter__(self):
         try:
-            yield from self.readings
+            yield from blocks_of(self.readings)
         finally:
             self.closed = True
 

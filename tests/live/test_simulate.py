@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.reading import Reading, averaged
+from probedesign.live.block import readings_in
+from probedesign.live.flow import averaged
+from probedesign.live.reading import Reading
 from probedesign.live.run import locate
 from probedesign.live.simulate import Simulation
 
 FAST = "speed=max&rate_hz=10"
+
+
+def read(model, query):
+    return readings_in(Simulation(model, query))
 
 
 def errors(estimator, readings: list[Reading]) -> list[tuple[float, float]]:
@@ -20,7 +26,7 @@ def errors(estimator, readings: list[Reading]) -> list[tuple[float, float]]:
 def test_the_truth_lies_within_what_the_estimate_claims(estimator):
     """Of a Gaussian 99.994 % lies within 4 standard deviations; a percent is left for the first order of the
     covariance."""
-    found = errors(estimator, list(Simulation(estimator.model, FAST + "&seed=1")))
+    found = errors(estimator, list(read(estimator.model, FAST + "&seed=1")))
     assert len(found) > 150  # the contact presses for 0.8 of the 200 readings
     within = [abs(error) < 4.0 * std for error, std in found]
     assert np.mean(within) >= 0.99
@@ -30,13 +36,13 @@ def test_without_noise_the_answer_is_the_truth(estimator):
     """The simulation is of reference accuracy, the estimator's fast solve keeps the base moment within 1e-6:
     of 0.1 m of lever that is 0.1 µm, a hundredth of the bound."""
     quiet = estimator.with_noise(force_N=1e-9, moment_Nm=5e-12)
-    found = errors(quiet, list(Simulation(quiet.model, "speed=max&rate_hz=3")))
+    found = errors(quiet, list(read(quiet.model, "speed=max&rate_hz=3")))
     assert len(found) == 47  # every reading but the free ones: 0.8 of the 60, less the ends of the ramps
     assert max(abs(error) for error, _ in found) < 0.01e-3
 
 
 def test_the_free_probe_is_called_free(estimator):
-    readings = list(Simulation(estimator.model, FAST + "&seconds=2"))
+    readings = list(read(estimator.model, FAST + "&seconds=2"))
     assert all(np.isnan(reading.truth.s_contact) for reading in readings)
     assert {locate(estimator, reading).result for reading in readings} == {"no_contact"}
 
@@ -44,22 +50,22 @@ def test_the_free_probe_is_called_free(estimator):
 def test_the_sensor_feels_all_that_hangs_on_it(estimator):
     """Noise at most 6σ; flange and adapter weigh 96 mN, 180 σ."""
     model = estimator.model
-    reading = next(iter(Simulation(model, FAST)))
+    reading = next(read(model, FAST))
     weight = (model.mass + model.hanging.mass) * model.gravity_base
     assert reading.wrench_sensor[:3] == pytest.approx(weight, abs=6 * model.noise.force)
 
 
 def test_a_run_repeats_and_another_seed_does_not(estimator):
     def run(query):
-        return np.array([r.wrench_sensor for r in Simulation(estimator.model, FAST + "&seconds=1&" + query)])
+        return np.array([r.wrench_sensor for r in read(estimator.model, FAST + "&seconds=1&" + query)])
 
     assert np.array_equal(run("seed=1"), run("seed=1"))
     assert not np.array_equal(run("seed=1"), run("seed=2"))
 
 
 def test_means_of_readings_lie_at_their_mean(estimator):
-    readings = list(Simulation(estimator.model, FAST + "&seconds=1"))
-    means = list(averaged(readings, 4))
+    blocks = list(Simulation(estimator.model, FAST + "&seconds=1"))
+    readings, means = list(readings_in(blocks)), list(averaged(blocks, 4))
     assert len(means) == 2  # of ten; two fill no block
     assert means[0].time == pytest.approx(0.15, rel=1e-15)  # one rounding
     wrench = np.mean([reading.wrench_sensor for reading in readings[4:8]], axis=0)

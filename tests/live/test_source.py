@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.reading import Reading, paced, thinned, until
+from probedesign.live.block import Block, blocks_of, silence
+from probedesign.live.flow import averaged, paced, thinned, until
+from probedesign.live.reading import Reading
 from probedesign.live.source import open_source
 
 
@@ -38,19 +40,19 @@ def test_what_is_no_source(estimator, spec, told):
     assert str(error.value).isprintable()
 
 
-def stream(*times: float) -> list[Reading]:
-    return [Reading(time, np.zeros(6), np.zeros(3)) for time in times]
+def stream(*times: float, most: int = 1) -> list[Block]:
+    return list(blocks_of((Reading(time, np.zeros(6), np.zeros(3)) for time in times), most))
 
 
-def slept(times: list[float], speed: float) -> list[float]:
-    """How long a stream waits before each of its readings, by a clock that only moves while it waits."""
+def slept(times: list[float], speed: float, most: int = 1) -> list[float]:
+    """How long a stream waits before each of its blocks, by a clock that only moves while it waits."""
     now, waits = [100.0], []
 
     def sleep(seconds: float) -> None:
         waits.append(seconds)
         now[0] += seconds
 
-    list(paced(stream(*times), speed, clock=lambda: now[0], sleep=sleep))
+    list(paced(stream(*times, most=most), speed, clock=lambda: now[0], sleep=sleep))
     return waits
 
 
@@ -61,20 +63,84 @@ def test_readings_come_at_their_own_time():
     assert slept([5.0, 5.5, 7.0], float("inf")) == []
 
 
+def test_a_block_comes_with_its_last_reading():
+    assert slept([5.0, 5.5, 7.0, 9.0], 1.0, most=2) == pytest.approx([0.5, 3.5], abs=1e-13)
+
+
+def readings(blocks) -> list[Reading]:
+    return [reading for block in blocks for reading in block.readings()]
+
+
 def test_at_most_so_many_a_second():
     times = [i / 16 for i in range(16)]  # exact in binary
-    assert [r.time for r in thinned(stream(*times), 4.0)] == [0.0, 0.25, 0.5, 0.75]
-    assert len(list(thinned(stream(*times), 1000.0))) == 16
+    assert [r.time for r in thinned(readings(stream(*times)), 4.0)] == [0.0, 0.25, 0.5, 0.75]
+    assert len(list(thinned(readings(stream(*times)), 1000.0))) == 16
 
 
 def test_a_source_of_the_very_rate_loses_none():
     """i/20 and i times 1/20 differ in the last bit."""
-    assert len(list(thinned(stream(*(i / 20 for i in range(200))), 20.0))) == 200
+    assert len(list(thinned(readings(stream(*(i / 20 for i in range(200)))), 20.0))) == 200
 
 
 def test_a_pause_is_not_made_up_for():
-    assert [r.time for r in thinned(stream(0.0, 10.0, 10.25, 10.5, 11.0), 1.0)] == [0.0, 10.0, 11.0]
+    times = readings(stream(0.0, 10.0, 10.25, 10.5, 11.0))
+    assert [r.time for r in thinned(times, 1.0)] == [0.0, 10.0, 11.0]
 
 
-def test_until_counts_from_the_first_reading():
-    assert [r.time for r in until(stream(7.0, 7.5, 8.0, 9.0), 1.0)] == [7.0, 7.5]
+@pytest.mark.parametrize("most", [1, 2, 3, 9])
+def test_until_counts_from_the_first_reading(most):
+    inside = readings(until(stream(7.0, 7.5, 8.0, 9.0, most=most), 1.0))
+    assert [r.time for r in inside] == [7.0, 7.5]
+
+
+def noisy(count: int, fault_at: int, break_at: int, turn_at: int) -> list[Reading]:
+    """Readings of two stretches, one with a fault, under a gravity that turns."""
+    random = np.random.default_rng(7)
+    gravities = (np.array([9.81, 0.0, 0.0]), np.array([0.0, 9.81, 0.1]))
+    return [
+        Reading(
+            0.1 * i + random.uniform(0.0, 0.01),
+            random.standard_normal(6),
+            gravities[i >= turn_at],
+            None,
+            "saturated" if i == fault_at else "",
+            int(i >= break_at),
+            50.0 + i,
+        )
+        for i in range(count)
+    ]
+
+
+@pytest.mark.parametrize("samples", [1, 2, 7])
+@pytest.mark.parametrize("most", [2, 5, 7, 16, 1000])
+def test_how_readings_are_cut_into_blocks_changes_nothing(samples, most):
+    """To the bit: the same means, whose last readings, faults and stretches are the same."""
+    given = noisy(100, fault_at=20, break_at=45, turn_at=70)
+
+    def told(most):
+        means = averaged(until(blocks_of(given, most), 9.0), samples)
+        return [(r.time, *r.wrench_sensor, *r.gravity_base, r.fault, r.stretch, r.received) for r in means]
+
+    assert told(most) == told(1)
+    assert sum(row[-3] == "saturated" for row in told(1)) == 1
+    assert told(1)[-1][0] < given[0].time + 9.0
+
+
+def test_a_mean_spans_no_interruption():
+    given = noisy(20, fault_at=-1, break_at=9, turn_at=99)
+    means = list(averaged(blocks_of(given, 4), 5))
+    assert [m.stretch for m in means] == [0, 1, 1]
+    assert np.array_equal(means[1].wrench_sensor, np.mean([r.wrench_sensor for r in given[9:14]], axis=0))
+
+
+def test_blocks_are_no_longer_than_their_span():
+    times = [0.0, 0.5, 1.0, 1.25, 5.0, 5.75]
+    blocks = blocks_of((Reading(t, np.zeros(6), np.zeros(3)) for t in times), 100, span=1.0)
+    assert [block.time.tolist() for block in blocks] == [[0.0, 0.5], [1.0, 1.25], [5.0, 5.75]]
+
+
+def test_silence_is_no_reading():
+    quiet = silence(np.zeros(3), "stale", 0)
+    blocks = [*stream(1.0, 2.0), quiet, *stream(3.0, 4.0)]
+    assert [m.time for m in averaged(until(blocks, 10.0), 4)] == [2.5]
+    assert list(averaged([quiet], 1)) == []

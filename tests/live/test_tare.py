@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
+from probedesign.live.block import blocks_of, readings_in
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
 from probedesign.live.tare import Window, parse_window, split, take_tare, without_bias
@@ -17,7 +18,7 @@ BIAS = np.array([0.7, -0.3, 1.1, 0.004, -0.002, 0.001])
 @pytest.fixture(scope="module")
 def readings(estimator):
     """Free for 2 s, pressed from there on."""
-    return list(Simulation(estimator.model, "speed=max&rate_hz=10&seconds=6"))
+    return list(readings_in(Simulation(estimator.model, "speed=max&rate_hz=10&seconds=6")))
 
 
 @pytest.fixture(scope="module")
@@ -100,4 +101,4 @@ class Fixed:
         self.readings = readings
 
     def __iter__(self):
-        yield from self.readings
+        yield from blocks_of(self.readings, 3)

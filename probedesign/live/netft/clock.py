@@ -1,11 +1,31 @@
 """The sensor's own clock: time from a counter of 32 bits that wraps, stands still or starts again."""
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.frames import Array
 from probedesign.live.netft.wire import SAMPLES_PER_SECOND
 
 WRAP = 1 << 32
 AHEAD = 10.0
 """A counter that runs this far ahead of the host's clock is another counter [s]: buffers hold less, suspended
 programs find no old records."""
+
+
+class Times(NamedTuple):
+    """What the clock says of n records.
+
+    Attributes:
+        new: which of them are not the sample before once more, (n,).
+        time: of the k that are new [s], (k,).
+        restarted: before which of the new the counter started again, (k,).
+    """
+
+    new: NDArray[np.bool_]
+    time: Array
+    restarted: NDArray[np.bool_]
 
 
 class SensorClock:
@@ -21,21 +41,26 @@ class SensorClock:
         self._last: tuple[int, float] | None = None
         self._ticks = 0
 
-    def time(self, ft_sequence: int, received: float) -> float | None:
-        """Time of a record [s]; None if the counter stands still, so that the record is no new one.
+    def times(self, ft_sequence: NDArray[np.int64], received: Array) -> Times:
+        """Time of records that came one after the other.
 
         Args:
-            ft_sequence: of the record.
-            received: when, by the host's clock [s].
+            ft_sequence: of each, (n,).
+            received: when, by the host's clock [s], (n,).
         """
-        if self._last is not None:
-            ticks = (ft_sequence - self._last[0]) % WRAP
-            elapsed = max(received - self._last[1], 0.0)
-            if ticks == 0:
-                return None
-            if ticks / SAMPLES_PER_SECOND > elapsed + AHEAD:
-                self.restarts += 1
-                ticks = max(1, round(elapsed * SAMPLES_PER_SECOND))
-            self._ticks += ticks
-        self._last = (ft_sequence, received)
-        return self._ticks / SAMPLES_PER_SECOND
+        new = np.ones(len(ft_sequence), dtype=bool)
+        new[1:] = np.diff(ft_sequence) != 0
+        if self._last is not None and len(new):
+            new[0] = ft_sequence[0] != self._last[0]
+        ft, received = ft_sequence[new], received[new]
+        if not len(ft):
+            return Times(new, np.empty(0), np.empty(0, dtype=bool))
+        before = self._last or (int(ft[0]), float(received[0]))
+        ticks = np.diff(ft, prepend=before[0]) % WRAP
+        elapsed = np.maximum(np.diff(received, prepend=before[1]), 0.0)
+        restarted = ticks / SAMPLES_PER_SECOND > elapsed + AHEAD
+        bridged = np.maximum(np.rint(elapsed * SAMPLES_PER_SECOND), 1.0).astype(np.int64)
+        counted = self._ticks + np.cumsum(np.where(restarted, bridged, ticks))
+        self.restarts += int(restarted.sum())
+        self._last, self._ticks = (int(ft[-1]), float(received[-1])), int(counted[-1])
+        return Times(new, counted / SAMPLES_PER_SECOND, restarted)

@@ -64,6 +64,7 @@ class Watch:
 
     Attributes:
         changed: what is another now; empty as long as nothing is.
+        period: of looking [s].
     """
 
     def __init__(self, host: str, port: int, first: Configuration, period: float) -> None:
@@ -76,7 +77,8 @@ class Watch:
             period: of looking [s].
         """
         self.changed: list[str] = []
-        self._host, self._port, self._first, self._period = host, port, first, period
+        self.period = period
+        self._host, self._port, self._first = host, port, first
         self._ended = threading.Event()
 
     def look(self) -> bool:
@@ -99,5 +101,5 @@ class Watch:
         self._ended.set()
 
     def _watch(self) -> None:
-        while not self._ended.wait(self._period) and not self.changed:
+        while not self._ended.wait(self.period) and not self.changed:
             self.look()

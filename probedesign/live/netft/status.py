@@ -7,6 +7,7 @@ HEALTHY = (0x00000000, 0x80010000)
 """The second: a monitor condition has been latched, which is no fault of the sample."""
 
 SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
+HARMLESS = (*HEALTHY, LATCHED)
 
 WORDS = {
     30: "processor or memory error",
@@ -43,7 +44,7 @@ WORDS = {
 
 def fault_of(status: int) -> str:
     """What is wrong with a record of that status; nothing if it is healthy."""
-    if status in HEALTHY or status == LATCHED:
+    if status in HARMLESS:
         return ""
     told = [words for bit, words in WORDS.items() if status >> bit & 1]
     return f"{', '.join(told) or 'unknown fault'} (status 0x{status:08x})"

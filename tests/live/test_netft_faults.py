@@ -1,0 +1,247 @@
+"""`netft://` against the simulated box over real sockets, with what goes wrong on the wire."""
+
+import socket
+import sys
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from probedesign.errors import MissingDependencyError
+from probedesign.live.block import Block
+from probedesign.live.box.faults import Faults
+from probedesign.live.box.transducer import OFFSET
+from probedesign.live.flow import averaged
+from probedesign.live.netft import wire
+from probedesign.live.netft.clock import SensorClock
+from probedesign.live.netft.session import STALE
+from probedesign.live.netft.wire import RECORD
+from probedesign.live.run import Plan, estimate_stream, locate
+from probedesign.live.source import open_source
+from probedesign.live.tare import Window
+from tests.live.peers import LOAD, Reader, box, close, mean_of
+
+pytest.importorskip("pynetft")
+
+
+def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
+    faults = Faults(loss=0.02, reorder=0.02, duplicate=0.02, garbage=0.02, short=0.02)
+    with box(estimator, faults=faults) as peer, Reader(peer, estimator) as reader:
+        reader.more(2000)
+    counts = reader.source.counts
+    assert all(counts[name] > 0 for name in ("lost", "late", "doubled", "malformed"))
+    assert counts["lost"] < 0.2 * counts["received"]  # not four thousand millions for one that came late
+    times = np.array([r.time for r in reader.readings])
+    assert (np.diff(times) > 0.0).all()
+    ticks = np.diff(times) * wire.SAMPLES_PER_SECOND
+    assert np.allclose(ticks, np.rint(ticks), atol=1e-6)  # the sensor's own clock
+    assert (np.abs(mean_of(reader.readings) - LOAD - OFFSET) <= close(estimator, 2000) + 1e-6).all()
+
+
+def test_the_clock_passes_the_end_of_its_32_bits(estimator):
+    with box(estimator, powered=2**32 - 1000) as peer, Reader(peer, estimator) as reader:
+        reader.more(3000)
+    times = [r.time for r in reader.readings]
+    assert reader.source.counts["restarts"] == 0
+    assert (np.diff(times) > 0.0).all() and times[-1] < 60.0
+
+
+def test_a_storm_of_rubbish_is_survived(estimator):
+    """pynetft ends its session after ten in a row and asks again."""
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        for _ in range(50):
+            peer.send(b"rubbish")
+        reader.more(500)
+    assert reader.source.counts["malformed"] >= 10
+    assert reader.error is None
+
+
+def told_in_order(reader) -> None:
+    """Silence is in the stream and told, after the last reading before it and before the first after; the readings
+    beyond it are of another stretch."""
+    silences = [i for i, (_, what) in enumerate(reader.story) if isinstance(what, Block) and not len(what)]
+    lines = [i for i, (_, what) in enumerate(reader.story) if isinstance(what, str)]
+    first = silences[0]
+    when, silence = reader.story[first]
+    before = next(b for _, b in reversed(reader.story[:first]) if isinstance(b, Block))
+    after = next(b for _, b in reader.story[first:] if isinstance(b, Block) and len(b))
+    stale = next(i for i in lines if "stale" in reader.story[i][1])
+    again = next(i for i in lines if "records again" in reader.story[i][1])
+    resumed = next(i for i, (_, what) in enumerate(reader.story) if what is after)
+    assert stale < first < again < resumed
+    assert "stale, no record for" in silence.fault
+    assert when - before.received[-1] > STALE  # it was silent so long at least, by the host's clock
+    assert after.received[0] - before.received[-1] < 10.0  # half a second and some; it does not hang
+    assert (before.stretch, silence.stretch) == (0, 0) and after.stretch > 0
+
+
+def test_a_restart_is_survived_marked_and_not_mixed(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.restart(0.3)
+        reader.said("tare from before is kept")
+        reader.more()
+    told_in_order(reader)
+    assert reader.source.counts["restarts"] == 1
+    assert (np.diff([r.time for r in reader.readings]) > 0.0).all()
+    means = list(averaged(reader.blocks, 36))
+    assert {m.stretch for m in means} == {r.stretch for r in reader.readings}
+
+
+def test_a_restart_soon_after_power_up_is_survived(estimator):
+    """pynetft takes a clock that goes back within its first 65536 samples for late records and refuses them all."""
+    with box(estimator, powered=20000) as peer, Reader(peer, estimator) as reader:
+        peer.restart(0.2)
+        reader.said("tare from before is kept")
+        reader.more()
+
+
+def test_the_tare_is_kept_over_a_restart(estimator):
+    """The offset of the transducer is 600 times the noise: without its tare the free probe would be a contact."""
+    gravity = estimator.model.gravity_base
+    free = estimator.model.to_sensor(estimator.free(gravity).wrench_base, gravity)
+    lines = []
+    with box(estimator, load=free) as peer:
+        source = open_source(peer.source, estimator.model, lines.append)
+        stream = estimate_stream(estimator, source, Plan(Window(0.0, 0.5), 36), lines.append)
+        before = list(islice(stream, 10))
+        peer.restart(0.2)
+        after = list(islice((answer for answer in stream if answer.reading.stretch), 20))
+        stream.close()
+    assert [answer.reading.stretch for answer in before] == [0] * 10
+    assert {answer.estimate.result for answer in before + after} == {"no_contact"}
+    assert any("the tare is kept" in line for line in lines)
+
+
+def test_a_stall_is_stale_and_gives_no_readings(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.stall(0.4)
+        reader.said("records again")
+        reader.more()
+    told_in_order(reader)
+    assert reader.source.counts["interruptions"] >= 1
+
+
+def test_a_box_that_goes_away_is_stale_for_as_long(estimator):
+    """Its port is closed: the system answers for it."""
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.__exit__()
+        reader.wait(lambda: sum(not len(block) for block in reader.blocks) > 20)
+        count = len(reader.readings)
+        reader.wait(lambda: sum(not len(block) for block in reader.blocks) > 30)
+        assert len(reader.readings) == count
+    assert reader.error is None
+
+
+def test_a_stolen_stream_is_asked_for_again_and_told(estimator):
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        for _ in range(4):
+            peer.steal()
+            reader.wait(lambda: peer.client is not None)
+            reader.more(20)
+        reader.said("another client")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"torque_unit": "N-m"}, "scfgtu: N-mm, now N-m"),
+        ({"counts_per_force": 1e3}, "cfgcpf: 1000000.0, now 1000.0"),
+        ({"tool": (0.0, 0.0, 10.0, 0.0, 0.0, 0.0)}, "cfgtfx: 0; 0; 0; 0; 0; 0, now 0; 0; 10; 0; 0; 0"),
+        ({"bias": (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "setbias"),
+    ],
+)
+def test_a_configuration_that_changes_ends_the_run(estimator, change, told):
+    with box(estimator) as peer, Reader(peer, estimator, "&check_s=0.1") as reader:
+        peer.configure(**change)
+        reader.wait(lambda: reader.error is not None)
+    assert told in str(reader.error) and "start again" in str(reader.error)
+
+
+def test_a_restart_with_another_configuration_ends_the_run_before_a_reading(estimator):
+    with box(estimator) as peer, Reader(peer, estimator, "&check_s=3600") as reader:
+        peer.restart(0.2)
+        peer.configure(torque_unit="N-m")
+        reader.wait(lambda: reader.error is not None)
+    assert {r.stretch for r in reader.readings} == {0}
+
+
+def test_a_saturated_sample_is_no_reading_to_estimate_from(estimator):
+    """pynetft ends its session with each such sample and asks again, so that they come a few a second; that is not
+    silence."""
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        peer.saturate()
+        reader.wait(lambda: sum(bool(r.fault) for r in reader.readings) > 10)
+        peer.saturate(False)
+        reader.wait(lambda: not reader.readings[-1].fault)
+        reader.more()
+    faults = [r for r in reader.readings if r.fault]
+    assert all("transducer saturated" in r.fault and "0x80020000" in r.fault for r in faults)
+    assert {locate(estimator, r).result for r in faults} == {"out_of_range"}
+    assert reader.source.counts["faults"] == len(faults)
+    said = [line.partition(": ")[2] for line in reader.lines]
+    assert said.index("healthy again") > said.index(faults[0].fault)
+    assert (np.diff([r.time for r in reader.readings]) > 0.0).all()
+
+
+def test_a_latched_monitor_condition_is_no_fault(estimator):
+    with box(estimator) as peer:
+        peer._transducer.latched = True
+        with Reader(peer, estimator) as reader:
+            reader.more()
+    assert not any(r.fault for r in reader.readings)
+
+
+def test_datagrams_from_another_address_are_not_read(estimator):
+    with (
+        box(estimator) as peer,
+        Reader(peer, estimator) as reader,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        for i in range(50):
+            stranger.sendto(RECORD.pack(10**6 + i, 10**9 + i, 0, *[10**7] * 6), peer.client)
+        reader.more()
+    assert max(abs(r.wrench_sensor[0]) for r in reader.readings) < 1.0
+    assert reader.source.counts["restarts"] == 0
+
+
+def test_pynetft_is_missing(estimator, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pynetft", None)
+    with pytest.raises(MissingDependencyError, match=r"netft:// needs pynetft; install probedesign\[live\]"):
+        open_source("netft://192.0.2.1", estimator.model)
+
+
+# the clock
+
+
+def ticks(clock, ft, received):
+    """Samples since the first, and which records the clock takes."""
+    new, time, _ = clock.times(np.array(ft), np.array(received, dtype=float))
+    return np.rint(time * wire.SAMPLES_PER_SECOND).astype(int).tolist(), new.tolist()
+
+
+FT = [2**32 - 2, 2**32 - 1, 0, 0, 5, 7, 7, 8]
+WRAPPED = [0, 1, 2, 7, 9, 10]
+
+
+@pytest.mark.parametrize("cut", range(1, 8))
+def test_the_clock_counts_the_same_however_records_are_cut(cut):
+    """Past the end of the 32 bits; a sample that stands still is none."""
+    clock, received = SensorClock(), np.arange(8) / 7000
+    first, new = ticks(clock, FT[:cut], received[:cut])
+    second, more = ticks(clock, FT[cut:], received[cut:])
+    assert first + second == WRAPPED
+    assert new + more == [True, True, True, False, True, True, False, True]
+    assert clock.restarts == 0
+
+
+def test_a_clock_that_starts_again_is_bridged_by_the_hosts():
+    clock = SensorClock()
+    assert ticks(clock, [10**6, 10**6 + 1, 3, 4], [0.0, 0.0, 2.0, 2.0])[0] == [0, 1, 14001, 14002]
+    assert clock.restarts == 1
+
+
+def test_a_long_stall_is_no_restart():
+    """What counts is the time since the last new sample."""
+    clock = SensorClock()
+    assert ticks(clock, [5, 5, 5, 140005], [0.0, 10.0, 20.0, 20.0])[0] == [0, 140000]
+    assert clock.restarts == 0

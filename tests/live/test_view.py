@@ -1,0 +1,1 @@
+"""What the views show: shape, ellipsoid, words; nothing sure where nothing is."""

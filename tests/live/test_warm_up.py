@@ -1,0 +1,42 @@
+"""Nothing is compiled or loaded once a sensor waits."""
+
+import subprocess
+import sys
+
+SCRIPT = """
+import gc, sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from probedesign.deployment import load_estimator
+from probedesign.estimator.tracker import Tracker
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.simulate import Simulation
+from probedesign.live.warm_up import warm_up
+
+def kernels():
+    gc.unfreeze()
+    return {
+        f"{found.__module__}.{found.__name__}": len(found.overloads)
+        for found in gc.get_objects() if isinstance(found, Dispatcher) and found.overloads
+    }
+
+estimator = load_estimator(sys.argv[1])
+warm_up(estimator, print, fusing=True)
+before = kernels()
+answers = list(estimate_stream(estimator, Simulation(estimator.model, "speed=max&rate_hz=5"), Plan(), print))
+assert {"ok", "no_contact"} <= {answer.estimate.result for answer in answers}
+tracker, gravity = Tracker(estimator, gravity_world=estimator.model.gravity_base), estimator.model.gravity_base
+for i, answer in enumerate(answers):
+    T = np.eye(4)
+    T[0, 3] = 1e-3 * i
+    tracker.update(estimator.model.to_base(answer.reading.wrench_sensor, gravity), T, float(i))
+print(sorted(kernels().items() - before.items()))
+"""
+
+
+def test_every_kernel_of_an_answer_is_there_before(bundle):
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT, str(bundle)], capture_output=True, text=True, timeout=600
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "[]"
