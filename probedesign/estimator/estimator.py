@@ -82,7 +82,8 @@ class Estimator:
         Args:
             tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
         """
-        return Estimator(self.model, Tolerances.of(self.model) if tolerances is None else tolerances)
+        known = Tolerances.of(self.model) if tolerances is None else tolerances
+        return Estimator(self.model, None if known.exact else known)
 
     def estimate(
         self,

@@ -1,7 +1,7 @@
 """Monte Carlo of a prediction: probes that differ from their model, noisy readings, and the real estimator on them.
 
-The truth is the fast rod, whose error is micrometres; the estimator is the default one, from a cold start, with no
-knowledge of the draw. Every condition meets the same worlds, so a few prints serve them all.
+The truth is the fast rod, whose error is micrometres; the estimator weighs readings by the tolerances, from a cold
+start, with no knowledge of the draw. Every condition meets the same worlds, so a few prints serve them all.
 """
 
 import hashlib
@@ -34,8 +34,8 @@ DIFFERS = 0.10
 SAVE_EVERY_S = 2.0
 MOST_DRAWS = 1_000_000
 COUNTED = ("ok", "inconsistent")
-"""Answers whose best place counts: also where the consistency test, which knows of the sensor's noise alone, refuses
-it, else the errors would be those of the luckier worlds."""
+"""Answers whose best place counts: also where the consistency test refuses it, else the errors would be those of the
+luckier worlds."""
 Touch = tuple[float, float, str]
 """Contact fraction, force [N] and direction."""
 
@@ -72,7 +72,7 @@ class Plan:
                    model.noise.force, model.noise.moment, model.averaging_samples, model.hanging.mass,
                    model.hanging.p_com]  # fmt: skip
         told = json.dumps([[np.asarray(n, dtype=float).ravel().tolist() for n in numbers], rod.rounded_from,
-                           rod.factors, asdict(self.tolerances), self.draws, self.seed, 1])  # fmt: skip
+                           rod.factors, asdict(self.tolerances), self.draws, self.seed, 2])  # fmt: skip
         return hashlib.sha256(told.encode()).hexdigest()[:12]
 
     def sample(self, touch: Touch, worlds: Worlds) -> dict[str, Any]:
@@ -80,7 +80,8 @@ class Plan:
         told = json.dumps([self.seed, *touch]).encode()
         rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
         wrenches, points = worlds.touched(*touch)
-        read, estimator = wrenches + worlds.noise(len(wrenches), rng), Estimator(self.model)
+        read = wrenches + worlds.noise(len(wrenches), rng)
+        estimator = Estimator(self.model).with_tolerances(self.tolerances)
         places, located = np.full(points.shape, np.nan), 0
         for place, wrench in zip(places, read, strict=True):
             found = estimator.estimate(wrench)
