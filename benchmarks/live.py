@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,9 +25,8 @@ from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.box.box import OFF
 from probedesign.live.netft.source import NetFT
-from probedesign.live.recorder import Recorder
+from probedesign.live.recordings import Recordings
 from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.sinks import RawRecording
 from probedesign.live.source import open_source
 from probedesign.live.tare import Window
 from probedesign.live.warm_up import warm_up
@@ -54,7 +53,7 @@ def report(minutes: float = MINUTES) -> None:
         estimator = load_estimator(bundle)
         warm_up(estimator, print, fusing=True)
         with _box(bundle) as spec:
-            _rate(estimator, spec, 60.0 * minutes, folder / "record.csv")
+            _rate(estimator, spec, 60.0 * minutes, folder / "record.mcap")
         with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as spec:
             _faults(estimator, spec, 20.0)
 
@@ -93,10 +92,10 @@ def _rate(estimator: Estimator, spec: str, seconds: float, recording: Path) -> N
     assert isinstance(source, NetFT)
     late, memory = [], []
     wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
-    with Recorder(recording) as recorder:
-        for answer in estimate_stream(
-            estimator, source, Plan(TARE, AVERAGE, seconds=seconds), print, RawRecording(recorder)
-        ):
+    plan = Plan(TARE, AVERAGE, seconds=seconds)
+    with closing(Recordings(recording, estimator.model, print)) as recordings:
+        recordings.start()
+        for answer in estimate_stream(estimator, source, plan, print, recordings):
             late.append(1e3 * (time.monotonic() - answer.reading.received))
             memory.append(_resident())
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu

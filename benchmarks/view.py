@@ -71,7 +71,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 28.5, picture: 
         return
     browser_path = shutil.which("chromium") or shutil.which("google-chrome")
     now = 0.0
-    keeper = Keeper({}, clock=lambda: now)
+    keeper = Keeper(clock=lambda: now)
     source = Simulation(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
     for answer in estimate_stream(estimator, source, Plan(), print, keeper):
         now = answer.reading.time

@@ -1,7 +1,6 @@
 """Pictures of a prediction, made to be read at half size and in print."""
 
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -111,44 +110,6 @@ def blank(width: float, height: float, margins: tuple[float, float, float, float
         left, right, bottom, top = margins
         figure.subplots_adjust(left / width, bottom / height, 1.0 - right / width, 1.0 - top / height)
     return figure
-
-
-def draw_panels(prediction: Prediction, estimator: Estimator) -> dict[str, bytes]:
-    """The panels of `draw_prediction` one by one, by what they answer, without their titles; SVGs.
-
-    Raises:
-        MissingDependencyError: matplotlib is not installed.
-    """
-    drawn: dict[str, Callable[[Axes], None]] = {
-        "error": lambda ax: _draw_error(ax, prediction),
-        "detection": lambda ax: _draw_detection(ax, prediction),
-        "sensitivity": lambda ax: _draw_sensitivity(ax, prediction),
-        "shapes": lambda ax: _draw_shapes(ax, estimator),
-    }
-    found = {}
-    for name, draw in drawn.items():
-        figure = blank(6.4, 4.4, (0.75, 0.1, 0.5, 0.35 if name == "error" else 0.1))
-        ax = figure.subplots()
-        draw(ax)
-        ax.set_title("", y=1.0)
-        legend = ax.get_legend()
-        if name == "error" and legend is not None:  # lines are everywhere: no room among them
-            legend.remove()
-            handles, labels = ax.get_legend_handles_labels()
-            figure.legend(handles, labels, loc="upper center", ncols=len(labels), fontsize=8,
-                          columnspacing=0.8, handlelength=1.4)  # fmt: skip
-        found[name] = svg(figure)
-    return found
-
-
-def svg(figure: "Figure") -> bytes:
-    """The figure as an SVG element, letters drawn as outlines, the same bytes every time."""
-    from matplotlib import rc_context
-
-    picture = io.BytesIO()
-    with rc_context({"svg.hashsalt": "probedesign"}):
-        figure.savefig(picture, format="svg", metadata={"Date": None, "Creator": None})
-    return picture.getvalue()[picture.getvalue().index(b"<svg") :]
 
 
 def _png(figure: "Figure") -> bytes:

@@ -1,11 +1,16 @@
 """`probedesign live`: contacts as the sensor reads them."""
 
-from contextlib import closing
+import os
+import sys
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from probedesign.cli.ending import ending_well
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,6 +28,10 @@ def live(
     force: bool = False,
     tare_s: str | None = None,
     average: int = 1,
+    filter_hz: float | None = None,
+    pose: str = "fixed",
+    pose_latency_ms: float = 0.0,
+    gravity_world: str | None = None,
     rate_hz: float = 20.0,
     count: int | None = None,
     seconds: float | None = None,
@@ -32,9 +41,10 @@ def live(
     view_port: int = 8080,
     manifest: Path | None = None,
     exact_model: bool = False,
+    lines: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Locate contacts as the sensor reads them, one line an estimate.
+    """Locate contacts as the sensor reads them: a table that is drawn anew on a terminal, else a line an estimate.
 
     Ends with the source, at --count or --seconds, or with Ctrl-C, and then says how many estimates had which
     result. What sources take, as in "sim:?force_mN=50&seconds=60" or "replay:FILE?speed=max", and what a
@@ -44,10 +54,15 @@ def live(
         bundle: the frozen probe, NAME.probe.json.
         source: netft://HOST (a Net F/T box), replay:FILE (a recording) or sim: (a simulated contact that moves
             along the probe).
-        record: write every reading to this recording.
+        record: write everything to NAME.mcap, or raw readings to NAME.csv.
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the mean of so many readings.
+        filter_hz: low-pass before each estimate, down by 3 dB there; the delay is said.
+        pose: of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe) or
+            udp://:PORT (JSON). With poses, touches are fused to points of the world.
+        pose_latency_ms: by which a pose arrives later than a reading of the same moment.
+        gravity_world: in the world's axes [m/s²], as 0,0,-9.81, which it is unless said.
         rate_hz: at most so many estimates a second; readings between are left out.
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
@@ -58,16 +73,19 @@ def live(
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
         exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
             else they hold the tolerances of material, print and mount too.
+        lines: print a line an estimate on a terminal too.
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
+    from probedesign.live.pose.spec import open_poses
     from probedesign.live.publish import Publisher
-    from probedesign.live.recorder import Recorder
+    from probedesign.live.recordings import Recordings, check_name
     from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream
-    from probedesign.live.sinks import RawRecording, Sinks, Spoken
+    from probedesign.live.sinks import Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
+    from probedesign.live.view.terminal import Terminal
     from probedesign.live.view.view import View
     from probedesign.live.warm_up import warm_up
 
@@ -75,35 +93,56 @@ def live(
     if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
         raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds)
+    plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
     estimator = estimator if exact_model else estimator.with_tolerances()
+    if record is not None:
+        check_name(record)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    requests = Requests()
-    with closing(Sinks(Spoken())) as sinks:
+    about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
+             "exact_model": str(exact_model).lower()}  # fmt: skip
+    with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
+        counts = partial(getattr, opened, "counts", {})
+        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
         warm_up(estimator, sinks.say, fusing=True)
         sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-        for note in opened.notes:
+        for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
             sinks.say(note)
+        requests, recordings = Requests(), Recordings(record, estimator.model, sinks.say, force, about)
+        requests.does("start recording", lambda _: recordings.asked_to_start())
+        requests.does("stop recording", lambda _: recordings.stop())
+        sinks.add(recordings)
         if record is not None:
-            sinks.add(RawRecording(Recorder(record, force=force)))
+            recordings.start()
         if publish is not None:
             sinks.add(Publisher(publish, sinks.say))
         if view:
-            counts = getattr(opened, "counts", {})
             sinks.add(View(estimator, bundle.parent, requests, sinks.say, view_host, view_port, counts))
-        _print(estimate_stream(estimator, opened, plan, sinks.say, sinks, requests), sinks.say, as_json)
+        drawn = not (lines or as_json) and _on_terminal()
+        if drawn:
+            sinks.add(Terminal(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
+        by_itself = _print(answers, sinks.say, as_json, drawn)
+        if view and by_itself and _on_terminal():
+            _stay(sinks.say)
 
 
-def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
-    """A line for each estimate; at the end, Ctrl-C included, a summary."""
-    from probedesign.live.row import json_line, readable_line, row
+def _print(
+    answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
+) -> bool:
+    """A line for each estimate, if they are not drawn; at the end, Ctrl-C included, a summary.
+
+    Returns:
+        Whether it ended by itself.
+    """
+    from probedesign.live.row import json_line, readable_line, row, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
     start: float | None = None
+    by_itself = False
     try:
         with closing(answers):
             for answer in answers:
@@ -111,9 +150,24 @@ def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]
                 start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:
-                    print(json_line(row(reading, estimate)), flush=True)
-                else:
-                    print(readable_line(reading.time - start, reading, estimate), flush=True)
+                    world = world_row(answer) if answer.fused is not None else {}
+                    print(json_line(row(reading, estimate) | world), flush=True)
+                elif not drawn:
+                    print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
+        by_itself = True
     except KeyboardInterrupt:
         pass
     say(describe_counts(count_results(results)))
+    return by_itself
+
+
+def _on_terminal() -> bool:
+    """Whether a person looks who sees a table drawn anew."""
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def _stay(say: "Callable[[str], None]") -> None:
+    """Keep the page for who looks at it."""
+    say("the run is over; the page stays until Ctrl-C")
+    with suppress(KeyboardInterrupt):
+        Event().wait()

@@ -23,6 +23,7 @@ SOURCES = {
     "clocking_deg": "assumed: play of the screws",
     "gravity_deg": "assumed: a machine levelled by hand",
     "creep": "assumed: nothing is published for Elastic 50A",
+    "robot_mm": "assumed: a small arm's repeatability",
 }
 """Where each default comes from."""
 
@@ -41,7 +42,8 @@ class Tolerances:
         tilt_deg: of the base about its x and its y axis.
         clocking_deg: of the base about its z axis.
         gravity_deg: of gravity's direction, about each of two axes across it.
-        creep: of how far the stiffness has relaxed at the reading, relative.
+        creep: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
+        robot_mm: of several touches, of the base's place at each for itself, on each axis; one touch does not see it.
         tared: whether the sensor was tared with the probe free, as mounted: what the free probe's reading has of an
             error is then gone.
     """
@@ -60,6 +62,7 @@ class Tolerances:
     clocking_deg: float = 0.5
     gravity_deg: float = 0.2
     creep: float = 0.01
+    robot_mm: float = 0.05
     tared: bool = True
 
     def __post_init__(self) -> None:
@@ -92,8 +95,8 @@ class Tolerances:
 
     @property
     def exact(self) -> bool:
-        """Whether everything is as the model says."""
-        return replace(self, tared=True) == Tolerances.none()
+        """Whether one reading is of a probe that is all as the model says."""
+        return replace(self, robot_mm=0.0, tared=True) == Tolerances.none()
 
     def sources(self) -> dict[str, str]:
         """Where each comes from, by name."""

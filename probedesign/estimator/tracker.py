@@ -20,7 +20,7 @@ from probedesign.estimator import node_kernel as node
 from probedesign.estimator import normal_kernel as normal
 from probedesign.estimator.answer import most_chi2, told, widened
 from probedesign.estimator.bow import Bow, bow_of
-from probedesign.estimator.detector import Detector
+from probedesign.estimator.detector import Detector, Touching
 from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimator.estimate import Result
 from probedesign.estimator.estimator import Estimator
@@ -33,6 +33,9 @@ from probedesign.frames import Array
 MOST_NODES = 8
 IN_TURN = 4
 """Readings after which one of the older nodes is linearised anew too."""
+LONGEST_WAIT = 256
+"""Readings from one start to the next, which come after 1, 2, 4 ... of them: a start may take a tenth of a second, and
+a touch that fits no single point must not hold up the readings."""
 SETTLING = 8
 """Steps of Gauss and Newton at the first readings, from the place that one reading by itself tells."""
 _APART = 5e-6
@@ -102,16 +105,20 @@ class Tracker:
         self._x: Array | None = None
         self._fixed: Fixed = "surface"
         self._turn, self._bowed_at = 0, 0.0
+        self._idle, self._wait = 0, 1
         self._bow_found: Bow | None = None
         self._said = Fused("unobservable")
 
-    def update(self, wrench_base: ArrayLike, T_world_base: ArrayLike, time: float) -> Fused:
+    def update(
+        self, wrench_base: ArrayLike, T_world_base: ArrayLike, time: float, touching: Touching | None = None
+    ) -> Fused:
         """Take in one reading.
 
         Args:
             wrench_base: one sample at the base [N, N·m], (6,).
             T_world_base: pose of the base as it was read, (4, 4).
             time: of the sensor's clock [s].
+            touching: what another test says of the reading, as `Detector` would; the tracker's own test if None.
 
         Returns:
             What is known of the touched point: "ok" with its covariance, "no_contact", or why there is no number. A
@@ -131,7 +138,7 @@ class Tracker:
         if not free.ok:
             return Fused("not_converged")
         self._time = float(time)
-        said = self._detector.update(wrench - free.wrench_base)
+        said = touching or self._detector.update(wrench - free.wrench_base)
         if said != "contact":
             self._release(wrench - free.wrench_base, lost=said == "lost")
             return Fused("no_contact")
@@ -294,12 +301,13 @@ class Tracker:
 
     def _begin(self) -> Fused:
         """Start, but not at every reading; between, what was said last holds, never "ok"."""
-        count = int(self._touched[-1, node.COUNT])
-        if count & (count - 1) and count % 256:  # at 1, 2, 4, 8 ... readings of a pose
-            return self._said
         if self.moments_only and self._kept < 2:
             self._said = Fused("unobservable")
             return self._said
+        self._idle += 1
+        if self._idle < self._wait:
+            return self._said
+        self._idle, self._wait = 0, min(2 * self._wait, LONGEST_WAIT)
         self._model_anchor()
         # Moments alone may have rivals that one reading does not show; of one pose, a batch knows no more.
         answer = Fused("not_converged") if self.moments_only else self._from_one()

@@ -7,6 +7,8 @@ import numpy as np
 from probedesign.estimator.estimate import Estimate
 from probedesign.estimator.fused import Fused
 from probedesign.frames import Array
+from probedesign.live.contacts import Contact
+from probedesign.live.phases import Phase
 from probedesign.live.reading import Reading
 
 
@@ -27,12 +29,16 @@ class Answer:
         T_world_base: pose of the base, (4, 4); NaN if it is not known.
         wrench_base: what was estimated from, without bias, at the base [N, N·m], (6,); NaN where there is a fault.
         made: when it was there, by `time.monotonic` [s].
+        stale: what is too old or missing to be used: "pose", or nothing.
+        contacts: every touch so far, the present one included.
     """
 
     reading: Reading
     estimate: Estimate
-    phase: str = ""
+    phase: Phase = ""
     fused: Fused | None = None
     T_world_base: Array = field(default_factory=_unknown_pose)
     wrench_base: Array = field(default_factory=lambda: np.full(6, np.nan))
     made: float = float("nan")
+    stale: str = ""
+    contacts: tuple[Contact, ...] = ()

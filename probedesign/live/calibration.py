@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.frames import Array
@@ -42,9 +43,9 @@ class Calibration:
         return np.asarray((volts - zero) @ self.matrix.T)
 
 
-def clips(volts: Array) -> bool:
-    """Whether a gauge is beyond what the amplifier passes, or no number."""
-    return not bool((np.abs(volts) <= LIMIT).all())
+def clipped(volts: Array) -> NDArray[np.bool_]:
+    """Which gauges are beyond what the amplifier passes, or no number, shaped as they are."""
+    return ~(np.abs(volts) <= LIMIT)
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -92,16 +92,3 @@ def until(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
                     yield block[:inside]
                 return
         yield block
-
-
-def thinned(readings: Iterable[Reading], rate: float) -> Iterator[Reading]:
-    """At most `rate` readings a second of the source's clock [Hz]; the others are left out.
-
-    One may come a hundredth of a period early, so that a source that keeps the very rate loses none to rounding.
-    """
-    period = 1.0 / rate
-    due = -np.inf
-    for reading in readings:
-        if reading.time >= due - 0.01 * period:
-            due = due + period if due + period > reading.time else reading.time + period
-            yield reading

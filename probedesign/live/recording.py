@@ -64,7 +64,7 @@ def read_recording(path: str | Path) -> Recording:
     values = _numbers(table, rows, columns)
     _check(table, columns, values)
     gravity = values[:, 7:] if values.shape[1] > 7 else None
-    gaps, missing = _gaps(values[:, 0])
+    gaps, missing = gaps_in(values[:, 0])
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
     return Recording(
@@ -154,8 +154,8 @@ def _check(table: Table, columns: list[Column], values: Array) -> None:
         table.fail(table.numbers[i], f"time runs backward, {times}; sort the rows or split the recording")
 
 
-def _gaps(time: Array) -> tuple[int, int]:
-    """How many gaps, and how many samples they would have held."""
+def gaps_in(time: Array) -> tuple[int, int]:
+    """How many gaps there are in times [s], (n,), and how many samples they would have held."""
     steps = np.diff(time)
     median = float(np.median(steps)) if len(steps) else 0.0
     if median == 0.0:

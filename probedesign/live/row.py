@@ -4,7 +4,9 @@ import json
 import math
 
 from probedesign.estimator.estimate import Estimate
+from probedesign.estimator.fused import Fused
 from probedesign.frames import Array
+from probedesign.live.answer import Answer
 from probedesign.live.reading import Reading
 from probedesign.units import MILLINEWTON, MM
 
@@ -22,6 +24,16 @@ COLUMNS = (
     *(f"cov_contact_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "detection_chi2",
 )
+WORLD_COLUMNS = (
+    "phase",
+    "fused_result",
+    *(f"p_contact_world_{axis}_mm" for axis in "xyz"),
+    *(f"p_surface_world_{axis}_mm" for axis in "xyz"),
+    *(f"cov_contact_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "touch",
+    "stale",
+)
+"""Where poses of the base are known, after `COLUMNS`."""
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"))
 
 
@@ -36,6 +48,16 @@ def row(reading: Reading, estimate: Estimate) -> Row:
         true = [reading.truth.s_contact / MM, *_mm(reading.truth.p_contact_base)]
         answer |= dict(zip(TRUE_COLUMNS, true, strict=True))
     return answer
+
+
+def world_row(answer: Answer) -> Row:
+    """The answer in the units of `WORLD_COLUMNS`; what it does not tell is NaN."""
+    fused = answer.fused or Fused("out_of_range")
+    values: list[float | str] = [answer.phase, fused.result]
+    values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world)]
+    values += [float(fused.cov_contact_world[i, j]) / MM**2 for _, i, j in COVARIANCE]
+    present = answer.contacts[-1].number if answer.contacts and answer.contacts[-1].lasts else math.nan
+    return dict(zip(WORLD_COLUMNS, [*values, present, answer.stale], strict=True))
 
 
 def _mm(p: Array) -> list[float]:
@@ -64,13 +86,14 @@ def _json(value: float | str) -> float | str | None:
     return value if isinstance(value, str) or math.isfinite(value) else None
 
 
-def readable_line(since: float, reading: Reading, estimate: Estimate) -> str:
+def readable_line(since: float, reading: Reading, estimate: Estimate, answer: Answer | None = None) -> str:
     """One line of fixed columns for a person; what the result does not tell is left blank.
 
     Args:
         since: when it was read, counted from the first line [s].
         reading: what was estimated from.
         estimate: the answer.
+        answer: for phase and place in the world, where poses of the base are known.
     """
     force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
     cells = [
@@ -80,6 +103,14 @@ def readable_line(since: float, reading: Reading, estimate: Estimate) -> str:
         _cell("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_contact_base)),
         _cell("F {:7.1f} mN", force),
     ]
+    if answer is not None and answer.fused is not None:
+        fused = answer.fused
+        cells.append(f"{answer.phase:<8}")
+        place = _cell(
+            "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_contact_world), fused.rms / MM
+        )
+        told = answer.stale and f"world: no {answer.stale}"
+        cells.append(place if fused.ok or not told else told)
     if reading.truth is not None:
         true_s = reading.truth.s_contact / MM
         cells.append(_cell("true s {:6.1f} mm", true_s) if math.isfinite(true_s) else "true: free")

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
-from probedesign.live.recorder import Recorder
 from probedesign.live.sink import Sink
 
 Say = Callable[[str], None]
@@ -25,7 +24,8 @@ class Sinks:
 
     def read(self, block: Block) -> None:
         """Readings as the source gave them."""
-        self._time = float(block.time[-1])
+        if len(block):
+            self._time = float(block.time[-1])
         self._each(lambda sink: sink.read(block))
 
     def answered(self, answer: Answer) -> None:
@@ -80,27 +80,3 @@ class Spoken:
 
     def close(self) -> None:
         """There is nothing to close."""
-
-
-class RawRecording:
-    """Every reading into a recorder, but those with a fault, which make a gap."""
-
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-
-    def read(self, block: Block) -> None:
-        """Write them down."""
-        if block.fault:
-            return
-        for time, wrench in zip(block.time.tolist(), block.wrench_sensor, strict=True):
-            self._recorder.write(time, wrench, block.gravity_base)
-
-    def answered(self, answer: Answer) -> None:
-        """Only what is raw is recorded."""
-
-    def told(self, time: float, line: str) -> None:
-        """Only what is raw is recorded."""
-
-    def close(self) -> None:
-        """The file is whole."""
-        self._recorder.__exit__(None, None, None)

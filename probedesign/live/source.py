@@ -7,6 +7,7 @@ from typing import Protocol
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.live.block import Block
+from probedesign.live.daq.source import DAQ
 from probedesign.live.netft.source import NetFT
 from probedesign.live.replay import Replay
 from probedesign.live.simulate import Simulation
@@ -26,14 +27,14 @@ class Source(Protocol):
         ...
 
 
-SOURCES = "netft://HOST, replay:FILE and sim:"
+SOURCES = "netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE and sim:"
 
 
 def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambda line: None) -> Source:
     """The source that a specification names.
 
     Args:
-        spec: `netft://HOST[:PORT]`, `replay:FILE?speed=max` or `sim:?name=value&...`.
+        spec: `netft://HOST[:PORT]`, `daq://Dev1/ai0:5?cal=FILE`, `replay:FILE?speed=max` or `sim:?name=value&...`.
         model: the probe on the sensor.
         say: takes each line that a user should know while it runs: what is late, lost or broken.
 
@@ -49,10 +50,10 @@ def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambd
         case "sim":
             raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {place!r}")
         case "replay":
-            return Replay(model, Path(place), query)
+            return Replay(model, Path(place), query, say)
         case "netft":
             return NetFT(model, place, query, say)
         case "daq":
-            raise InputError(f"source {scheme}: is not in this version; there are {SOURCES}")
+            return DAQ(model, place, query, say)
         case _:
             raise InputError(f"source {spec!r} is not known; there are {SOURCES}")

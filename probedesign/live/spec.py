@@ -4,7 +4,7 @@ import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, urlencode
 
 from probedesign.errors import InputError
 
@@ -32,6 +32,24 @@ SPEED = Parameter(1.0, 1e-3, 1e6, words={"max": math.inf})
 """How many times as fast as the source's own clock; shared by every source that does not run by itself."""
 TICK, MOST = 0.002, 64
 """Readings of such sources come in blocks of so long at most, as they are paced [s], and of so many."""
+
+
+def taken_text(source: str, query: str, name: str) -> tuple[str, str]:
+    """The one parameter that is no number, empty where it is not said, and the query without it.
+
+    Args:
+        source: its name, for messages.
+        query: `name=value&name=value`, or nothing.
+        name: of the parameter.
+
+    Raises:
+        InputError: it is said twice, or the query is none.
+    """
+    pairs = _pairs(source, query)
+    found = [text for said, text in pairs if said == name]
+    if len(found) > 1:
+        raise InputError(f"{source} {name} is said twice; keep one")
+    return "".join(found), urlencode([pair for pair in pairs if pair[0] != name])
 
 
 def parse_parameters(source: str, query: str, known: Mapping[str, Parameter]) -> dict[str, float]:

@@ -17,6 +17,9 @@ FEWEST = 10
 STEADY = 3.0
 """A channel that scatters more than this many times its noise is not the noise of a free probe. Ten readings
 of pure noise do so once in 1e12 windows."""
+ASKED = 2.0
+"""How long a tare takes that is asked for while live runs [s]; with 194 readings a second its mean leaves a twentieth
+of their noise."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
@@ -48,6 +51,43 @@ class Tare:
     std_sensor: Array
     readings: int
     window: Window
+
+
+class Taring:
+    """A tare that is being taken: readings of its window gather until the first one after it.
+
+    Attributes:
+        window: when the probe is free.
+        asked: whether it was asked for while live ran.
+    """
+
+    def __init__(self, window: Window, estimator: Estimator, asked: bool = False) -> None:
+        """Begin.
+
+        Args:
+            window: when the probe is free.
+            estimator: of the probe.
+            asked: while live runs; else it comes before anything else.
+        """
+        self.window, self.asked = window, asked
+        self._estimator = estimator
+        self._inside: list[Reading] = []
+
+    def over(self, reading: Reading, since: float) -> bool:
+        """Take in a reading that came so long after the first one [s]; whether it lies after the window."""
+        if since >= self.window.end:
+            return True
+        if since >= self.window.start:
+            self._inside.append(reading)
+        return False
+
+    def tare(self) -> Tare:
+        """What was found.
+
+        Raises:
+            InputError: as of `take_tare`.
+        """
+        return take_tare(self._inside, self.window, self._estimator)
 
 
 def parse_window(text: str) -> Window:
@@ -126,3 +166,12 @@ def without_bias(reading: Reading, tare: Tare | None) -> Reading:
     if tare is None:
         return reading
     return replace(reading, wrench_sensor=reading.wrench_sensor - tare.bias_sensor)
+
+
+def describe_tare(tare: Tare) -> str:
+    """The tare in one line."""
+    bias = ", ".join(
+        f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
+        for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)
+    )
+    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}"

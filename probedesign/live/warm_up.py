@@ -68,3 +68,5 @@ def _fuse(estimator: Estimator, touches: list[tuple[Array, Array]]) -> None:
     steps = [(free, still), *(touch for touch in touches for _ in range(SAMPLES))]
     for i, (wrench, T) in enumerate(steps):
         tracker.update(wrench, T, i / RATE)
+    wrenches, poses = zip(*touches[:2], strict=True)
+    estimator.fuse(wrenches, poses, model.gravity_base)  # what the tracker starts anew with

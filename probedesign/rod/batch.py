@@ -1,7 +1,7 @@
 """Many equilibria at once: rods and loads as arrays in, answers as arrays out, on all cores."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -110,6 +110,10 @@ class Rods:
     def __len__(self) -> int:
         """How many."""
         return len(self.rods)
+
+    def __iter__(self) -> Iterator[Rod]:
+        """One by one."""
+        return iter(self.rods)
 
     @cached_property
     def bodies(self) -> kernels.Body:

@@ -229,7 +229,7 @@ def test_interrupted_live_ends_well_and_leaves_a_whole_recording(bundle, tmp_pat
     lines = seen + rest.splitlines()
     assert process.returncode == 0
     assert "Traceback" not in err
-    assert err.splitlines()[-1] == f"{len(lines)} estimates: {len(lines)} no_contact"
+    assert f"{len(lines)} estimates: {len(lines)} no_contact" in err.splitlines()
     recording = read_recording(path)
     assert (recording.dropped_lines, recording.notes) == (0, ())
     assert len(recording.time) >= len(lines)

@@ -11,7 +11,7 @@ from probedesign.deployment import load_estimator
 from probedesign.estimator.tracker import Tracker
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
-from probedesign.live.warm_up import warm_up
+from probedesign.live.warm_up import _touches, warm_up
 
 def kernels():
     gc.unfreeze()
@@ -25,11 +25,11 @@ warm_up(estimator, print, fusing=True)
 before = kernels()
 answers = list(estimate_stream(estimator, Simulation(estimator.model, "speed=max&rate_hz=5"), Plan(), print))
 assert {"ok", "no_contact"} <= {answer.estimate.result for answer in answers}
-tracker, gravity = Tracker(estimator, gravity_world=estimator.model.gravity_base), estimator.model.gravity_base
-for i, answer in enumerate(answers):
-    T = np.eye(4)
-    T[0, 3] = 1e-3 * i
-    tracker.update(estimator.model.to_base(answer.reading.wrench_sensor, gravity), T, float(i))
+tracker = Tracker(estimator, gravity_world=estimator.model.gravity_base)
+noise = np.random.default_rng(1).standard_normal((100, 6)) * np.sqrt(np.diag(estimator.model.noise.covariance()))
+touches = [touch for touch in _touches(estimator) for _ in range(5)]
+said = {tracker.update(wrench + noise[i], T, i / 7000).result for i, (wrench, T) in enumerate(touches)}
+assert "ok" in said
 print(sorted(kernels().items() - before.items()))
 """
 

@@ -14,11 +14,13 @@ from probedesign.frames import Array
 from probedesign.live.block import Block, silence
 from probedesign.live.netft.clock import SensorClock
 from probedesign.live.netft.configuration import Configuration
-from probedesign.live.netft.outage import COUNTED, Losses, Outage
+from probedesign.live.netft.losses import COUNTED, Losses
 from probedesign.live.netft.page import Watch
 from probedesign.live.netft.session import STALE, Records, Session
 from probedesign.live.netft.status import HARMLESS, fault_of
+from probedesign.live.outage import Outage
 
+NEVER = "the box answers HTTP but sends no record; is a firewall between, or the port another?"
 APART = 1.0
 """Lines on faults are so far apart at least [s]: a load near the limit comes and goes."""
 
@@ -53,7 +55,7 @@ class Reception:
         self._name, self._gravity, self._say = name, gravity_base, say
         self._to_sensor = configuration.to_sensor
         self._session, self._watch = session, watch
-        self._clock, self._outage, self._losses = SensorClock(), Outage(name, say), Losses(name, say)
+        self._clock, self._outage, self._losses = SensorClock(), Outage(name, say, NEVER), Losses(name, say)
         self.counts: Counter[str] = Counter()
         self._last, self._stretch = -inf, 0
         self._counted, self._faulted = monotonic(), -inf

@@ -11,7 +11,7 @@ from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.live.block import Block
 from probedesign.live.netft.configuration import Configuration
-from probedesign.live.netft.outage import summary
+from probedesign.live.netft.losses import summary
 from probedesign.live.netft.page import Watch, fetch_configuration
 from probedesign.live.netft.reception import Reception
 from probedesign.live.netft.session import Session

@@ -27,9 +27,12 @@ def main() -> None:
             back.flush()
 
     try:
+        from probedesign.live.view.origins import own_page_only
         from probedesign.live.view.page import Page
 
-        page = Page(pickle.load(sys.stdin.buffer), lambda wish, text: tell(wish=wish, text=text))
+        setup = pickle.load(sys.stdin.buffer)
+        own_page_only(setup.host)
+        page = Page(setup, lambda wish, text: tell(wish=wish, text=text))
         tell(url=page.url)
         while True:
             page.show(pickle.load(sys.stdin.buffer))

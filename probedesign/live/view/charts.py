@@ -11,51 +11,43 @@ from probedesign.units import MILLINEWTON, MM
 SECONDS = 15.0
 POINTS = 450
 """Of a chart: 30 a second."""
-S, STD = STRIP.index("s"), STRIP.index("std_s")
+AGAIN = 0.1
+"""They are drawn anew when so much has come [s]: all their points are sent each time."""
+S, STD, FORCE = STRIP.index("s"), STRIP.index("std_s"), STRIP.index("force")
 
 
 class Charts:
-    """What the charts show, as new rows come.
-
-    A chart's arrays are its times and one array a line; NaN leaves a gap.
-    """
+    """What the charts show, as new rows come; NaN where nothing is known."""
 
     def __init__(self) -> None:
         self._rows: deque[Array] = deque(maxlen=POINTS)
-        self._due = -np.inf
+        self._due = self._drawn = -np.inf
 
     def add(self, strip: Array) -> bool:
-        """Take in rows of `STRIP`, thinned; whether there is anything new. Time that runs backward begins anew."""
-        before = self._due
+        """Take in rows of `STRIP`, thinned; whether it is worth to draw anew. Time that runs backward begins anew."""
         for row in strip:
             if row[0] < self._due - 2.0 * SECONDS / POINTS:
                 self._rows.clear()
-                self._due = -np.inf
+                self._due = self._drawn = -np.inf
             if row[0] >= self._due:
                 self._rows.append(row)
                 self._due = row[0] + 0.9 * SECONDS / POINTS
-        return self._due != before
+        worth = self._due >= self._drawn + AGAIN
+        if worth:
+            self._drawn = self._due
+        return worth
 
-    def place(self) -> tuple[Array, ...]:
-        """Time [s], s [mm], and the edges of its 95 % band [mm]."""
+    def lines(self) -> dict[str, tuple[Array, ...]]:
+        """What is to be drawn: s [mm] and the ends of its 95 %, the contact's force [mN], and force [mN] and moment
+        [N·mm] at the base, each after the times [s]."""
         rows = self._last()
-        s, wide = rows[:, S] / MM, 1.96 * rows[:, STD] / MM
-        return rows[:, 0], s, s - wide, s + wide
-
-    def forces(self) -> tuple[Array, ...]:
-        """Time [s] and Fx, Fy, Fz at the base [mN]."""
-        rows = self._last()
-        return rows[:, 0], *(rows[:, 1:4] / MILLINEWTON).T
-
-    def moments(self) -> tuple[Array, ...]:
-        """Time [s] and Mx, My, Mz at the base [N·mm]."""
-        rows = self._last()
-        return rows[:, 0], *(rows[:, 4:7] / MM).T
-
-    def push(self) -> tuple[Array, ...]:
-        """Time [s] and the contact's force [mN]."""
-        rows = self._last()
-        return rows[:, 0], rows[:, 9] / MILLINEWTON
+        time, s, wide = rows[:, 0], rows[:, S] / MM, 1.96 * rows[:, STD] / MM
+        return {
+            "place": (time, s, s - wide, s + wide),
+            "push": (time, rows[:, FORCE] / MILLINEWTON),
+            "forces": (time, *(rows[:, 1:4] / MILLINEWTON).T),
+            "moments": (time, *(rows[:, 4:7] / MM).T),
+        }
 
     def window(self) -> tuple[float, float]:
         """From when to when the charts reach [s]."""

@@ -17,18 +17,23 @@ from probedesign.live.view.words import Health, words_of
 TOUCHES = 64
 """Places of earlier touches that are kept."""
 EVENTS = 8
+ABOUT = {"tare": "tare", "recording": "recording", "recorded": "recording"}
+"""Of which events begin so the last is what there is to say of tare and recording."""
 STRIPS = 4096
 """Rows that wait for who looks; he who looks 30 times a second finds a handful."""
+
+
+Counts = Callable[[], Mapping[str, int]]
 
 
 class Keeper:
     """Takes what the run says, without waiting, and gives a `Moment` when it is asked."""
 
-    def __init__(self, counts: Mapping[str, int], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, counts: Counts = dict, clock: Callable[[], float] = time.monotonic) -> None:
         """Nothing has been read yet.
 
         Args:
-            counts: what the source counts: lost, dropped.
+            counts: gives what the source counts: lost, dropped.
             clock: that `received` is told by [s].
         """
         self._counts, self._clock = counts, clock
@@ -44,10 +49,11 @@ class Keeper:
         self._number = 1
 
     def read(self, block: Block) -> None:
-        """Readings have come."""
+        """Readings have come, or the source says that it is silent."""
         self._fault = block.fault
-        self._taken += len(block)
-        self._readings.beat(len(block))
+        if len(block):
+            self._taken += len(block)
+            self._readings.beat(len(block))
 
     def answered(self, answer: Answer) -> None:
         """An answer has come."""
@@ -61,21 +67,20 @@ class Keeper:
         self._strip.append((answer.reading.time - self._first, *answer.wrench_base.tolist(), *known))
 
     def told(self, time: float, line: str) -> None:
-        """An event; what begins with "tare" or "recording" is what there is to say of these from now on."""
+        """An event."""
         self._events.append((time, line))
-        about = line.partition(" ")[0].rstrip(":")
-        if about in self._last_said:
+        if about := ABOUT.get(line.partition(" ")[0].rstrip(":")):
             self._last_said[about] = line
 
     def close(self) -> None:
         """Nothing is open."""
 
-    def moment(self) -> Moment:
-        """What there is to see now; the probe's shape is solved here, in the thread of who asks."""
+    def moment(self, shaped: bool = True) -> Moment:
+        """What there is to see now; the probe's shape, if it is wanted, is solved here, in the thread of who asks."""
         answer = self._answer
         health = Health(
             self._readings.stale, self._answers.stale, self._readings.silence, self._readings.rate,
-            self._answers.rate, self._fault, self._taken, dict(self._counts), **self._last_said,
+            self._answers.rate, self._fault, self._taken, dict(self._counts()), **self._last_said,
         )  # fmt: skip
         events, strip = tuple(self._events), self._drained()
         if answer is None:
@@ -86,7 +91,7 @@ class Keeper:
             result=answer.estimate.result,
             old=health.stale or health.no_answer,
             words=words_of(answer, place, health),
-            shape=shape_of(answer),
+            shape=shape_of(answer) if shaped else None,
             place=place,
             touches=tuple(self._touches),
             T_world_base=answer.T_world_base,
@@ -109,7 +114,7 @@ class Keeper:
             surer = self._touching is None or place.std_s <= self._touching.std_s
             if surer or answer.phase == "settled":
                 self._touching = place
-        free = answer.phase == "free" or answer.estimate.result == "no_contact"
+        free = answer.phase in ("free", "moving", "released") or answer.estimate.result == "no_contact"
         if free and self._touching is not None:
             self._touches.append(self._touching)
             self._touching, self._number = None, self._number + 1

@@ -81,8 +81,8 @@ class Panel:
     def draw(self, charts: Charts) -> None:
         """The charts as they are now."""
         low, high = charts.window()
-        for name, chart in self._charts.items():
-            data: tuple[Array, ...] = getattr(charts, name)()
+        for name, data in charts.lines().items():
+            chart = self._charts[name]
             chart.data = tuple(np.ascontiguousarray(line, dtype=np.float64) for line in data)
             y = (0.0, 1.05 * self._length_mm) if name == "place" else _range(data[1:])
             chart.scales = {"x": {"time": False, "range": (low, high)}, "y": {"range": y}}

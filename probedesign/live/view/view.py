@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, get_args
@@ -19,7 +18,7 @@ from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.requests import Requests, Wish
 from probedesign.live.sinks import Say
-from probedesign.live.view.keeper import Keeper
+from probedesign.live.view.keeper import Counts, Keeper
 from probedesign.live.view.moment import Shape
 from probedesign.live.view.parts import parts_of
 from probedesign.live.view.setup import Setup
@@ -50,7 +49,7 @@ class View:
         say: Say,
         host: str = "127.0.0.1",
         port: int = 8080,
-        counts: Mapping[str, int] | None = None,
+        counts: Counts = dict,
     ) -> None:
         """Open the page.
 
@@ -61,7 +60,7 @@ class View:
             say: takes what a user should know.
             host: address to listen on.
             port: where, or at the next free one.
-            counts: what the source counts: lost, dropped.
+            counts: gives what the source counts: lost, dropped.
 
         Raises:
             InputError: it cannot listen there.
@@ -71,7 +70,7 @@ class View:
             raise MissingDependencyError("--view needs viser; install probedesign[view]")
         _check(host, port)
         self._requests, self._say = requests, say
-        self._keeper = Keeper(counts or {})
+        self._keeper = Keeper(counts)
         self._ended = threading.Event()
         self._process = process = _start()
         assert process.stdin is not None and process.stdout is not None

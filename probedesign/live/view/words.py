@@ -92,8 +92,8 @@ def _health(answer: Answer | None, health: Health) -> list[Said]:
         *fault,
         Said("rate", _rates(answer, health)),
         _loss(health.counts, health.taken),
-        Said("tare", _without("tare", health.tare) or "none taken"),
-        Said("recording", _without("recording", health.recording) or "no"),
+        Said("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
+        Said("recording", health.recording.removeprefix("recording ") or "no"),
     ]
 
 
@@ -108,10 +108,6 @@ def _loss(counts: Mapping[str, int], taken: int) -> Said:
     lost = {name: count for name in ("lost", "late", "dropped", "faults") if (count := counts.get(name, 0))}
     told = ", ".join(f"{count} {name}" for name, count in lost.items())
     return Said("loss", f"{told or 'none known'} of {taken} readings", "fair" if lost else "plain")
-
-
-def _without(name: str, line: str) -> str:
-    return line.removeprefix(name).lstrip(": ")
 
 
 def _stds(cov: Array) -> Array:

@@ -1,0 +1,15 @@
+"""The estimate of one reading of the sensor."""
+
+from probedesign.estimator.estimate import Estimate
+from probedesign.estimator.estimator import Estimator
+from probedesign.live.reading import Reading
+from probedesign.live.tare import Tare, without_bias
+
+
+def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:
+    """The estimate of one reading; a channel at its limit counts as read, before the bias is taken off."""
+    if read.fault or not estimator.model.reads(read.wrench_sensor):
+        return Estimate("out_of_range")
+    reading = without_bias(read, tare)
+    wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
+    return estimator.estimate(wrench_base, reading.gravity_base)

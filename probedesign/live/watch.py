@@ -1,0 +1,128 @@
+"""Watches the probe while readings come: touching or not, the phase, the fusion, the contacts so far."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from probedesign.estimator.detector import Detector, Touching
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.fused import Fused
+from probedesign.estimator.tracker import Tracker
+from probedesign.frames import Array
+from probedesign.live.batch import Batch
+from probedesign.live.contacts import Contacts
+from probedesign.live.phases import Phase, Phases
+from probedesign.live.pose.latency import TOLD, Timing
+from probedesign.live.pose.poses import Poses
+from probedesign.live.tare import Tare
+
+Say = Callable[[str], None]
+"""Takes a line that a user should know."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is known after a batch.
+
+    Attributes:
+        phase: of the touch; empty where it cannot be told.
+        fused: from all readings of this touch; None where no poses are known.
+    """
+
+    phase: Phase
+    fused: Fused | None
+
+
+class Watch:
+    """Sees every batch. The test is on its single samples, the phase on its mean, and so is the fusion: the tracker
+    takes a mean for one sample of a sensor with the mean's noise."""
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        contacts: Contacts,
+        rate: float,
+        samples: int,
+        poses: Poses | None,
+        say: Say,
+    ) -> None:
+        """With nothing seen yet.
+
+        Args:
+            estimator: of the probe, for the noise of a batch's mean.
+            contacts: the list to go on with.
+            rate: of single samples [Hz].
+            samples: of a batch.
+            poses: of the base, if they are known.
+            say: takes each line that a user should know.
+        """
+        model = estimator.model
+        self._estimator, self._contacts, self._poses, self._say = estimator, contacts, poses, say
+        self._detector = Detector(replace(model, averaging_samples=samples), rate)
+        self._phases = Phases(model, rate / samples)
+        self._timing = Timing(model.whiten)
+        self._tracker: Tracker | None = None
+        if poses is not None:
+            of_means = Estimator(replace(model, averaging_samples=1))
+            self._tracker = Tracker(of_means, gravity_world=poses.gravity_world, rate=rate / samples)
+        self._seen = self._unknown
+
+    @property
+    def _unknown(self) -> Seen:
+        return Seen("", None if self._poses is None else Fused("out_of_range"))
+
+    def see(self, batch: Batch, tare: Tare | None, T_world_base: Array | None) -> Seen:
+        """Take in a batch that is right, its gravity known.
+
+        Args:
+            batch: bias included.
+            tare: of the bias.
+            T_world_base: of the base, (4, 4), if poses are known.
+        """
+        model, gravity = self._estimator.model, batch.reading.gravity_base
+        free = self._estimator.free(gravity)
+        if not free.ok:
+            return self._unknown
+        bias = 0.0 if tare is None else tare.bias_sensor
+        beyond = model.to_base(batch.block.wrench_sensor - bias, gravity) - free.wrench_base
+        mean, said = beyond.mean(axis=0), self._detector.run(beyond)
+        phase = self._phases.next("lost" if "lost" in said else said[-1], mean, T_world_base)
+        fused = self._fused(said, mean + free.wrench_base, T_world_base, batch.reading.time)
+        self._follow(batch.reading.time, phase, fused)
+        self._check(batch.reading.time, phase, mean, T_world_base)
+        self._seen = Seen(phase, fused)
+        return self._seen
+
+    def interrupted(self) -> None:
+        """Readings are missing between the last and the next."""
+        self._phases.steadiness.forget()
+
+    def _fused(self, said: list[Touching], wrench: Array, T: Array | None, time: float) -> Fused | None:
+        """The tracker's answer. A batch that is partly free and partly not tells nothing of either."""
+        if self._tracker is None or T is None:
+            return None
+        if "lost" in said:
+            return self._tracker.update(wrench, T, time, "lost")
+        if len(set(said)) == 1:
+            return self._tracker.update(wrench, T, time, said[0])
+        return Fused("no_contact")
+
+    def _follow(self, time: float, phase: Phase, fused: Fused | None) -> None:
+        ended = self._contacts.follow(time, phase, fused)
+        if ended is not None:
+            self._say(ended.line)
+
+    def _check(self, time: float, phase: Phase, beyond: Array, T: Array | None) -> None:
+        """Of every touch, when it settles, whether poses and wrench moved at one time."""
+        if T is None or self._poses is None:
+            return
+        if phase not in ("touching", "settled"):
+            return self._timing.forget()
+        if phase == "settled" and self._seen.phase == "touching":
+            late = self._timing.late()
+            if abs(late) > TOLD:
+                stated = 1e3 * self._poses.latency
+                self._say(
+                    f"poses: in this touch they came {1e3 * late:.0f} ms later than stated, by the wrench; "
+                    f"is it --pose-latency-ms {stated + 1e3 * late:.0f} rather than {stated:g}?",
+                )
+        self._timing.see(time, T[:3, 3], beyond)

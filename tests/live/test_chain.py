@@ -1,0 +1,266 @@
+"""The chain on a probe that a moving base presses against an edge of the world, the rod solved in reference mode."""
+
+import numpy as np
+import pytest
+
+from probedesign.frames import pose
+from probedesign.live.block import Block
+from probedesign.live.box import scene
+from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
+from probedesign.live.chain import Chain
+from probedesign.live.phases import SPAN
+from probedesign.live.plan import Plan
+from probedesign.live.pose.poses import Poses
+from probedesign.live.pose.timed import TimedPose, of_matrix
+from probedesign.live.tare import Window
+
+RATE, SAMPLES = 500.0, 5
+"""Of single samples [Hz], and to a mean: a hundred means a second."""
+BIAS = np.array([0.3, -0.2, 0.5, 0.002, -0.003, 0.001])
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def motion(estimator):
+    """Rest, onto one edge at 0.6 of the length, hold, off it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(scene.SCENES, "edge", (scene.Thing("edge", 0.6, 0.0),))
+        return Motion(estimator.model, scene.press_scene(estimator.model, "edge"))
+
+
+def blocks(model, wrench_sensor, time, size=25, seed=1):
+    """Blocks of single samples with their noise, of (n, 6) at (n,)."""
+    std = np.sqrt(np.diag(model.noise.covariance()) * SAMPLES)
+    read = wrench_sensor + std * np.random.default_rng(seed).standard_normal((len(time), 6))
+    for i in range(0, len(time), size):
+        part = slice(i, i + size)
+        unknown = np.full(len(time[part]), np.nan)
+        yield Block(time[part], read[part], model.gravity_base, unknown)
+
+
+def touch(motion, **options):
+    """Blocks of the whole touch, and of a second of rest after it."""
+    time = np.arange(int((motion.round + 1.0) * RATE)) / RATE
+    return blocks(motion.model, motion.wrench_sensor(time) + BIAS, time, **options)
+
+
+def told_poses(motion, late=0.0, latency=0.0):
+    """As a robot tells them, 125 a second, each stamped so much late [s]."""
+    time = np.arange(-0.2, motion.round + 1.2, 1.0 / 125.0)
+    p = motion.p_world_base(np.maximum(time, 0.0))
+    told = [TimedPose(t + late, tuple(at), UPRIGHT) for t, at in zip(time.tolist(), p.tolist(), strict=True)]
+    return Poses("told", told, latency=latency, gravity_world=motion.model.gravity_base)
+
+
+def run(estimator, stream, poses=None, plan=None, ask=()):
+    """Answers, events and the chain; `ask` holds times at which a tare is asked for."""
+    lines, asked = [], list(ask)
+    chain = Chain(estimator, plan or Plan(Window(0.0, 2.0), SAMPLES, 25.0), poses, lines.append)
+    answers = []
+    for block in stream:
+        answers += chain.take(block)
+        if asked and block.time[-1] >= asked[0]:
+            asked.pop(0)
+            chain.take_tare()
+    return [*answers, *chain.ended()], lines, chain
+
+
+@pytest.fixture(scope="module")
+def touched(estimator, motion):
+    return run(estimator, touch(motion), told_poses(motion))
+
+
+def test_the_touched_point_lies_in_its_ellipsoid_of_the_world(motion, touched):
+    """A Gaussian's lies there in 999 of 1000 cases: χ² of three degrees of freedom below 16.3."""
+    _, _, chain = touched
+    (contact,) = chain.contacts
+    assert contact.settled and contact.fused.ok and contact.fused.fixed == "surface"
+    off = contact.fused.p_surface_world - motion.things[0].point
+    assert off @ np.linalg.solve(contact.fused.cov_fixed_world, off) < 16.3
+    assert contact.fused.rms < 1e-3  # one reading alone knows this touch to 2 mm
+
+
+def test_the_phases_are_those_of_figure_8(motion, touched):
+    answers, lines, chain = touched
+    order = [a.phase for a, b in zip(answers[1:], answers, strict=False) if a.phase != b.phase]
+    assert order == ["moving", "touching", "settled", "touching", "released", "moving", "free"]
+    time = {phase: [a.reading.time for a in answers if a.phase == phase] for phase in set(order)}
+    pressed = REST + MOVE + PRESS  # where the base begins to hold
+    # The whole span must be still; a mean lies half its length, 5 ms, before its last sample.
+    assert pressed + SPAN - 0.01 <= time["settled"][0] <= pressed + 1.5 * SPAN
+    assert time["settled"][-1] <= pressed + HOLD + SPAN
+    assert any(line.startswith("touch 1, ") and "mm in the world" in line for line in lines)
+    assert not chain.contacts[0].lasts
+
+
+def test_without_poses_there_is_no_place_in_the_world(estimator, motion, touched):
+    answers, _, chain = run(estimator, touch(motion))
+    assert {a.fused for a in answers} == {None}
+    assert all(np.isnan(a.T_world_base).all() and a.stale == "" for a in answers)
+    assert chain.contacts[0].settled and chain.contacts[0].estimate.ok
+    # The base does not turn here, so each estimate is the one with poses.
+    for mine, other in zip(answers, touched[0], strict=True):
+        assert np.array_equal(mine.estimate.p_contact_base, other.estimate.p_contact_base, equal_nan=True)
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
+    def short(size):
+        stream = (b for b in touch(motion, size=size) if b.time[-1] < 3.0)
+        return run(estimator, stream, told_poses(motion), Plan(Window(0.0, 0.5), SAMPLES, filter_hz=20.0))[0]
+
+    answers, like = short(size), short(25)
+    fewest = min(len(answers), len(like))
+    assert fewest >= 150  # of 1.5 s at least; blocks of 1000 end there
+    for mine, other in zip(answers[:fewest], like[:fewest], strict=True):
+        assert mine.reading.time == other.reading.time and mine.phase == other.phase
+        assert mine.estimate.detection_chi2 == other.estimate.detection_chi2
+        assert np.array_equal(mine.wrench_base, other.wrench_base)
+
+
+def test_poses_that_come_later_than_stated_are_noticed(estimator, motion):
+    """The base stops in the middle of 20 ms of readings' own time: told to a fifth of the 60 ms that it is off."""
+    _, lines, _ = run(estimator, touch(motion), told_poses(motion, late=0.060))
+    (said,) = [line for line in lines if "--pose-latency-ms" in line]
+    assert "rather than 0?" in said
+    assert 48.0 <= float(said.split("is it --pose-latency-ms ")[1].split()[0]) <= 72.0
+
+
+def test_poses_whose_latency_is_stated_are_taken_for_true(estimator, motion, touched):
+    answers, lines, _ = run(estimator, touch(motion), told_poses(motion, late=0.060, latency=0.060))
+    assert not [line for line in [*lines, *touched[1]] if "--pose-latency-ms" in line]
+    last, same = (a[-1].contacts[0].fused for a in (answers, touched[0]))
+    # The same poses at the same times, but for the rounding of time to nanoseconds: 1e-9 s at 13 mm/s.
+    assert last.p_contact_world == pytest.approx(same.p_contact_world, abs=1e-9)
+
+
+def turning(model, seconds):
+    """The free probe on a base that turns by a right angle about y and by another about z: readings, and poses."""
+    time = np.arange(int(seconds * RATE)) / RATE
+    share = np.clip((time - 1.0) / (seconds - 2.0), 0.0, 1.0) * np.pi / 2.0
+    turns = [_about_y(a) @ _about_z(a) for a in share]
+    gravities = [R.T @ model.gravity_base for R in turns]
+    steps = {a: model.rod.solve(g).wrench_base for a, g in zip(share, gravities, strict=True)}
+    wrench = [model.to_sensor(steps[a], g) for a, g in zip(share, gravities, strict=True)]
+    poses = [of_matrix(t, pose(R)) for t, R in zip(time[::4].tolist(), turns[::4], strict=True)]
+    return time, np.array(wrench), Poses("turning", poses, gravity_world=model.gravity_base)
+
+
+def _about_y(a):
+    return np.array([[np.cos(a), 0.0, np.sin(a)], [0.0, 1.0, 0.0], [-np.sin(a), 0.0, np.cos(a)]])
+
+
+def _about_z(a):
+    return np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def turned(estimator):
+    return turning(estimator.model, 6.0)
+
+
+def test_a_free_probe_feels_nothing_however_it_is_turned(estimator, turned):
+    """A mean of five samples that turn with 0.4 rad/s is off by a hundredth of its noise; the chance that one of 600
+    free readings is called a contact is 1e-3."""
+    time, wrench, poses = turned
+    stream = blocks(estimator.model, wrench, time)
+    answers, _, chain = run(estimator, stream, poses, Plan(Window(0.0, 0.9), SAMPLES))
+    known = [a for a in answers if not a.stale]
+    assert len(known) > 480 and {a.estimate.result for a in known} == {"no_contact"}
+    assert "moving" in {a.phase for a in known} and chain.contacts == ()
+
+
+def test_a_turning_base_without_poses_feels_its_own_weight(estimator, turned):
+    """That the test above can fail."""
+    time, wrench, _ = turned
+    plan = Plan(Window(0.0, 0.9), SAMPLES, rate=1.0)
+    answers, _, _ = run(estimator, blocks(estimator.model, wrench, time), None, plan)
+    assert answers[-1].estimate.result != "no_contact"
+
+
+def test_without_a_pose_there_is_no_number(estimator, motion):
+    """Poses lack from 1.0 to 1.4 s and from 1.8 s on."""
+    all_poses = told_poses(motion)
+    told = [
+        TimedPose(t, tuple(all_poses.at(t)[:3, 3]), UPRIGHT)
+        for t in all_poses.track.times
+        if t < 1.0 or 1.4 < t < 1.8
+    ]
+    stream = (b for b in touch(motion) if b.time[-1] < 2.5)
+    poses = Poses("with a gap", told, gravity_world=motion.model.gravity_base)
+    answers, lines, _ = run(estimator, stream, poses, Plan(Window(0.0, 0.5), SAMPLES))
+    for a in answers:
+        lacks = 1.0 <= a.reading.time < 1.4 or a.reading.time >= 1.8
+        edge = min(abs(a.reading.time - at) for at in (1.0, 1.4, 1.8)) < 0.01  # poses are 8 ms apart
+        if edge:
+            continue
+        assert (a.stale == "pose") == lacks == (a.estimate.result == "out_of_range")
+        assert a.fused.result == ("out_of_range" if lacks else "no_contact")
+        assert np.isnan(a.wrench_base).all() == np.isnan(a.T_world_base).all() == lacks
+    assert [line.split(":")[0].split(" at ")[0] for line in lines if "pose" in line] == [
+        "no pose of the base", "the base's pose is known again", "no pose of the base"
+    ]  # fmt: skip
+
+
+def test_a_tare_is_taken_when_asked_while_free_and_refused_while_touching(estimator, motion):
+    stream = (b for b in touch(motion) if b.time[-1] < 8.5)
+    _, lines, chain = run(estimator, stream, told_poses(motion), ask=[2.5, 2.7, 7.9])
+    told = [line for line in lines if line.startswith("tare")]
+    assert told[0].startswith("tare from 200 readings in 0:2 s: Fx 30")
+    assert told[1] == "tare: keep the probe free and still for 2 s"
+    assert told[2] == "tare: not now, one is being taken"
+    assert told[3].startswith("tare from 200 readings in 2.5")
+    assert told[4] in {
+        f"tare refused: the probe is {p}; the tare from before is kept" for p in ("touching", "settled")
+    }
+    assert len(told) == 5
+    noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    assert (np.abs(chain.tare.bias_sensor - BIAS) < 5.0 * noise / np.sqrt(200.0)).all()
+
+
+def test_a_tare_that_is_touched_meanwhile_is_refused(estimator, motion):
+    stream = (b for b in touch(motion) if b.time[-1] < 8.5)
+    _, lines, chain = run(estimator, stream, told_poses(motion), ask=[4.9])
+    refused = [line for line in lines if line.startswith("tare refused: the probe is moving")]
+    assert len(refused) == 1
+    assert chain.tare.window == Window(0.0, 2.0)
+
+
+def test_the_first_tare_may_be_asked_for(estimator, motion):
+    """Before it the bias looks like a touch, and does not stand in its way."""
+    stream = (b for b in touch(motion) if b.time[-1] < 4.0)
+    answers, _, chain = run(estimator, stream, None, Plan(samples=SAMPLES, rate=5.0), ask=[1.0])
+    assert chain.tare is not None and answers[-1].estimate.result == "no_contact"
+    assert answers[0].phase in ("touching", "settled") and answers[-1].phase == "free"
+
+
+def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):
+    """One of five at the full range, far within it in the mean."""
+
+    def spoiled():
+        for block in touch(motion):
+            wrench = block.wrench_sensor.copy()
+            if block.time[0] <= 0.5 < block.time[-1]:
+                wrench[3, 1] = estimator.model.wrench_range[1]
+            yield Block(block.time, wrench, block.gravity_base, block.received)
+            if block.time[-1] > 1.0:
+                return
+
+    answers, _, _ = run(estimator, spoiled(), None, Plan(Window(0.0, 0.3), SAMPLES))
+    bad = [a for a in answers if a.reading.fault]
+    assert len(bad) == 1 and bad[0].estimate.result == "out_of_range" and bad[0].phase == ""
+
+
+def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion):
+    """During the press the force grows evenly: filtered and dated back it is what is read then, within five
+    deviations of the noise that both have."""
+    plan = Plan(Window(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
+    answers, lines, _ = run(estimator, touch(motion), None, plan)
+    assert any(line.startswith("low-pass 10 Hz: estimates tell of 18.6 ms before") for line in lines)
+    rising = [a for a in answers if REST + MOVE + 1.42 < a.reading.time < REST + MOVE + 1.48]
+    assert len(rising) > 3
+    for a in rising:
+        at = np.array([a.reading.time])
+        expected = motion.model.to_base(motion.wrench_sensor(at)[0], motion.model.gravity_base)
+        std = np.sqrt(np.diag(motion.model.noise_base()))
+        assert (np.abs(a.wrench_base - expected) < 5.0 * std).all()

@@ -1,0 +1,379 @@
+"""Poses of the base: interpolated, never extrapolated, whatever is sent."""
+
+import json
+import socket
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from probedesign.errors import InputError
+from probedesign.frames import inverse, is_pose, pose
+from probedesign.live.block import Block
+from probedesign.live.pose.clock import KEPT, Offset
+from probedesign.live.pose.file import read_file
+from probedesign.live.pose.listener import LARGEST, Listener
+from probedesign.live.pose.poses import Poses
+from probedesign.live.pose.spec import open_poses
+from probedesign.live.pose.timed import TimedPose, of_matrix
+from probedesign.live.pose.track import LIMIT, Track
+
+GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
+
+
+def random_poses(n, step=0.01, seed=0):
+    rng = np.random.default_rng(seed)
+    turns = Rotation.random(n, rng=rng)
+    p = rng.uniform(-1.0, 1.0, (n, 3))
+    return (
+        [TimedPose(step * i, tuple(p[i].tolist()), tuple(turns[i].as_quat().tolist())) for i in range(n)],
+        turns,
+        p,
+    )
+
+
+# between poses
+
+
+def test_between_poses_as_scipy_has_it():
+    """Another implementation of the same great circle; both round at 1e-15."""
+    poses, turns, p = random_poses(20)
+    track = Track.of(poses)
+    at = np.random.default_rng(1).uniform(0.0, poses[-1].time, 200)
+    expected = Slerp([q.time for q in poses], turns)(at).as_matrix()
+    for t, R in zip(at.tolist(), expected, strict=True):
+        T = track.at(t)
+        assert is_pose(T, 1e-12)
+        assert T[:3, :3] == pytest.approx(R, abs=1e-12)
+        assert T[:3, 3] == pytest.approx([np.interp(t, track.times, p[:, k]) for k in range(3)], abs=1e-14)
+
+
+def test_the_same_rotation_told_with_the_other_sign_is_no_turn():
+    track = Track.of(
+        [TimedPose(0.0, (0, 0, 0), (0.6, 0, 0, 0.8)), TimedPose(0.01, (0, 0, 0), (-0.6, 0, 0, -0.8))]
+    )
+    assert track.at(0.005) == pytest.approx(track.at(0.0), abs=1e-15)
+
+
+def test_at_a_pose_it_is_that_pose_and_beyond_the_last_there_is_none():
+    poses, *_ = random_poses(3)
+    track = Track.of(poses)
+    assert track.at(0.02) is not None and np.array_equal(track.at(0.02)[:3, 3], poses[2].p)
+    assert track.at(np.nextafter(0.02, 1.0)) is None and track.at(-1e-9) is None
+    assert "the last is 1 s older" in track.why(1.02) and "the first is 1 s later" in track.why(-1.0)
+    assert "none yet" in Track().why(0.0)
+
+
+def test_a_gap_is_not_bridged():
+    poses = [TimedPose(t, (0, 0, 0), (0, 0, 0, 1)) for t in (0.0, LIMIT, 3.0 * LIMIT)]
+    track = Track.of(poses)
+    assert track.at(0.5 * LIMIT) is not None and track.at(2.0 * LIMIT) is None
+    assert "0.1 s apart, more than 0.05 s" in track.why(2.0 * LIMIT)
+
+
+def test_a_track_keeps_its_bounds():
+    track = Track(most=10)
+    for i in range(1000):
+        track.add(TimedPose(float(i), (0, 0, 0), (0, 0, 0, 1)))
+        assert len(track) <= 20
+    assert track.end == 999.0
+    assert not track.add(TimedPose(999.0, (0, 0, 0), (0, 0, 0, 1)))
+
+
+def test_a_matrix_and_back():
+    """Any quaternion, those whose w is nearly none included."""
+    for q in [
+        *Rotation.random(50, rng=2).as_quat(),
+        (1, 0, 0, 0),
+        (0, 1, 0, 1e-9),
+        (0, 0, 1, 0),
+        (0, 0, 0, 1),
+    ]:
+        R = Rotation.from_quat(q).as_matrix()
+        back = of_matrix(0.0, pose(R, (1.0, 2.0, 3.0)))
+        assert Rotation.from_quat(back.q).as_matrix() == pytest.approx(R, abs=1e-12)
+
+
+# what poses are told by
+
+
+BAD = {
+    "nan": {"x_mm": float("nan")},
+    "inf": {"time_s": float("inf")},
+    "no rotation": {"qw": 0.5},
+    "nothing": {"qw": 0.0},
+    "text": {"y_mm": "a lot"},
+    "none": {"qx": None},
+    "true": {"qx": True},
+    "list": {"z_mm": [1.0]},
+    "metres": {"z_mm": 1e9},
+    "milliseconds": {"time_s": 1.8e12},
+}
+
+
+@pytest.mark.parametrize("wrong", BAD.values(), ids=BAD.keys())
+def test_a_pose_that_is_none_is_refused_with_its_line(wrong, tmp_path):
+    path = tmp_path / "poses.jsonl"
+    path.write_text(
+        json.dumps(GOOD) + "\n# a comment\n\n" + json.dumps(GOOD | {"time_s": 2.0} | wrong) + "\n"
+    )
+    with pytest.raises(InputError, match=r"poses.jsonl:4: ") as error:
+        read_file(path)
+    assert len(str(error.value)) < 200
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "holds no poses"),
+        ("[1, 2]\n", ":1: is no JSON object"),
+        ("[" * 100_000, ":1: is no JSON"),
+        ('{"time_s": 1}\n', ":1: has no x_mm"),
+        ("\x00\n", ":1: is no JSON"),
+        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), ":2: time_s = 1 does not follow 1"),
+        (
+            json.dumps(GOOD | {"frame": "a"}) + "\n" + json.dumps(GOOD | {"frame": "b", "time_s": 2}),
+            "several frames, a, b",
+        ),
+    ],
+)  # fmt: skip
+def test_a_file_of_no_poses(text, told, tmp_path):
+    path = tmp_path / "poses.jsonl"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_file(path)
+    assert told in str(error.value)
+
+
+def test_csv_and_json_lines_tell_the_same(tmp_path):
+    poses, *_ = random_poses(5)
+    rows = [(p.time, *(1e3 * x for x in p.p), *p.q) for p in poses]
+    table, lines = tmp_path / "poses.csv", tmp_path / "poses.jsonl"
+    table.write_text(",".join(GOOD) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows))
+    lines.write_text("".join(json.dumps(dict(zip(GOOD, row, strict=True))) + "\n" for row in rows))
+    assert read_file(table) == read_file(lines)
+    assert read_file(table)[3].p == pytest.approx(poses[3].p, rel=1e-15)  # to millimetres and back
+
+
+@pytest.mark.parametrize(
+    ("spec", "options", "told"),
+    [
+        ("none.csv", {}, "none.csv: no such file"),
+        ("fixed", {"latency_ms": 5.0}, "--pose fixed has no latency"),
+        ("udp://", {}, "write udp://:PORT"),
+        ("udp://:port", {}, "write udp://:PORT"),
+        ("udp://:0?topic=/a", {}, "topic is no parameter of it"),
+        ("udp://:0?limit_ms=0", {}, "limit_ms must be in"),
+        ("udp://:0?limit_ms=1&limit_ms=2", {}, "is said twice"),
+        ("udp://192.0.2.1:3000", {}, "say another port, or an address of this machine"),
+        ("udp://:0", {"latency_ms": float("nan")}, "--pose-latency-ms nan"),
+        ("udp://:0", {"gravity_world": "0,0"}, "--gravity-world 0,0 must be"),
+        ("udp://:0", {"gravity_world": "0,0,-981"}, "--gravity-world 0,0,-981 must be"),
+    ],
+)
+def test_what_names_no_poses(spec, options, told):
+    with pytest.raises(InputError) as error:
+        open_poses(spec, **options)
+    assert told in str(error.value)
+
+
+# by UDP
+
+
+@pytest.fixture
+def listener():
+    listener = Listener("127.0.0.1", 0)
+    yield listener
+    listener.close()
+
+
+@pytest.fixture
+def robot(listener):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.connect(listener.address)
+        yield udp
+
+
+def heard(listener, counted, seconds=10.0):
+    """Wait until so many datagrams are counted."""
+    end = time.monotonic() + seconds
+    while sum(listener.counts.values()) < counted:
+        assert time.monotonic() < end, listener.counts
+        time.sleep(0.005)
+
+
+def test_hostile_datagrams_are_left_out_and_counted(listener, robot):
+    robot.send(json.dumps(GOOD).encode())
+    heard(listener, 1)
+    hostile = [
+        b"", b"\xff\xfe", b"{", b"null", b"[" * 4000, b" " * (LARGEST + 1),
+        *(json.dumps(GOOD | {"time_s": 1.01} | wrong).encode() for wrong in BAD.values()),
+        json.dumps(GOOD | {"time_s": 1.02, "frame": "elsewhere"}).encode(),
+        json.dumps(GOOD).encode(), json.dumps(GOOD | {"time_s": 0.5}).encode(),
+        json.dumps(GOOD | {"time_s": 1e6}).encode(),
+    ]  # fmt: skip
+    for datagram in hostile:
+        robot.send(datagram)
+        time.sleep(0.002)  # slower than what counts as a flood
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.sendto(json.dumps(GOOD | {"time_s": 1.03}).encode(), listener.address)
+    heard(listener, 2 + len(hostile))
+    robot.send(json.dumps(GOOD | {"time_s": 1.04}).encode())
+    heard(listener, 3 + len(hostile))
+    assert [pose.time for _, pose, _ in listener.taken()] == [1.0, 1.04]
+    assert listener.counts == {
+        "taken": 2, "no pose": 6 + len(BAD), "in another frame": 1, "running backward": 2, "leaping": 1,
+        "from another sender": 1,
+    }  # fmt: skip
+    assert len(listener.said()) == 6  # each kind once, and who was taken for the robot
+    assert listener.summary.startswith("2 poses, left out: ")
+
+
+def test_a_flood_costs_no_more_than_its_share(listener, robot):
+    """Ten thousand at once: taken are the first of a tick and those that the system's buffer held for the next."""
+    for i in range(10_000):
+        robot.send(json.dumps(GOOD | {"time_s": 1.0 + 1e-5 * i}).encode())
+    heard(listener, 20)
+    time.sleep(0.05)
+    robot.send(json.dumps(GOOD | {"time_s": 1.5}).encode())
+    assert listener.counts["bursts"] >= 1
+    assert listener.counts["taken"] < 10_000
+    assert any("more than 2000 datagrams a second" in line for line in listener.said())
+
+
+def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):
+    """Robot, sensor and this machine count from different zeros; what arrives together belongs together."""
+    poses = Poses("udp", listener, latency=0.010)
+    wrench_zero, robot_zero = time.monotonic() - 100.0, time.monotonic() - 5000.0
+    for i in range(10):
+        robot.send(json.dumps(GOOD | {"time_s": time.monotonic() - robot_zero, "x_mm": float(i)}).encode())
+        time.sleep(0.005)
+    heard(listener, 10)
+    now = np.array([time.monotonic()])
+    poses.refresh(Block(now - wrench_zero, np.zeros((1, 6)), np.zeros(3), now))
+    sent = time.monotonic() - wrench_zero
+    # The last was sent 5 ms and a little ago, and its stamp is taken back by 10 ms: within what a busy machine sleeps.
+    assert sent - 1.0 < poses.track.end + 0.010 <= sent
+    steps = np.diff(poses.track.times)
+    assert len(poses.track) == 10 and (steps >= 0.004).all()
+    assert poses.at(poses.track.end) is not None and poses.at(poses.track.end + 1e-6) is None
+    assert poses.awaits(poses.track.end + 0.001, poses.track.end + 0.002)
+    assert not poses.awaits(poses.track.end + 0.001, poses.track.end + 1.0)
+
+
+def test_the_offset_of_two_clocks_is_that_of_what_did_not_wait():
+    """Half of what arrives waits up to 20 ms; clocks part by 50 ppm."""
+    rng, offset = np.random.default_rng(0), Offset()
+    for i in range(6000):
+        stamp = i / 100.0
+        true = 1000.0 + 50e-6 * stamp
+        found = offset.add(stamp, stamp + true + rng.choice([0.0, 0.02 * rng.random()]))
+        if i > 100:
+            assert true - 50e-6 * KEPT - 1e-9 <= found <= true + 1e-9  # the least of the last ten seconds
+
+
+# bags
+
+
+def stamped(t, frame, p, q, types):
+    whole = int(t)
+    stamp = types["builtin_interfaces/msg/Time"](sec=whole, nanosec=round((t - whole) * 1e9))
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+    point = dict(zip("xyz", map(float, p), strict=True))
+    turn = types["geometry_msgs/msg/Quaternion"](**dict(zip("xyzw", map(float, q), strict=True)))
+    return header, point, turn
+
+
+@pytest.fixture(scope="module", params=["sqlite3", "mcap"])
+def bag(request, tmp_path_factory):
+    """A bag of PoseStamped on two topics, and TF of two joints and a still link; the poses and where the base is."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    types = store.types
+    path = tmp_path_factory.mktemp("bags") / request.param
+    plugin = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}[request.param]
+    first, turns, p = random_poses(5, seed=3)
+    second, turns2, p2 = random_poses(5, seed=4)
+    kinds = SimpleNamespace(
+        pose="geometry_msgs/msg/PoseStamped",
+        tf="tf2_msgs/msg/TFMessage",
+        wrench="geometry_msgs/msg/WrenchStamped",
+    )
+    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+        topics = {t: writer.add_connection(t, kinds.pose, typestore=store) for t in ("/tool", "/other")}
+        tf = writer.add_connection("/tf", kinds.tf, typestore=store)
+        still = writer.add_connection("/tf_static", kinds.tf, typestore=store)
+
+        def link(t, parent, child, at, q):
+            header, point, turn = stamped(t, parent, at, q, types)
+            move = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](**point), turn)
+            return types["geometry_msgs/msg/TransformStamped"](header, child, move)
+
+        def write(connection, t, message, kind):
+            writer.write(connection, int(t * 1e9), store.serialize_cdr(message, kind))
+
+        message = types[kinds.tf]([link(0.0, "flange", "probe", (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))])
+        write(still, 0.0, message, kinds.tf)
+        for a, b in zip(first, second, strict=True):
+            header, point, turn = stamped(a.time, "world", a.p, a.q, types)
+            there = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](**point), turn)
+            write(topics["/tool"], a.time, types[kinds.pose](header, there), kinds.pose)
+            links = [link(a.time, "world", "arm", a.p, a.q), link(a.time, "arm", "flange", b.p, b.q)]
+            write(tf, a.time, types[kinds.tf](links), kinds.tf)
+    chained = [
+        pose(R.as_matrix(), x) @ pose(R2.as_matrix(), y) @ pose(p=(0.0, 0.0, 0.1))
+        for R, x, R2, y in zip(turns, p, turns2, p2, strict=True)
+    ]
+    return path, first, chained
+
+
+def test_a_topic_of_a_bag(bag):
+    """Stamps are of whole nanoseconds, numbers of double precision."""
+    path, told, _ = bag
+    poses = open_poses(f"{path}?topic=/tool")
+    for one in told:
+        T = poses.at(one.time)
+        assert T is not None and T[:3, 3] == pytest.approx(one.p, abs=1e-15)
+    assert "5 poses of" in poses.title
+
+
+def test_two_frames_of_tf(bag):
+    """Chained over two joints and a still link, and the other way round."""
+    path, told, chained = bag
+    there, back = open_poses(f"{path}?world=world&base=probe"), open_poses(f"{path}?world=probe&base=world")
+    for one, T in zip(told, chained, strict=True):
+        assert there.at(one.time) == pytest.approx(T, abs=1e-12)
+        assert back.at(one.time) == pytest.approx(inverse(T), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("query", "told"),
+    [
+        ("", "there are /other, /tool; say ?topic=/NAME"),
+        ("?topic=/wrench", "topic /wrench; of poses (PoseStamped) there are /other, /tool"),
+        ("?topic=/other", "holds no poses"),
+        ("?world=world", "say topic=/NAME, or world=FRAME&base=FRAME"),
+        (
+            "?world=world&base=gripper",
+            "TF does not join 'world' and 'gripper'; frames: arm, flange, probe, world",
+        ),
+        ("?world=flange&base=probe", "is it all static?"),
+    ],
+)
+def test_what_a_bag_does_not_hold(bag, query, told):
+    with pytest.raises(InputError) as error:
+        open_poses(f"{bag[0]}{query}")
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["empty.mcap", "empty.db3", "folder"])
+def test_what_is_no_bag(name, tmp_path):
+    pytest.importorskip("rosbags")
+    path = tmp_path / name
+    path.mkdir() if name == "folder" else path.write_bytes(b"not a bag")
+    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
+        open_poses(str(path))
