@@ -21,11 +21,12 @@ from probedesign.design import load_design
 from probedesign.estimator.estimator import Estimator
 from probedesign.live.block import Block
 from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream, warm_up
+from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
 from probedesign.live.sinks import Sinks
 from probedesign.live.view.keeper import Keeper
 from probedesign.live.view.view import View, setup_of
+from probedesign.live.warm_up import warm_up
 from probedesign.probe import build_probe
 
 ROOT = Path(__file__).parents[1]
