@@ -19,6 +19,7 @@ from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimator.estimator import Estimator
+from probedesign.live.block import Block
 from probedesign.live.requests import Requests
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
@@ -76,8 +77,10 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
     keeper = Keeper(clock=lambda: now)
     source = Simulation(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
     keeper.told(now, source.title)
-    for answer in estimate_stream(estimator, source, Plan(), print, keeper):
-        now = answer.reading.time
+    for answer in estimate_stream(estimator, source, Plan(), print):
+        now, one = answer.reading.time, np.array([answer.reading.time])
+        keeper.read(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
+        keeper.answered(answer)
     page = Page(setup_of(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None)
     page.show(keeper.moment())
     try:

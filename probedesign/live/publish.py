@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 from probedesign.errors import InputError
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
-from probedesign.live.row import Row, json_line, row
+from probedesign.live.row import Row, json_line, row, world_row
 from probedesign.live.sinks import Say
 
 SCHEMA = 1
@@ -50,7 +50,8 @@ class Publisher:
     def answered(self, answer: Answer) -> None:
         """One datagram: the row of `live --json` and when it came and went."""
         kind: Row = {"kind": "estimate"}
-        self._send(kind | row(answer.reading, answer.estimate) | stamps(answer.reading.received))
+        world = world_row(answer) if answer.fused is not None else {}
+        self._send(kind | row(answer.reading, answer.estimate) | world | stamps(answer.reading.received))
 
     def told(self, time: float, line: str) -> None:
         """One datagram: an event in words."""

@@ -158,8 +158,12 @@ class Clock:
 def kept(estimator, query: str, clock: Clock) -> Keeper:
     """A keeper that has seen a simulated run, on the clock of the run."""
     keeper, start = Keeper(clock=clock), clock.now
-    for answer in estimate_stream(estimator, Simulation(estimator.model, query), Plan(), print, keeper):
-        clock.now = start + answer.reading.time
+    for answer in estimate_stream(estimator, Simulation(estimator.model, query), Plan(), print):
+        reading = answer.reading
+        clock.now = start + reading.time
+        one = np.array([reading.time])
+        keeper.read(Block(one, reading.wrench_sensor[None], reading.gravity_base, one))
+        keeper.answered(answer)
     return keeper
 
 
@@ -205,7 +209,7 @@ def test_a_result_other_than_ok_has_no_place(estimator, result):
 def test_silence_is_stale_and_what_is_known_is_old(estimator):
     clock = Clock()
     keeper = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
-    clock.now += 0.35  # with the 0.1 s of the last reading, not yet five gaps
+    clock.now += 0.45  # not yet five gaps
     assert not keeper.moment().old
     clock.now += 1.95
     moment = keeper.moment()

@@ -16,6 +16,8 @@ from probedesign.live.view.words import Health, words_of
 
 TOUCHES = 64
 """Places of earlier touches that are kept."""
+ENDED = ("free", "moving", "released")
+"""Phases in which nothing touches."""
 EVENTS = 8
 ABOUT = {"tare": "tare", "recording": "recording", "recorded": "recording"}
 """Of which events begin so the last is what there is to say of tare and recording."""
@@ -85,7 +87,7 @@ class Keeper:
         events, strip = tuple(self._events), self._drained()
         if answer is None:
             return Moment(words=words_of(None, None, health), events=events, strip=strip)
-        place = place_of(answer, self._number)
+        place = place_of(answer, self._counted(answer))
         return Moment(
             since=answer.reading.time - self._first,
             result=answer.estimate.result,
@@ -106,15 +108,19 @@ class Keeper:
             rows.append(self._strip.popleft())
         return np.array(rows).reshape(-1, len(STRIP))
 
+    def _counted(self, answer: Answer) -> int:
+        """Number of the present touch, as whoever follows them counts, else as counted here."""
+        return answer.contacts[-1].number if answer.contacts else self._number
+
     def _follow(self, answer: Answer) -> None:
         """Keep the surest place of a touch: the last one where somebody says that the touch has settled, else
         that of least deviation."""
-        place = place_of(answer, self._number)
+        place = place_of(answer, self._counted(answer))
         if place is not None and answer.phase in ("", "touching", "settled"):
             surer = self._touching is None or place.std_s <= self._touching.std_s
             if surer or answer.phase == "settled":
                 self._touching = place
-        free = answer.phase in ("free", "moving", "released") or answer.estimate.result == "no_contact"
+        free = answer.phase in ENDED if answer.phase else answer.estimate.result == "no_contact"
         if free and self._touching is not None:
             self._touches.append(self._touching)
             self._touching, self._number = None, self._number + 1

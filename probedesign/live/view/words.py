@@ -48,6 +48,7 @@ def words_of(answer: Answer | None, place: Place | None, health: Health) -> tupl
     if answer is not None:
         said.append(Said("phase", answer.phase or "not followed"))
         said += _contact(place)
+        said += _fused(answer)
         said += _wrench(answer.wrench_base)
     return (*said, *_health(answer, health))
 
@@ -73,6 +74,20 @@ def _contact(place: Place | None) -> list[Said]:
         Said("contact", f"s {place.s / MM:.1f} ± {place.std_s / MM:.1f} mm"),
         Said("point", f"{_numbers(place.p, MM)} mm, {frame}; ± {_numbers(_stds(place.cov), MM)} mm"),
         Said("force", f"{float(np.linalg.norm(place.force)) / MILLINEWTON:.1f} mN"),
+    ]
+
+
+def _fused(answer: Answer) -> list[Said]:
+    """What all readings of the touch tell, where they are fused, and why not where they should be."""
+    if answer.fused is None:
+        return [Said("fused", f"no {answer.stale}", "fair")] if answer.stale else []
+    if not answer.fused.ok:
+        return [Said("fused", answer.fused.result)]
+    return [
+        Said(
+            "fused",
+            f"{_numbers(answer.fused.p_contact_world, MM)} mm, world, ± {answer.fused.rms / MM:.1f} mm",
+        )
     ]
 
 
