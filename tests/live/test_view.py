@@ -12,7 +12,7 @@ from rich.console import Console
 from probedesign.estimator.estimate import RESULTS, Estimate
 from probedesign.frames import pose
 from probedesign.live.answer import Answer
-from probedesign.live.block import Block
+from probedesign.live.block import Block, blocks_of, readings_in
 from probedesign.live.reading import Reading
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
@@ -155,10 +155,17 @@ class Clock:
         return self.now
 
 
+class OneByOne(Simulation):
+    """Its readings as they would come in time, a block each."""
+
+    def __iter__(self):
+        return blocks_of(readings_in(super().__iter__()))
+
+
 def kept(estimator, query: str, clock: Clock) -> Keeper:
     """A keeper that has seen a simulated run, on the clock of the run."""
     keeper, start = Keeper(clock=clock), clock.now
-    for answer in estimate_stream(estimator, Simulation(estimator.model, query), Plan(), print, keeper):
+    for answer in estimate_stream(estimator, OneByOne(estimator.model, query), Plan(), print, keeper):
         clock.now = start + answer.reading.time
     return keeper
 
