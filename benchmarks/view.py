@@ -4,6 +4,7 @@
 """
 
 import base64
+import io
 import os
 import shutil
 import socket
@@ -54,7 +55,7 @@ def report() -> None:
     print_table(f"estimates from sim: at {RATE:.0f} a second for {SECONDS:g} s: how late", head, rows)
 
 
-def draw_page(estimator: Estimator, folder: Path, until: float = 28.5, picture: Path = PICTURE) -> None:
+def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: Path = PICTURE) -> None:
     """The page as it is after a simulated touch and during the next.
 
     Args:
@@ -74,6 +75,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 28.5, picture: 
     now = 0.0
     keeper = Keeper(clock=lambda: now)
     source = Simulation(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
+    keeper.told(now, source.title)
     for answer in estimate_stream(estimator, source, Plan(), print, keeper):
         now = answer.reading.time
     page = Page(setup_of(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None)
@@ -85,7 +87,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 28.5, picture: 
             tab.goto(page.url)
             tab.get_by_text("Touches so far").wait_for(timeout=120_000)
             time.sleep(FADED_IN)
-            picture.write_bytes(screenshot(tab))
+            _write(screenshot(tab), picture)
             browser.close()
     finally:
         page.stop()
@@ -97,6 +99,15 @@ def screenshot(tab: Any) -> bytes:
     tab.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove())")
     session = tab.context.new_cdp_session(tab)
     return base64.b64decode(session.send("Page.captureScreenshot", {"format": "png"})["data"])
+
+
+def _write(shot: bytes, picture: Path) -> None:
+    """With 200 colours, which takes less than half the room."""
+    from PIL import Image
+
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(200, dither=Image.Dither.NONE).save(
+        picture, optimize=True
+    )
 
 
 def free_port() -> int:

@@ -19,14 +19,14 @@ Ask = Callable[[str, str], None]
 
 UNIT = 20.0
 """Of the scene in a metre: viser's lights, camera and shadows are made for things some units across."""
-THINNEST = 0.2e-3
+THINNEST = 0.9e-3
 """Half-axes of the ellipsoid are drawn no thinner [m], or it could not be seen."""
 ARROW = 0.03
 """Length of the force's arrow [m]; how large the force is stands beside it."""
 MARKED = 24
 """Earlier touches that are drawn."""
 
-PROBE, CONTACT, OLD = (236, 148, 66), (200, 30, 40), (150, 150, 150)
+PROBE, CONTACT, SPREAD, OLD = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
 COLOURS = {
     "sensor": (60, 64, 72),
     "flange": PROBE,
@@ -102,15 +102,14 @@ class Page:
             UNIT * setup.tube.vertices(setup.free),
             setup.tube.faces,
             color=PROBE,
-            opacity=0.5,
+            opacity=0.42,
             side="double",
         )
         self._contact = scene.add_icosphere(
             "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
         )
-        self._spread = scene.add_icosphere(
-            "/spread", 1.0, CONTACT, opacity=0.5, visible=False, cast_shadow=False, receive_shadow=False
-        )
+        # Opaque: what is translucent inside of something translucent is drawn or not, as the camera has it.
+        self._spread = scene.add_icosphere("/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
         self._force = scene.add_arrows(
             "/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.6e-3,
             head_length=UNIT * 4e-3, visible=False,
@@ -118,7 +117,7 @@ class Page:
         self._label = scene.add_label("/said", "", anchor="bottom-center", visible=False)
         self._marks = [
             (
-                scene.add_icosphere(f"/touch/{i}", UNIT * 1.0e-3, OLD, visible=False, cast_shadow=False),
+                scene.add_icosphere(f"/touch/{i}", UNIT * 1.5e-3, OLD, visible=False, cast_shadow=False),
                 scene.add_label(f"/touch/{i}/number", "", font_screen_scale=0.8, visible=False),
             )
             for i in range(MARKED)
