@@ -17,8 +17,9 @@ ENABLES = {
     "sweep": "sweep: grids of designs, on many machines",
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
-    "live": "live on a Net F/T box",
+    "live": "live on a Net F/T box, recordings in MCAP, ROS 2 bags",
     "daq": "live on a sensor at a card of National Instruments",
+    "view": "live --view: the probe on a page",
 }
 """What the packages of an extra are for; "" is what the program cannot do without."""
 

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -24,6 +24,9 @@ def estimate(
     tare_s: str | None = None,
     average: int = 1,
     mend: bool = False,
+    topic: str = "",
+    moment_unit: Literal["Nm", "Nmm"] = "Nm",
+    other_probe: bool = False,
     manifest: Path | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -34,18 +37,22 @@ def estimate(
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
-        recording: CSV with named units; see docs/recording-format.md.
+        recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
         out: the CSV to write.
         force: replace the file that --out names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the means of so many readings.
-        mend: go on with a recording that has gaps or half a line at its end.
+        mend: go on with a recording that lacks something: lines, or its end.
+        topic: of a bag's wrenches, if there are several.
+        moment_unit: of a bag whose publisher does not keep to N·m.
+        other_probe: read a recording that was made with another probe.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
         as_json: print one JSON document: the rows and all that is to know of them.
     """
     from probedesign.deployment import load_estimator
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
+    from probedesign.live.recorded import Choice
     from probedesign.live.run import describe_counts
     from probedesign.live.tare import parse_window
     from probedesign.live.warm_up import warm_up
@@ -55,7 +62,8 @@ def estimate(
     estimator = load_estimator(bundle, manifest)
     with working("loading the rod kernels"):
         warm_up(estimator, _say)
-    estimates = estimate_recording(estimator, recording, window, average, _progress, mend)
+    choice = Choice(topic, moment_unit=moment_unit, other_probe=other_probe)
+    estimates = estimate_recording(estimator, recording, window, average, _progress, mend, choice)
     for note in estimates.notes:
         _say(note)
     if out is not None:

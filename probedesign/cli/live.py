@@ -1,11 +1,16 @@
 """`probedesign live`: contacts as the sensor reads them."""
 
-from contextlib import closing
+import os
+import sys
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from probedesign.cli.ending import ending_well
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,10 +35,15 @@ def live(
     rate_hz: float = 20.0,
     count: int | None = None,
     seconds: float | None = None,
+    publish: str | None = None,
+    view: bool = False,
+    view_host: str = "127.0.0.1",
+    view_port: int = 8080,
     manifest: Path | None = None,
+    lines: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Locate contacts as the sensor reads them, one line an estimate.
+    """Locate contacts as the sensor reads them: a table that is drawn anew on a terminal, else a line an estimate.
 
     Ends with the source, at --count or --seconds, or with Ctrl-C, and then says how many estimates had which
     result. What sources take, as in "sim:?force_mN=50&seconds=60" or "replay:FILE?speed=max", and what a
@@ -43,7 +53,7 @@ def live(
         bundle: the frozen probe, NAME.probe.json.
         source: netft://HOST (a Net F/T box), replay:FILE (a recording) or sim: (a simulated contact that moves
             along the probe).
-        record: write every reading to this recording.
+        record: write everything to NAME.mcap, or raw readings to NAME.csv.
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         average: estimate from the mean of so many readings.
@@ -55,17 +65,25 @@ def live(
         rate_hz: at most so many estimates a second; readings between are left out.
         count: end after so many estimates.
         seconds: end so many seconds after the first reading.
+        publish: udp://HOST:PORT, which each estimate is sent to as a JSON datagram.
+        view: show the probe, the contact and charts on a page in the browser.
+        view_host: address that the page listens on; 0.0.0.0 opens it to the network.
+        view_port: its port, or the next free one.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        lines: print a line an estimate on a terminal too.
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
     from probedesign.live.pose.spec import open_poses
-    from probedesign.live.recorder import Recorder
+    from probedesign.live.publish import Publisher
+    from probedesign.live.recordings import Recordings, check_name
     from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream
-    from probedesign.live.sinks import RawRecording, Sinks, Spoken
+    from probedesign.live.sinks import Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
+    from probedesign.live.view.terminal import Terminal
+    from probedesign.live.view.view import View
     from probedesign.live.warm_up import warm_up
 
     replayed = Path(source.partition("?")[0].removeprefix("replay:"))
@@ -74,28 +92,52 @@ def live(
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
+    if record is not None:
+        check_name(record)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    with closing(Sinks(Spoken())) as sinks:
+    about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}"}
+    with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
+        counts = partial(getattr, opened, "counts", {})
         poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
         warm_up(estimator, sinks.say, fusing=True)
         sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
             sinks.say(note)
+        requests, recordings = Requests(), Recordings(record, estimator.model, sinks.say, force, about)
+        requests.does("start recording", lambda _: recordings.asked_to_start())
+        requests.does("stop recording", lambda _: recordings.stop())
+        sinks.add(recordings)
         if record is not None:
-            sinks.add(RawRecording(Recorder(record, force=force)))
-        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, Requests(), poses)
-        _print(answers, sinks.say, as_json)
+            recordings.start()
+        if publish is not None:
+            sinks.add(Publisher(publish, sinks.say))
+        if view:
+            sinks.add(View(estimator, bundle.parent, requests, sinks.say, view_host, view_port, counts))
+        drawn = not (lines or as_json) and _on_terminal()
+        if drawn:
+            sinks.add(Terminal(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
+        by_itself = _print(answers, sinks.say, as_json, drawn)
+        if view and by_itself and _on_terminal():
+            _stay(sinks.say)
 
 
-def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool) -> None:
-    """A line for each estimate; at the end, Ctrl-C included, a summary."""
+def _print(
+    answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
+) -> bool:
+    """A line for each estimate, if they are not drawn; at the end, Ctrl-C included, a summary.
+
+    Returns:
+        Whether it ended by itself.
+    """
     from probedesign.live.row import json_line, readable_line, row, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
     start: float | None = None
+    by_itself = False
     try:
         with closing(answers):
             for answer in answers:
@@ -105,8 +147,22 @@ def _print(answers: "Generator[Answer, None, None]", say: "Callable[[str], None]
                 if as_json:
                     world = world_row(answer) if answer.fused is not None else {}
                     print(json_line(row(reading, estimate) | world), flush=True)
-                else:
+                elif not drawn:
                     print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
+        by_itself = True
     except KeyboardInterrupt:
         pass
     say(describe_counts(count_results(results)))
+    return by_itself
+
+
+def _on_terminal() -> bool:
+    """Whether a person looks who sees a table drawn anew."""
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def _stay(say: "Callable[[str], None]") -> None:
+    """Keep the page for who looks at it."""
+    say("the run is over; the page stays until Ctrl-C")
+    with suppress(KeyboardInterrupt):
+        Event().wait()

@@ -8,7 +8,6 @@ import numpy as np
 from probedesign.frames import Array
 from probedesign.live.block import Block, readings_in
 from probedesign.live.reading import Reading, Truth
-from probedesign.live.recorder import Recorder
 
 
 def averaged(blocks: Iterable[Block], samples: int) -> Iterator[Reading]:
@@ -92,26 +91,4 @@ def until(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
                 if inside:
                     yield block[:inside]
                 return
-        yield block
-
-
-def thinned(readings: Iterable[Reading], rate: float) -> Iterator[Reading]:
-    """At most `rate` readings a second of the source's clock [Hz]; the others are left out.
-
-    One may come a hundredth of a period early, so that a source that keeps the very rate loses none to rounding.
-    """
-    period = 1.0 / rate
-    due = -np.inf
-    for reading in readings:
-        if reading.time >= due - 0.01 * period:
-            due = due + period if due + period > reading.time else reading.time + period
-            yield reading
-
-
-def recorded(blocks: Iterable[Block], recorder: Recorder) -> Iterator[Block]:
-    """The same blocks, each written down before it is passed on; one with a fault is left out and makes a gap."""
-    for block in blocks:
-        if not block.fault:
-            for time, wrench in zip(block.time.tolist(), block.wrench_sensor, strict=True):
-                recorder.write(time, wrench, block.gravity_base)
         yield block

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
-from probedesign.live.block import blocks_of
 from probedesign.live.flow import averaged
 from probedesign.live.locate import locate
 from probedesign.live.reading import Reading
-from probedesign.live.recording import Recording, read_recording
-from probedesign.live.replay import readings_of
+from probedesign.live.recorded import Choice, Recorded, open_recording
+from probedesign.live.recording import gaps_in
 from probedesign.live.row import COLUMNS, Row, csv_line, row
 from probedesign.live.run import count_results
-from probedesign.live.spec import MOST
 from probedesign.live.tare import Tare, Window, describe_tare, split, take_tare
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
@@ -27,8 +27,9 @@ class Estimates:
 
     Attributes:
         estimator: that found it.
-        recording: that it was found in.
-        path: of the recording.
+        recorded: that it was found in.
+        readings: that it holds.
+        missing_samples: how many would have filled its gaps.
         samples: how many readings were averaged to one.
         tare: taken from every reading, if one was asked for.
         rows: one for each reading or mean.
@@ -36,8 +37,9 @@ class Estimates:
     """
 
     estimator: Estimator
-    recording: Recording
-    path: Path
+    recorded: Recorded
+    readings: int
+    missing_samples: int
     samples: int
     tare: Tare | None
     rows: list[Row]
@@ -59,10 +61,10 @@ class Estimates:
             "probe": model.name,
             "fingerprint": model.fingerprint,
             "assumptions": model.assumptions,
-            "recording": self.path,
-            "frame": self.recording.frame,
-            "readings": len(self.recording.time),
-            "missing_samples": self.recording.missing_samples,
+            "recording": self.recorded.path,
+            "frame": self.recorded.frame,
+            "readings": self.readings,
+            "missing_samples": self.missing_samples,
             "average": self.samples,
             "noise_force_N": model.noise.force,
             "noise_moment_Nm": model.noise.moment,
@@ -86,6 +88,7 @@ def estimate_recording(
     samples: int = 1,
     progress: Progress = iter,
     mend: bool = False,
+    choice: Choice | None = None,
 ) -> Estimates:
     """Locate the contacts of a recording.
 
@@ -94,24 +97,29 @@ def estimate_recording(
         path: of the recording.
         window: when the probe is free, for the tare; None takes none.
         samples: how many readings are averaged to one.
-        mend: go on with a recording that has gaps or half a line at its end.
         progress: is handed the readings and hands them on one by one.
+        mend: go on with a recording that lacks something: lines of a CSV, the end of a file.
+        choice: what of a bag is read.
 
     Raises:
         InputError: the recording or the tare's window is no good.
     """
     if samples < 1:
         raise InputError(f"--average {samples} must be positive")
-    recording = read_recording(path)
-    if not mend and (recording.gaps or recording.dropped_lines):
-        raise InputError(f"{path}: {'; '.join(recording.notes)}; --mend goes on without what is missing")
-    readings = list(averaged(blocks_of(readings_of(recording, estimator.model), MOST), samples))
+    recorded = open_recording(path, estimator.model, choice)
+    blocks = list(recorded.blocks())
+    if (lacking := recorded.lacking()) and not mend:
+        raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
+    time = np.concatenate([np.empty(0), *(block.time for block in blocks)])
+    readings = list(averaged(blocks, samples))
     if not readings:
-        raise InputError(f"{path}: holds {len(recording.time)} readings, fewer than --average {samples}")
+        raise InputError(f"{path}: holds {len(time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None
     rows = [row(reading, locate(estimator, reading, tare)) for reading in progress(readings)]
-    notes = recording.notes + _notes(len(recording.time), samples, tare)
-    return Estimates(estimator, recording, path, samples, tare, rows, notes)
+    gaps, missing = gaps_in(time)
+    gap = (f"{missing} samples are missing in {gaps} gaps",) if gaps else ()
+    notes = (*dict.fromkeys((*recorded.notes, *lacking, *gap)), *_notes(len(time), samples, tare))
+    return Estimates(estimator, recorded, len(time), missing, samples, tare, rows, notes)
 
 
 def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
-from probedesign.live.recording_columns import HEADER, NUMBER, Column, columns_of
+from probedesign.live.recording_columns import CEILING, HEADER, NUMBER, WRENCH, Column, columns_of
 from probedesign.live.recording_table import Frame, Table, read_table, shown
 
 GAP = 1.5
@@ -64,7 +64,7 @@ def read_recording(path: str | Path) -> Recording:
     values = _numbers(table, rows, columns)
     _check(table, columns, values)
     gravity = values[:, 7:] if values.shape[1] > 7 else None
-    gaps, missing = _gaps(values[:, 0])
+    gaps, missing = gaps_in(values[:, 0])
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
     return Recording(
@@ -154,8 +154,24 @@ def _check(table: Table, columns: list[Column], values: Array) -> None:
         table.fail(table.numbers[i], f"time runs backward, {times}; sort the rows or split the recording")
 
 
-def _gaps(time: Array) -> tuple[int, int]:
-    """How many gaps, and how many samples they would have held."""
+def check_values(path: Path, recording: Recording) -> None:
+    """Refuse a recording with values that no sensor reads.
+
+    Raises:
+        InputError: a force or a moment is absurd; the line tells its time.
+    """
+    ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
+    absurd = np.argwhere(~(np.abs(recording.wrench) <= ceiling))
+    if len(absurd):
+        i, j = absurd[0]
+        value = f"{WRENCH[j].capitalize()} = {recording.wrench[i, j]:g} {'N' if j < 3 else 'N·m'}"
+        raise InputError(
+            f"{path}: {value} at {recording.time[i]:.9g} s is no reading; raw counts or a wrong unit?"
+        )
+
+
+def gaps_in(time: Array) -> tuple[int, int]:
+    """How many gaps there are in times [s], (n,), and how many samples they would have held."""
     steps = np.diff(time)
     median = float(np.median(steps)) if len(steps) else 0.0
     if median == 0.0:

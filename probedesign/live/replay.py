@@ -1,17 +1,22 @@
 """`replay:FILE`: a recording, as if the sensor read it now."""
 
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import get_args
+from urllib.parse import parse_qsl, urlencode
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.live.block import Block, blocks_of
 from probedesign.live.flow import paced
 from probedesign.live.reading import Reading
-from probedesign.live.recording import Recording, read_recording
-from probedesign.live.spec import MOST, SPEED, TICK, parse_parameters
+from probedesign.live.recorded import Choice, MomentUnit, open_recording
+from probedesign.live.recording_table import Frame
+from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
 
-PARAMETERS = {"speed": SPEED}
+PARAMETERS = {"speed": SPEED, "other_probe": Parameter(0, 0, 1, whole=True)}
+WORDS = {"topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}
+"""Parameters that are no numbers, with what there is to choose from; nothing if anything goes."""
 
 
 class Replay:
@@ -22,38 +27,60 @@ class Replay:
         notes: what a user should know of the file.
     """
 
-    def __init__(self, model: ProbeModel, path: Path, query: str = "") -> None:
-        """Read the file.
+    def __init__(
+        self,
+        model: ProbeModel,
+        path: Path,
+        query: str = "",
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """Open the file.
 
         Args:
             model: the probe it was recorded with.
             path: the recording.
-            query: parameters, as `PARAMETERS` has them.
+            query: parameters, as `PARAMETERS` and `WORDS` have them.
+            say: takes what is found to be missing at the end.
 
         Raises:
-            InputError: a parameter is wrong or the file is no recording.
+            InputError: a parameter is wrong, the file is no recording, or it is another probe's.
+            MissingDependencyError: what reads it is not installed.
         """
         if not path.name:
             raise InputError("replay: names no file; write replay:FILE")
-        self._speed = parse_parameters("replay:", query, PARAMETERS)["speed"]
-        self._model = model
-        self._recording = read_recording(path)
-        self.title = f"replay of {path}, {len(self._recording.time)} readings"
-        self.notes = self._recording.notes
+        words, rest = _words(query)
+        numbers = parse_parameters("replay:", rest, PARAMETERS)
+        self._speed, self._say = numbers["speed"], say
+        choice = Choice(other_probe=numbers["other_probe"] == 1, **words)  # type: ignore[arg-type]  # checked
+        self._recorded = open_recording(path, model, choice)
+        self.title = f"replay of {path}, {self._recorded.what}"
+        self.notes = self._recorded.notes
 
     def __iter__(self) -> Generator[Block, None, None]:
-        readings = readings_of(self._recording, self._model)
-        return paced(blocks_of(readings, MOST, TICK * self._speed), self._speed)
+        return paced(blocks_of(self._readings(), MOST, TICK * self._speed), self._speed)
+
+    def _readings(self) -> Iterator[Reading]:
+        for block in self._recorded.blocks():
+            yield from block.readings()
+        for line in self._recorded.lacking():
+            if line not in self.notes:
+                self._say(f"{self._recorded.path}: {line}")
 
 
-def readings_of(recording: Recording, model: ProbeModel) -> Iterator[Reading]:
-    """The samples of a recording as readings of the sensor.
+def _words(query: str) -> tuple[dict[str, str], str]:
+    """The parameters that are no numbers, and the query without them.
 
-    Args:
-        recording: in either frame; where it holds no gravity, the model's is taken.
-        model: the probe it was recorded with.
+    Raises:
+        InputError: one is said twice, or is none of what there is.
     """
-    for i, (time, wrench) in enumerate(zip(recording.time.tolist(), recording.wrench, strict=True)):
-        gravity = model.gravity_base if recording.gravity_base is None else recording.gravity_base[i]
-        sensed = model.to_sensor(wrench, gravity) if recording.frame == "base" else wrench
-        yield Reading(time, sensed, gravity)
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+    except ValueError:
+        return {}, query  # told by who parses the rest
+    words = [(name, value) for name, value in pairs if name in WORDS]
+    for i, (name, value) in enumerate(words):
+        if name in dict(words[:i]):
+            raise InputError(f"replay: {name} is said twice; keep one")
+        if WORDS[name] and value not in WORDS[name]:
+            raise InputError(f"replay: {name} = {value!r} must be {' or '.join(WORDS[name])}")
+    return dict(words), urlencode([pair for pair in pairs if pair[0] not in WORDS])

@@ -10,7 +10,8 @@ class Sink(Protocol):
     """Takes what live reads and says. None of the calls waits for a disk, a network or a person."""
 
     def read(self, block: Block) -> None:
-        """Readings as the source gave them, raw, before averaging and tare."""
+        """Readings as the source gave them, raw, before averaging and tare; a block without readings tells silence,
+        and why in its fault."""
         ...
 
     def answered(self, answer: Answer) -> None:

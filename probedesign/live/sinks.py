@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
-from probedesign.live.recorder import Recorder
 from probedesign.live.sink import Sink
+
+Say = Callable[[str], None]
 
 
 class Sinks:
@@ -43,13 +44,11 @@ class Sinks:
         """The run ends: every sink is closed, whatever becomes of the others, the last first, so that they can
         still say something."""
         while self._sinks:
-            last = self._sinks[-1]
+            last = self._sinks.pop()
             try:
                 last.close()
             except Exception as error:
-                self._drop(last, error)
-            if last in self._sinks:
-                self._sinks.remove(last)
+                self.say(f"{type(last).__name__} cannot be closed: {error} ({type(error).__name__})")
 
     def _each(self, call: Callable[[Sink], None]) -> None:
         for sink in tuple(self._sinks):
@@ -81,27 +80,3 @@ class Spoken:
 
     def close(self) -> None:
         """There is nothing to close."""
-
-
-class RawRecording:
-    """Every reading into a recorder, but those with a fault, which make a gap."""
-
-    def __init__(self, recorder: Recorder) -> None:
-        self._recorder = recorder
-
-    def read(self, block: Block) -> None:
-        """Write them down."""
-        if block.fault:
-            return
-        for time, wrench in zip(block.time.tolist(), block.wrench_sensor, strict=True):
-            self._recorder.write(time, wrench, block.gravity_base)
-
-    def answered(self, answer: Answer) -> None:
-        """Only what is raw is recorded."""
-
-    def told(self, time: float, line: str) -> None:
-        """Only what is raw is recorded."""
-
-    def close(self) -> None:
-        """The file is whole."""
-        self._recorder.__exit__(None, None, None)

@@ -50,7 +50,7 @@ def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambd
         case "sim":
             raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {place!r}")
         case "replay":
-            return Replay(model, Path(place), query)
+            return Replay(model, Path(place), query, say)
         case "netft":
             return NetFT(model, place, query, say)
         case "daq":

@@ -15,7 +15,7 @@ from probedesign.cli.main import run
 from probedesign.live.block import readings_in
 from probedesign.live.recorder import Recorder
 from probedesign.live.recording import read_recording
-from probedesign.live.row import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
+from probedesign.live.row import COLUMNS, TRUE_COLUMNS
 from probedesign.live.simulate import Simulation
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
@@ -209,7 +209,7 @@ def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--source", "netfd://host"], "there are netft://HOST, replay:FILE and sim:"),
+        (["--source", "netfd://host"], "replay:FILE and sim:"),
         (["--source", "sim:?force=1"], "did you mean force_mN?"),
         (["--source", SIM, "--rate-hz", "nan"], "--rate-hz nan must be positive"),
         (["--source", SIM, "--seconds", "0"], "--seconds 0.0 must be positive"),
@@ -247,7 +247,7 @@ def test_interrupted_live_ends_well_and_leaves_a_whole_recording(bundle, tmp_pat
     lines = seen + rest.splitlines()
     assert process.returncode == 0
     assert "Traceback" not in err
-    assert err.splitlines()[-1] == f"{len(lines)} estimates: {len(lines)} no_contact"
+    assert f"{len(lines)} estimates: {len(lines)} no_contact" in err.splitlines()
     recording = read_recording(path)
     assert (recording.dropped_lines, recording.notes) == (0, ())
     assert len(recording.time) >= len(lines)

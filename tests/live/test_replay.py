@@ -1,18 +1,20 @@
 """A recorded run gives the same estimates again, whichever frame it is told in."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
 from probedesign.frames import inverse, wrench_map
 from probedesign.live.block import blocks_of
+from probedesign.live.csv_file import CsvFile
 from probedesign.live.offline import estimate_recording
 from probedesign.live.reading import Reading
-from probedesign.live.recorder import Recorder, write_recording
+from probedesign.live.recorder import write_recording
 from probedesign.live.recording import read_recording
 from probedesign.live.replay import Replay
 from probedesign.live.run import Plan, estimate_stream, locate
 from probedesign.live.simulate import Simulation
-from probedesign.live.sinks import RawRecording
 
 QUERY = "speed=max&rate_hz=3"
 
@@ -26,8 +28,8 @@ def run(estimator, source, plan=None, sink=None):
 def recorded(estimator, tmp_path_factory):
     """A recording and the estimates that were made while it was taken."""
     path = tmp_path_factory.mktemp("replay") / "sim.csv"
-    with Recorder(path) as recorder:
-        answers = run(estimator, Simulation(estimator.model, QUERY), sink=RawRecording(recorder))
+    with closing(CsvFile(path)) as file:
+        answers = run(estimator, Simulation(estimator.model, QUERY), sink=file)
     return path, answers
 
 

@@ -5,8 +5,9 @@ import pytest
 
 from probedesign.errors import InputError
 from probedesign.live.block import Block, blocks_of, silence
-from probedesign.live.flow import averaged, paced, thinned, until
+from probedesign.live.flow import averaged, paced, until
 from probedesign.live.reading import Reading
+from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.source import open_source
 
 
@@ -74,20 +75,37 @@ def readings(blocks) -> list[Reading]:
     return [reading for block in blocks for reading in block.readings()]
 
 
-def test_at_most_so_many_a_second():
+class Known:
+    """A source of known blocks."""
+
+    title, notes = "", ()
+
+    def __init__(self, blocks: list[Block]) -> None:
+        self.blocks = blocks
+
+    def __iter__(self):
+        yield from self.blocks
+
+
+def answered(estimator, times: list[float], rate: float) -> list[float]:
+    """When answers are given at most so often."""
+    answers = estimate_stream(estimator, Known(stream(*times)), Plan(rate=rate), lambda line: None)
+    return [answer.reading.time for answer in answers]
+
+
+def test_at_most_so_many_a_second(estimator):
     times = [i / 16 for i in range(16)]  # exact in binary
-    assert [r.time for r in thinned(readings(stream(*times)), 4.0)] == [0.0, 0.25, 0.5, 0.75]
-    assert len(list(thinned(readings(stream(*times)), 1000.0))) == 16
+    assert answered(estimator, times, 4.0) == [0.0, 0.25, 0.5, 0.75]
+    assert answered(estimator, times, 1000.0) == times
 
 
-def test_a_source_of_the_very_rate_loses_none():
+def test_a_source_of_the_very_rate_loses_none(estimator):
     """i/20 and i times 1/20 differ in the last bit."""
-    assert len(list(thinned(readings(stream(*(i / 20 for i in range(200)))), 20.0))) == 200
+    assert len(answered(estimator, [i / 20 for i in range(200)], 20.0)) == 200
 
 
-def test_a_pause_is_not_made_up_for():
-    times = readings(stream(0.0, 10.0, 10.25, 10.5, 11.0))
-    assert [r.time for r in thinned(times, 1.0)] == [0.0, 10.0, 11.0]
+def test_a_pause_is_not_made_up_for(estimator):
+    assert answered(estimator, [0.0, 10.0, 10.25, 10.5, 11.0], 1.0) == [0.0, 10.0, 11.0]
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 9])

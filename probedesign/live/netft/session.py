@@ -1,5 +1,6 @@
 """pynetft, driven: its queue emptied in one go, asked anew where it refuses all that comes."""
 
+import sys
 from collections import Counter
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -27,6 +28,9 @@ RENEWED = 0.5
 """Records that come and are all refused, as after a restart, get a new client after so long [s]."""
 ASKED = 0.010
 """After a session that ended, as pynetft's do with every sample of a faulty status, it asks again so soon [s]."""
+SWITCH = 1e-4
+"""Another thread of Python that computes keeps us from each record for so long at most [s]: each read lets go of the
+interpreter, and Python's usual 5 ms would be more than the record's turn."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,8 @@ class Session:
         Raises:
             InputError: pynetft has given up.
         """
-        received, renewed = 0, monotonic()
+        received, renewed, usual = 0, monotonic(), sys.getswitchinterval()
+        sys.setswitchinterval(min(usual, SWITCH))
         self._client.start()
         try:
             while True:
@@ -97,6 +102,7 @@ class Session:
                     renewed, heard = monotonic(), 0
                 received = heard
         finally:
+            sys.setswitchinterval(usual)
             self._client.stop()
             self.count()
 

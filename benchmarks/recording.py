@@ -1,0 +1,73 @@
+"""What recording costs: a second of a Net F/T box, 7000 readings, in MCAP and in CSV, and reading it back."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.timing import print_table
+from probedesign.design import load_design
+from probedesign.estimator.model import ProbeModel
+from probedesign.live.behind import EVERY, File
+from probedesign.live.block import Block
+from probedesign.live.recorded import open_recording
+from probedesign.live.recordings import open_file
+from probedesign.probe import build_probe
+
+RATE = 7000
+SECONDS = int(os.environ.get("PROBEDESIGN_RECORDING_SECONDS", "10"))
+AT_ONCE = (1, 7, 35)
+"""Readings to a block: one by one, and as a source that drains its queue gives them."""
+DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
+
+
+def report() -> None:
+    """Print the processor time and the bytes of a second."""
+    model = build_probe(load_design(DESIGN)).model
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for kind in ("mcap", "csv"):
+            for count in AT_ONCE:
+                path, blocks = Path(folder) / f"{count}.{kind}", _blocks(model, count)
+                written = _used(partial(_write, open_file(path, model, False, {}), blocks)) / SECONDS
+                read = _used(partial(_read, path, model)) / SECONDS / RATE
+                size = path.stat().st_size / SECONDS / 1e6
+                rows.append(
+                    [f"{kind}, {count} to a block", f"{written:.1%}", f"{size:.2f}", f"{1e6 * read:.1f}"]
+                )
+    head = ["", "of a core", "MB", "to read back, µs a reading"]
+    print_table(f"recording a second of {RATE} readings, mean of {SECONDS}", head, rows)
+
+
+def _blocks(model: ProbeModel, count: int) -> list[Block]:
+    """Noise; digits of noise are the hardest to squeeze."""
+    noise = np.random.default_rng(1)
+    std = np.sqrt(np.diag(model.noise.covariance()))
+    times = np.arange(RATE * SECONDS).reshape(-1, count) / RATE
+    return [Block(time, std * noise.standard_normal((count, 6)), model.gravity_base, time) for time in times]
+
+
+def _write(file: File, blocks: list[Block]) -> None:
+    """As the writing thread does."""
+    often = int(EVERY * RATE) // len(blocks[0])
+    for i, block in enumerate(blocks):
+        file.read(block)
+        if i % often == 0:
+            file.flush()
+    file.close()
+
+
+def _read(path: Path, model: ProbeModel) -> None:
+    for _ in open_recording(path, model).blocks():
+        pass
+
+
+def _used(call: Callable[[], None]) -> float:
+    """Processor time of a call [s]."""
+    before = time.process_time()
+    call()
+    return time.process_time() - before

@@ -1,0 +1,135 @@
+"""The page of `live --view`: its picture for the documentation, from a real browser, and what it costs the estimator.
+
+`python -m benchmarks view`; the picture needs playwright and Chromium, and is left out without them.
+"""
+
+import base64
+import io
+import os
+import shutil
+import socket
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.timing import print_table
+from probedesign.deployment import load_estimator, write_frozen
+from probedesign.design import load_design
+from probedesign.estimator.estimator import Estimator
+from probedesign.live.requests import Requests
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.simulate import Simulation
+from probedesign.live.sinks import Sinks
+from probedesign.live.view.keeper import Keeper
+from probedesign.live.view.view import View, setup_of
+from probedesign.live.warm_up import warm_up
+from probedesign.probe import build_probe
+
+ROOT = Path(__file__).parents[1]
+PICTURE = ROOT / "docs/pictures/live-view.png"
+SIZE = {"width": 1440, "height": 860}
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+"""Chromium without a GPU and as root, as in a container."""
+FADED_IN = float(os.environ.get("PROBEDESIGN_VIEW_SECONDS", "20"))
+"""The scene fades in over its first frames, which a processor takes its time for [s]."""
+RATE, SECONDS = 7000.0 / 36.0, 10.0
+
+
+def report() -> None:
+    """Draw the picture and measure the estimator with and without the page."""
+    folder = ROOT / "exports" / "large"
+    with tempfile.TemporaryDirectory() as elsewhere:
+        bundle = Path(elsewhere) / "large.probe.json"
+        write_frozen(build_probe(load_design(ROOT / "designs" / "large.toml")).model, bundle)
+        estimator = load_estimator(bundle)
+        warm_up(estimator, print)
+        draw_page(estimator, folder)
+        rows = [
+            _measured("without", estimator, None),
+            _measured("with, 30 frames a second", estimator, folder),
+        ]
+    head = ["page", "estimates/s", "median [ms]", "99 % [ms]", "99.9 % [ms]", "processor"]
+    print_table(f"estimates from sim: at {RATE:.0f} a second for {SECONDS:g} s: how late", head, rows)
+
+
+def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: Path = PICTURE) -> None:
+    """The page as it is after a simulated touch and during the next.
+
+    Args:
+        estimator: of the probe.
+        folder: of its exported parts; without them plain cylinders are drawn.
+        until: when [s].
+        picture: where it goes.
+    """
+    from probedesign.live.view.page import Page
+
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        print("no picture of the page: playwright is not installed")
+        return
+    browser_path = shutil.which("chromium") or shutil.which("google-chrome")
+    now = 0.0
+    keeper = Keeper(clock=lambda: now)
+    source = Simulation(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
+    keeper.told(now, source.title)
+    for answer in estimate_stream(estimator, source, Plan(), print, keeper):
+        now = answer.reading.time
+    page = Page(setup_of(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None)
+    page.show(keeper.moment())
+    try:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=browser_path, args=SOFTWARE)
+            tab = browser.new_page(viewport=SIZE)
+            tab.goto(page.url)
+            tab.get_by_text("Touches so far").wait_for(timeout=120_000)
+            time.sleep(FADED_IN)
+            _write(screenshot(tab), picture)
+            browser.close()
+    finally:
+        page.stop()
+    print(f"page drawn in {picture}")
+
+
+def screenshot(tab: Any) -> bytes:
+    """Of a page that never rests, which playwright's own waits for; without the browser's word on software."""
+    tab.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove())")
+    session = tab.context.new_cdp_session(tab)
+    return base64.b64decode(session.send("Page.captureScreenshot", {"format": "png"})["data"])
+
+
+def _write(shot: bytes, picture: Path) -> None:
+    """With 200 colours, which takes less than half the room."""
+    from PIL import Image
+
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(200, dither=Image.Dither.NONE).save(
+        picture, optimize=True
+    )
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as trial:
+        trial.bind(("127.0.0.1", 0))
+        return int(trial.getsockname()[1])
+
+
+def _measured(name: str, estimator: Estimator, folder: Path | None) -> list[str]:
+    """How late estimates are after their due time, and what this process used; the page's own is not in it."""
+    said: list[str] = []
+    sinks, requests = Sinks(), Requests()
+    if folder is not None:
+        sinks.add(View(estimator, folder, requests, said.append, port=free_port()))
+    source = Simulation(estimator.model, f"rate_hz={RATE:.3f}&seconds={SECONDS:g}&period_s=10")
+    late, start, used = [], 0.0, time.process_time()
+    for answer in estimate_stream(estimator, source, Plan(), said.append, sinks, requests):
+        start = start or time.monotonic() - answer.reading.time
+        late.append(time.monotonic() - start - answer.reading.time)
+    wall, used = time.monotonic() - start, time.process_time() - used
+    sinks.close()
+    ms = 1e3 * (np.array(late) - min(late))
+    spread = [f"{np.percentile(ms, q):.1f}" for q in (50, 99, 99.9)]
+    return [name, f"{len(late) / wall:.0f}", *spread, f"{used / wall:.0%} of a core"]

@@ -1,0 +1,146 @@
+"""A sink that keeps the last of everything, for whoever looks at it from another thread."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from probedesign.frames import Array
+from probedesign.live.answer import Answer
+from probedesign.live.block import Block
+from probedesign.live.view.moment import STRIP, Moment, Place, Shape
+from probedesign.live.view.pace import Pace
+from probedesign.live.view.words import Health, words_of
+
+TOUCHES = 64
+"""Places of earlier touches that are kept."""
+EVENTS = 8
+ABOUT = {"tare": "tare", "recording": "recording", "recorded": "recording"}
+"""Of which events begin so the last is what there is to say of tare and recording."""
+STRIPS = 4096
+"""Rows that wait for who looks; he who looks 30 times a second finds a handful."""
+
+
+Counts = Callable[[], Mapping[str, int]]
+
+
+class Keeper:
+    """Takes what the run says, without waiting, and gives a `Moment` when it is asked."""
+
+    def __init__(self, counts: Counts = dict, clock: Callable[[], float] = time.monotonic) -> None:
+        """Nothing has been read yet.
+
+        Args:
+            counts: gives what the source counts: lost, dropped.
+            clock: that `received` is told by [s].
+        """
+        self._counts, self._clock = counts, clock
+        self._answer: Answer | None = None
+        self._first = math.nan
+        self._fault, self._taken = "", 0
+        self._readings, self._answers = Pace(clock), Pace(clock)
+        self._strip: deque[tuple[float, ...]] = deque(maxlen=STRIPS)
+        self._events: deque[tuple[float, str]] = deque(maxlen=EVENTS)
+        self._last_said = {"tare": "", "recording": ""}
+        self._touches: deque[Place] = deque(maxlen=TOUCHES)
+        self._touching: Place | None = None
+        self._number = 1
+
+    def read(self, block: Block) -> None:
+        """Readings have come, or the source says that it is silent."""
+        self._fault = block.fault
+        if len(block):
+            self._taken += len(block)
+            self._readings.beat(len(block))
+
+    def answered(self, answer: Answer) -> None:
+        """An answer has come."""
+        self._answers.beat(1)
+        if self._answer is None:
+            self._first = answer.reading.time
+        self._answer = answer
+        self._follow(answer)
+        force, estimate = float(np.linalg.norm(answer.estimate.force_base)), answer.estimate
+        known = (estimate.s_contact, estimate.std_s, force if estimate.ok else math.nan)
+        self._strip.append((answer.reading.time - self._first, *answer.wrench_base.tolist(), *known))
+
+    def told(self, time: float, line: str) -> None:
+        """An event."""
+        self._events.append((time, line))
+        if about := ABOUT.get(line.partition(" ")[0].rstrip(":")):
+            self._last_said[about] = line
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def moment(self, shaped: bool = True) -> Moment:
+        """What there is to see now; the probe's shape, if it is wanted, is solved here, in the thread of who asks."""
+        answer = self._answer
+        health = Health(
+            self._readings.stale, self._answers.stale, self._readings.silence, self._readings.rate,
+            self._answers.rate, self._fault, self._taken, dict(self._counts()), **self._last_said,
+        )  # fmt: skip
+        events, strip = tuple(self._events), self._drained()
+        if answer is None:
+            return Moment(words=words_of(None, None, health), events=events, strip=strip)
+        place = place_of(answer, self._number)
+        return Moment(
+            since=answer.reading.time - self._first,
+            result=answer.estimate.result,
+            old=health.stale or health.no_answer,
+            words=words_of(answer, place, health),
+            shape=shape_of(answer) if shaped else None,
+            place=place,
+            touches=tuple(self._touches),
+            T_world_base=answer.T_world_base,
+            gravity_base=answer.reading.gravity_base,
+            strip=strip,
+            events=events,
+        )
+
+    def _drained(self) -> Array:
+        rows = []
+        while self._strip:
+            rows.append(self._strip.popleft())
+        return np.array(rows).reshape(-1, len(STRIP))
+
+    def _follow(self, answer: Answer) -> None:
+        """Keep the surest place of a touch: the last one where somebody says that the touch has settled, else
+        that of least deviation."""
+        place = place_of(answer, self._number)
+        if place is not None and answer.phase in ("", "touching", "settled"):
+            surer = self._touching is None or place.std_s <= self._touching.std_s
+            if surer or answer.phase == "settled":
+                self._touching = place
+        free = answer.phase in ("free", "moving", "released") or answer.estimate.result == "no_contact"
+        if free and self._touching is not None:
+            self._touches.append(self._touching)
+            self._touching, self._number = None, self._number + 1
+
+
+def place_of(answer: Answer, number: int) -> Place | None:
+    """The contact, from all readings of the touch where they are fused, else from this one; None if it is not sure."""
+    estimate, fused, T = answer.estimate, answer.fused, answer.T_world_base
+    if not estimate.ok:
+        return None
+    told = (estimate.force_base, estimate.s_contact, estimate.std_s)
+    when = (answer.reading.time, number)
+    if not np.isfinite(T).all():
+        p, surface = estimate.p_contact_base, estimate.p_surface_base
+        return Place(p, estimate.cov_contact_base, surface, *told, False, *when)
+    R, origin = T[:3, :3], T[:3, 3]
+    told = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
+    if fused is not None and fused.ok:
+        return Place(
+            fused.p_contact_world, fused.cov_contact_world, fused.p_surface_world, *told, True, *when
+        )
+    p, surface = R @ estimate.p_contact_base + origin, R @ estimate.p_surface_base + origin
+    return Place(p, R @ estimate.cov_contact_base @ R.T, surface, *told, True, *when)
+
+
+def shape_of(answer: Answer) -> Shape | None:
+    """The probe as the answer has it; None where it does not tell."""
+    eq = answer.estimate.shape
+    return Shape(eq.s, eq.p_base, eq.R_base) if eq is not None and eq.ok else None

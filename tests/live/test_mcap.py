@@ -1,0 +1,327 @@
+"""A recording in MCAP: exact, readable by others, and as good as it can be after whatever happens to it."""
+
+import json
+import struct
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from probedesign.errors import InputError
+from probedesign.estimator.estimate import Estimate
+from probedesign.live.answer import Answer
+from probedesign.live.block import Block
+from probedesign.live.mcap import messages, topics
+from probedesign.live.mcap.file import McapFile
+from probedesign.live.mcap.recover import recover
+from probedesign.live.offline import estimate_recording
+from probedesign.live.reading import Reading
+from probedesign.live.recorded import Choice
+from probedesign.live.replay import Replay
+from probedesign.live.row import COLUMNS, json_line, row
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.simulate import Simulation
+from probedesign.live.tare import Window
+from tests.live.mcap_files import GRAVITY, block, read, same, write
+
+MAGIC = b"\x89MCAP0\r\n"
+BLOCKS = [block(0, 3), block(3, 36), block(39, 1, fault="saturated"), block(40, 20, stretch=1)]
+few = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module")
+def model(estimator):
+    return estimator.model
+
+
+@pytest.fixture(scope="module")
+def whole(model, tmp_path_factory) -> Path:
+    return write(tmp_path_factory.mktemp("mcap") / "whole.mcap", model, BLOCKS)
+
+
+def rows(answers) -> list[str]:
+    """What `--json` prints, without what only a simulation knows."""
+    return [json_line(row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers]
+
+
+# What is written is what was read
+
+
+def test_blocks_come_back_to_the_last_bit(whole, model):
+    recorded, blocks = read(whole, model)
+    assert len(blocks) == len(BLOCKS) and all(map(same, blocks, BLOCKS))
+    assert (recorded.notes, recorded.lacking(), recorded.frame) == ((), (), "sensor")
+
+
+@few
+@given(
+    times=st.lists(st.floats(-1e10, 1e10), min_size=1, max_size=5).map(sorted),
+    values=st.lists(st.floats(-50.0, 50.0), min_size=30, max_size=30),
+    gravity=st.lists(st.floats(-9.81, 9.81), min_size=3, max_size=3),
+)
+def test_any_readings_come_back_to_the_last_bit(model, tmp_path, times, values, gravity):
+    """Times beyond what a header of ROS can tell, too."""
+    path = tmp_path / "any.mcap"
+    path.unlink(missing_ok=True)
+    wrench = np.array(values).reshape(5, 6)[: len(times)]
+    written = Block(np.array(times), wrench, np.array(gravity), np.full(len(times), np.nan))
+    assert same(read(write(path, model, [written]), model)[1][0], written)
+
+
+def test_silence_is_recorded_too(model, tmp_path):
+    quiet = Block(np.empty(0), np.empty((0, 6)), GRAVITY, np.empty(0), "stale", 0)
+    written = [block(0, 2), quiet, block(2, 2)]
+    assert all(map(same, read(write(tmp_path / "quiet.mcap", model, written), model)[1], written))
+
+
+def test_a_replay_gives_the_same_rows_to_the_bit(estimator, tmp_path):
+    """Tared and averaged; `estimate` gives them too."""
+    path, plan = tmp_path / "live.mcap", Plan(Window(0.0, 1.7), samples=3)
+    file = McapFile(path, estimator.model)
+    sim = Simulation(estimator.model, "speed=max&rate_hz=24&seconds=6")
+    before = rows(estimate_stream(estimator, sim, plan, print, file))
+    file.close()
+    replay = Replay(estimator.model, path, "speed=max")
+    assert rows(estimate_stream(estimator, replay, plan, print)) == before
+    offline = estimate_recording(estimator, path, Window(0.0, 1.7), 3).rows
+    assert [json_line(each) for each in offline][-len(before) :] == before
+    assert sum('"ok"' in line for line in before) > 10
+
+
+# Others read it
+
+
+def test_the_tools_of_mcap_read_it(whole, model):
+    with whole.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        counts = summary.statistics.channel_message_counts
+        by_name = {
+            c.topic: (counts.get(i, 0), c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()
+        }
+        assert (by_name[topics.RAW.name][0], by_name[topics.BLOCK.name][0]) == (60, 4)
+        assert reader.get_header().profile == "ros2"
+        assert {s.encoding for _, _, s in by_name.values()} == {"ros2msg"}
+        assert json.loads(by_name[topics.ESTIMATE.name][1].metadata["json_schema"]) == topics.ESTIMATE.schema
+        (probe,) = reader.iter_attachments()
+        (known,) = reader.iter_metadata()
+    frozen = json.loads(probe.data)
+    assert frozen["fingerprint"] == known.metadata["fingerprint"] == model.fingerprint
+    assert known.metadata["unit_of_moment"] == "N m"
+
+
+def test_rosbags_reads_it(model, tmp_path):
+    p, cov, pose = np.array([0.001, 0.002, 0.09]), np.diag([1e-6, 2e-6, 3e-6]), np.eye(4)
+    pose[:3, :3], pose[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
+    estimate = Estimate("ok", 0.09, 0.001, p, p, np.array([0.01, 0.0, 0.0]), cov)
+    file = McapFile(tmp_path / "told.mcap", model)
+    file.read(BLOCKS[0])
+    file.answered(
+        Answer(
+            Reading(1.0 / 3.0, np.zeros(6), GRAVITY), estimate, T_world_base=pose, wrench_base=np.arange(6.0)
+        )
+    )
+    file.told(0.5, "mark: here")
+    file.close()
+    with AnyReader([tmp_path / "told.mcap"]) as reader:
+        found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
+    contact, base = found[topics.CONTACT.name], found[topics.BASE.name]
+    assert (contact.header.frame_id, base.header.frame_id) == ("base", "world")
+    assert [contact.pose.pose.position.x, contact.pose.pose.position.z] == [0.001, 0.09]
+    assert np.array_equal(contact.pose.covariance.reshape(6, 6)[:3, :3], cov)
+    turn = base.pose.orientation  # a quarter about z
+    assert [turn.z, turn.w] == pytest.approx([0.5**0.5] * 2, abs=1e-15)
+    assert found[topics.WITHOUT_BIAS.name].wrench.torque.z == 5.0
+    said = json.loads(found[topics.ESTIMATE.name].data)
+    assert said["time_s"] == 1.0 / 3.0 and said["result"] == "ok" and said["T_world_base"] == pose.tolist()
+    assert set(topics.ESTIMATE.schema["required"]) <= set(said) and set(COLUMNS) <= set(
+        topics.ESTIMATE.schema["properties"]
+    )
+    assert json.loads(found[topics.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
+
+
+def test_no_position_without_ok(model, tmp_path):
+    file = McapFile(tmp_path / "free.mcap", model)
+    file.answered(Answer(Reading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
+    file.close()
+    with AnyReader([tmp_path / "free.mcap"]) as reader:
+        assert [c.topic for c, _, _ in reader.messages()] == [topics.ESTIMATE.name]
+
+
+# Whose it is
+
+
+def test_another_probe_is_refused_unless_it_is_asked_for(whole, model):
+    other = replace(model, fingerprint="0123456789ab")
+    with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; take its own frozen probe"):
+        read(whole, other)
+    recorded, blocks = read(whole, other, Choice(other_probe=True))
+    assert len(blocks) == 4 and "not 0123456789ab" in recorded.notes[0]
+    assert Replay(other, whole, "other_probe=1").notes == recorded.notes
+
+
+def test_another_freezing_of_the_probe_is_noted(whole, model):
+    assert "another freezing" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
+
+
+# Cut off
+
+
+def test_a_file_that_was_never_closed_is_read_and_recovered(model, tmp_path):
+    cut = write(tmp_path / "cut.mcap", model, BLOCKS, closed=False)
+    recorded, blocks = read(cut, model)
+    assert all(map(same, blocks, BLOCKS)) and len(blocks) == 4
+    assert recorded.lacking() == ("not whole: it was cut off",)
+    saved = recover(cut, tmp_path / "whole.mcap")
+    assert saved.messages == 64
+    recorded, blocks = read(tmp_path / "whole.mcap", model)
+    assert all(map(same, blocks, BLOCKS)) and recorded.lacking() == ()
+    with AnyReader([tmp_path / "whole.mcap"]) as reader:
+        assert sum(1 for _ in reader.messages()) == 64
+
+
+def test_a_cut_recording_is_refused_or_mended_and_told(estimator, tmp_path):
+    cut = write(tmp_path / "cut.mcap", estimator.model, BLOCKS, closed=False)
+    with pytest.raises(InputError, match="cut off; --mend"):
+        estimate_recording(estimator, cut)
+    estimates = estimate_recording(estimator, cut, mend=True)
+    assert len(estimates.rows) == 60 and "not whole: it was cut off" in estimates.notes
+    said = []
+    list(Replay(estimator.model, cut, "speed=max", said.append))
+    assert said == [f"{cut}: not whole: it was cut off"]
+
+
+@few
+@given(st.data())
+def test_cut_anywhere_what_is_left_is_a_beginning(whole, model, tmp_path, data):
+    content = whole.read_bytes()
+    at = data.draw(st.integers(0, len(content) - 1))
+    path, out = tmp_path / "cut.mcap", tmp_path / "saved.mcap"
+    path.write_bytes(content[:at])
+    blocks = beginning_or_one_line(path, model)
+    if blocks:
+        recover(path, out, force=True)
+        assert all(map(same, read(out, model)[1], blocks))
+
+
+@few
+@given(st.data())
+def test_any_change_gives_a_beginning_or_one_line(whole, model, tmp_path, data):
+    content = bytearray(whole.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(content)))
+        content[start : start + data.draw(st.integers(0, 12))] = data.draw(
+            st.binary(max_size=9) | st.just(b"\xff" * 8)
+        )
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(content)
+    beginning_or_one_line(path, model)
+    try:
+        recover(path, tmp_path / "saved.mcap", force=True)
+    except InputError as error:
+        assert str(error).isprintable()
+
+
+def beginning_or_one_line(path: Path, model) -> list[Block]:
+    """The blocks read, the first of those written; none if it was refused with one line."""
+    try:
+        _, blocks = read(path, model, Choice(other_probe=True))
+    except InputError as error:
+        assert str(error).isprintable() and str(path) in str(error)
+        return []
+    assert all(map(same, blocks, BLOCKS)) and len(blocks) <= len(BLOCKS)
+    return blocks
+
+
+# Files of nobody's
+
+
+def record(opcode: int, content: bytes, length: int | None = None) -> bytes:
+    return struct.pack("<BQ", opcode, len(content) if length is None else length) + content
+
+
+def chunk(data: bytes, compression: bytes, size: int, claimed: int | None = None) -> bytes:
+    head = struct.pack("<QQQII", 0, 0, size, 0, len(compression)) + compression
+    return record(6, head + struct.pack("<Q", len(data) if claimed is None else claimed) + data)
+
+
+HEADER = record(1, struct.pack("<I4sI", 4, b"ros2", 0))
+BOMB = zstandard.compress(bytes(300_000_000))
+HOSTILE = {
+    "nothing": b"",
+    "magic alone": MAGIC,
+    "a record of 2^63 bytes": MAGIC + record(1, b"", 2**63),
+    "a long record": MAGIC + HEADER + record(5, b"", 200_000_000),
+    "a chunk that claims more than it is": MAGIC + HEADER + chunk(b"abc", b"", 3, 2**62),
+    "a chunk that claims to unpack to much": MAGIC + HEADER + chunk(b"", b"zstd", 2**60),
+    "a bomb": MAGIC + HEADER + chunk(BOMB, b"zstd", 100),
+    "a bomb in lz4": MAGIC + HEADER + chunk(b"\x04\x22\x4d\x18\x60\x40\x82", b"lz4", 10),
+    "another compression": MAGIC + HEADER + chunk(b"", b"xz", 0),
+    "a message of no channel": MAGIC + HEADER + record(5, bytes(22)),
+    "a schema of 4 GB": MAGIC + HEADER + record(3, struct.pack("<HI", 1, 2**32 - 1)),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
+    """16 MB: a bomb holds 300, a claim two gigabytes and more."""
+    path = tmp_path / "hostile.mcap"
+    path.write_bytes(HOSTILE[what])
+    tracemalloc.start()
+    for attempt in (lambda: read(path, model), lambda: recover(path, tmp_path / "out.mcap")):
+        with pytest.raises(InputError) as error:
+            attempt()
+        assert str(error.value).isprintable() and str(path) in str(error.value)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16e6 + len(HOSTILE[what])
+    assert not list(tmp_path.glob(".out*")) and not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ({"time_s": [0.0, 1.0]}, "tells of 2 readings, 1 wrenches"),
+        ({"time_s": [None]}, "block after 0 readings"),
+        ({"time_s": ["nan"]}, "not finite numbers"),
+        ({"gravity_base_m_s2": [9.81]}, "not as its schema says"),
+        ({"stretch": 1.5}, "not as its schema says"),
+        ({"fault": None}, "not as its schema says"),
+        ("[" * 100_000, "block after 0 readings"),
+        ("{}", "block after 0 readings"),
+    ],
+)
+def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
+    file = McapFile(tmp_path / "lie.mcap", model)
+    honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
+    text = said if isinstance(said, str) else json.dumps(honest | said)
+    now = np.array([0])
+    file._add(topics.RAW, now, messages.stamped("sensor", now, [[0.0] * 6]))
+    file._add(topics.BLOCK, now, messages.text(text))
+    file.close()
+    with pytest.raises(InputError, match=told):
+        read(tmp_path / "lie.mcap", model)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"time": np.array([1.0, 0.5])}, "time runs backward, from 1 s to 0.5 s"),
+        ({"wrench_sensor": np.full((2, 6), np.nan)}, "Fx = nan N at 0 s is no reading"),
+        ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s is no reading"),
+    ],
+)
+def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_path, change, told):
+    path = write(tmp_path / "odd.mcap", model, [replace(block(0, 2, rate=1.0), **change)])
+    with pytest.raises(InputError, match=told):
+        read(path, model)
+    if "time" not in change:
+        faulty = replace(block(0, 2), fault="saturated", **change)
+        assert same(read(write(tmp_path / "faulty.mcap", model, [faulty]), model)[1][0], faulty)

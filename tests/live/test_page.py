@@ -1,0 +1,225 @@
+"""The page itself: its process, what it refuses, its buttons, and how it looks in a real browser."""
+
+import base64
+import io
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from itertools import islice
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.live.requests import Requests
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.simulate import Simulation
+from probedesign.live.view import view as module
+from probedesign.live.view.view import View
+
+pytest.importorskip("viser")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+"""A browser without a GPU, and as root in a container."""
+PATIENCE = 120_000
+"""A page drawn by a busy processor is slow, and no test is about that [ms]."""
+
+
+def free_port() -> int:
+    with socket.socket() as trial:
+        trial.bind(("127.0.0.1", 0))
+        return trial.getsockname()[1]
+
+
+def until(happened, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def view(estimator, tmp_path_factory):
+    """A page on which a simulated touch is seen, what was said of it, and what it asks."""
+    said, requests = [], Requests()
+    view = View(estimator, tmp_path_factory.mktemp("view"), requests, said.append, port=free_port())
+    view.said, view.requests = said, requests
+    stream = Simulation(estimator.model, "speed=max&rate_hz=10&seconds=8")
+    list(estimate_stream(estimator, stream, Plan(), said.append, view))
+    yield view
+    view.close()
+
+
+def test_the_page_is_served_to_this_machine(view):
+    assert view.url.startswith("http://127.0.0.1:")
+    assert "no manifest.json lies there" in view.said[0]
+    assert view.said[1] == f"view: {view.url}, open to this machine alone"
+    with urlopen(view.url) as page:
+        assert b"<title>" in page.read()
+
+
+def test_only_the_page_itself_may_talk_to_its_server(view):
+    """A page of the internet, open in a browser on this machine, could else press the buttons."""
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+    from websockets.typing import Origin, Subprotocol
+
+    ours, protocol = view.url.replace("http", "ws"), Subprotocol(f"viser-v{viser.__version__}")
+    with connect(ours, origin=Origin(view.url), subprotocols=[protocol]) as own:
+        assert len(own.recv(timeout=30)) > 0
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(ours, origin=Origin("http://example.org"), subprotocols=[protocol])
+
+
+def test_a_port_in_use_is_passed_over_and_a_network_is_told(estimator, tmp_path, view):
+    port = int(view.url.rpartition(":")[2])
+    said = []
+    second = View(estimator, tmp_path, Requests(), said.append, host="0.0.0.0", port=port)
+    second.close()
+    assert second.url != view.url
+    assert said[-1] == f"view: {second.url}, open to anyone who reaches it, who may tare and end recordings"
+    with pytest.raises(OSError):
+        urlopen(second.url)
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "told"),
+    [
+        ("no-such-host.invalid", 8080, "--view-host no-such-host.invalid"),
+        ("192.0.2.1", 8080, "--view-host 192.0.2.1"),  # kept for documentation: nobody's
+        ("127.0.0.1", 0, "--view-port 0 must be in 1 ... 65535"),
+    ],
+)
+def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, told):
+    with pytest.raises(InputError) as error:
+        View(estimator, tmp_path, Requests(), print, host=host, port=port)
+    assert told in str(error.value) and str(error.value).isprintable()
+
+
+def test_without_viser_the_remedy_is_told(estimator, tmp_path, monkeypatch):
+    monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r"install probedesign\[view\]"):
+        View(estimator, tmp_path, Requests(), print)
+
+
+def test_what_people_ask_reaches_the_run_and_nothing_else_does(view):
+    lines = [
+        {"wish": "tare"},
+        {"wish": "mark", "text": "x" * 999},
+        {"wish": "rm"},
+        {"wish": ["stop"]},
+        3,
+        {"wish": "stop recording"},
+    ]
+    view._read(io.BytesIO(b"garbage\n" + b"".join(json.dumps(line).encode() + b"\n" for line in lines)))
+    asked = view.requests.taken()
+    assert [request.wish for request in asked] == ["tare", "mark", "stop recording"]
+    assert len(asked[1].text) == 200
+
+
+def live_process(bundle, port: int) -> "subprocess.Popen[str]":
+    command = [
+        sys.executable,
+        "-m",
+        "probedesign.cli.main",
+        "live",
+        str(bundle),
+        "--source",
+        "sim:?seconds=1000000",
+    ]
+    heard = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
+    return subprocess.Popen(
+        [*command, "--view", "--view-port", str(port)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_the_page_ends_with_the_run_however_that_ends(bundle, how):
+    with live_process(bundle, port := free_port()) as process:
+        list(islice(process.stdout, 3))
+        with urlopen(f"http://127.0.0.1:{port}") as page:
+            assert page.status == 200
+        process.send_signal(how)
+        _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+
+    def gone():
+        with socket.socket() as trial:
+            return trial.connect_ex(("127.0.0.1", port)) != 0
+
+    until(gone)
+
+
+def test_lines_of_json_stay_clean_beside_a_page(bundle, capfd):
+    options = ["--source", "sim:?speed=max&rate_hz=3", "--json", "--view", "--view-port", str(free_port())]
+    assert run(["live", str(bundle), *options]) == 0
+    out, err = capfd.readouterr()
+    assert len([json.loads(line) for line in out.splitlines()]) == 60
+    assert "viser" not in err and "view: http://127.0.0.1:" in err
+
+
+@pytest.fixture
+def tab(view):
+    """The page in a headless browser, as small as it may be: it is drawn by the processor."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium or Chrome on the path to look at the page with")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        tab = browser.new_page(viewport={"width": 1000, "height": 480})
+        tab.foreign = []
+        tab.on("request", lambda request: tab.foreign.append(request.url))
+        tab.goto(view.url, timeout=PATIENCE)
+        tab.get_by_text("Touches so far").wait_for(timeout=PATIENCE)
+        yield tab
+        browser.close()
+
+
+def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
+    words = {said.name: said.text for said in view._keeper.moment().words}
+    for name in ("contact", "force", "point"):
+        tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
+    tab.get_by_text("stale: nothing read for", exact=False).first.wait_for(timeout=PATIENCE)
+    tab.locator("input.mantine-TextInput-input").last.fill("third card", timeout=PATIENCE)
+    asked = []
+    for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
+        tab.locator("button", has_text=button).dispatch_event("click")
+        until(lambda: asked.extend(view.requests.taken()) or len(asked) > i)  # noqa: B023
+    assert [request.wish for request in asked] == ["tare", "mark", "start recording", "stop recording"]
+    assert asked[1].text == "third card"
+    assert tab.locator("text=Share").count() == 0
+    outside = [url for url in tab.foreign if not url.startswith((view.url, "data:", "blob:"))]
+    assert outside == []  # no request to the internet
+
+
+@pytest.mark.slow
+def test_a_browser_draws_the_probe(view, tab):
+    """Slow, since a processor draws it: the colours of the probe and of the plain grey cylinders are there."""
+    from PIL import Image
+
+    session = tab.context.new_cdp_session(tab)
+
+    def drawn():
+        shot = session.send("Page.captureScreenshot", {"format": "png"})["data"]
+        picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(shot))).convert("RGB")).astype(int)
+        dark = (picture.max(axis=2) < 200) & (np.ptp(picture, axis=2) < 40)
+        return dark[:, 370:590].sum() > 500
+
+    until(drawn, 300.0)
+
+
+def test_the_run_goes_on_without_its_page(estimator, view):
+    """The last, since it spoils the page that the others share."""
+    view._process.kill()
+    until(lambda: "the run goes on" in view.said[-1])
+    stream = Simulation(estimator.model, "speed=max&rate_hz=10&seconds=1")
+    assert len(list(estimate_stream(estimator, stream, Plan(), view.said.append, view))) == 10

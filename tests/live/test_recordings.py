@@ -1,0 +1,164 @@
+"""Recording while a run goes on: nobody waits for the disk, and nothing that happens to it ends the run."""
+
+import errno
+import os
+import threading
+from contextlib import closing
+
+import pytest
+
+from probedesign.errors import InputError
+from probedesign.live import pieces
+from probedesign.live.behind import Behind
+from probedesign.live.mcap.file import McapFile
+from probedesign.live.recording import read_recording
+from probedesign.live.recordings import Recordings
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.simulate import Simulation
+from tests.live.mcap_files import block, joined, read, same
+
+SIM = "speed=max&rate_hz=60&seconds=4"
+
+
+@pytest.fixture(scope="module")
+def model(estimator):
+    return estimator.model
+
+
+class Held:
+    """A file whose disk answers only when it is let go."""
+
+    def __init__(self, file):
+        self.file, self.go = file, threading.Event()
+
+    def __getattr__(self, name):
+        def call(*arguments):
+            assert self.go.wait(30)
+            return getattr(self.file, name)(*arguments)
+
+        return call
+
+
+def full_after(monkeypatch, size: int) -> None:
+    """A disk with so many bytes of room, told as Linux tells it: part of a write, then an error."""
+    left = [size]
+
+    def write(file: int, data) -> int:
+        if not left[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        part = bytes(data)[: left[0]]
+        left[0] -= len(part)
+        return os_write(file, part)
+
+    os_write = os.write
+    monkeypatch.setattr(pieces.os, "write", write)
+
+
+def test_a_slow_disk_costs_readings_and_says_so(model, tmp_path):
+    """Room for 40 readings: the first block is being written, four of nine wait, the rest is left out."""
+    said, path = [], tmp_path / "slow.mcap"
+    held = Held(McapFile(path, model))
+    behind = Behind(held, "slow.mcap", said.append, most=40)
+    written = [block(i * 10, 10) for i in range(10)]
+    for each in written:
+        behind.read(each)
+    assert said == ["slow.mcap: the disk does not keep up; readings are left out"]
+    held.go.set()
+    behind.close()
+    assert behind.lost + behind.readings == 100 and behind.lost >= 50
+    assert said[1] == f"slow.mcap: the disk was too slow: {behind.lost} readings left out, and marked there"
+    _, blocks = read(path, model)
+    assert joined(blocks) == joined(written[: behind.readings // 10])
+
+
+def test_nothing_is_averaged_over_what_was_left_out(model, tmp_path):
+    file = McapFile(tmp_path / "gap.mcap", model)
+    for each in (block(0, 5), block(5, 5)):
+        file.read(each)
+        file.flush()
+    file.left_out(7, 0)
+    file.read(block(17, 5))
+    file.close()
+    recorded, blocks = read(tmp_path / "gap.mcap", model)
+    assert len({each.stretch for each in blocks}) == 2 and blocks[0].stretch == blocks[1].stretch
+    assert recorded.lacking() == ("7 readings were left out by the recorder, whose disk was too slow",)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "csv"])
+@pytest.mark.parametrize("room", [0, 15_000])
+def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, monkeypatch, kind, room):
+    """240 readings take 40 kB of CSV and 25 of MCAP, where what stands before them is written already; 64 come at
+    once."""
+    path, said = tmp_path / f"full.{kind}", []
+    recordings = Recordings(path, estimator.model, said.append)
+    recordings.start()
+    recordings._now[1]._every = 0.0
+    full_after(monkeypatch, room)
+    answers = list(
+        estimate_stream(estimator, Simulation(estimator.model, SIM), Plan(), said.append, recordings)
+    )
+    recordings.close()
+    assert len(answers) == 240
+    (line,) = [line for line in said if "recording ended" in line]
+    assert "No space left on device" in line and "the run goes on" in line
+    if kind == "csv":
+        assert room == 0 or read_recording(path).dropped_lines == 0
+    else:
+        blocks = read(path, estimator.model)[1]
+        time = [time for each in blocks for time in each.time]
+        assert time == [i / 60.0 for i in range(len(time))]
+        assert len(time) < 240 and bool(time) == bool(room)
+
+
+def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
+    full_after(monkeypatch, 10)
+    recordings = Recordings(tmp_path / "full.mcap", model, lambda line: None)
+    with pytest.raises(InputError, match="cannot be written: No space left on device"):
+        recordings.start()
+    assert not list(tmp_path.iterdir())
+
+
+def test_each_start_is_a_new_file(model, tmp_path):
+    said, path = [], tmp_path / "r.mcap"
+    with closing(Recordings(path, model, said.append)) as recordings:
+        recordings.read(block(0, 3))  # before the start: recorded nowhere
+        for i in range(1, 4):
+            recordings.asked_to_start()
+            recordings.read(block(3 * i, 3))
+            recordings.stop()
+        recordings.stop()
+        recordings.asked_to_start()
+        recordings.asked_to_start()
+    names = ["r.mcap", "r-2.mcap", "r-3.mcap", "r-4.mcap"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
+    for i, name in enumerate(names[:3], 1):
+        (only,) = read(tmp_path / name, model)[1]
+        assert same(only, block(3 * i, 3))
+    assert said[:2] == [f"recording to {path}", f"recorded 3 readings to {path}"]
+    assert said[6:8] == ["nothing is being recorded", f"recording to {tmp_path / 'r-4.mcap'}"]
+    assert said[8] == f"recording to {tmp_path / 'r-4.mcap'} already"
+
+
+def test_no_file_is_replaced_unasked(model, tmp_path):
+    said, path = [], tmp_path / "r.mcap"
+    path.write_text("mine")
+    recordings = Recordings(path, model, said.append)
+    recordings.asked_to_start()
+    assert said == [f"nothing is recorded: {path}: exists; say --force to replace it, or name another file"]
+    assert path.read_text() == "mine"
+    with closing(Recordings(path, model, said.append, force=True)) as recordings:
+        recordings.start()
+        assert recordings.path == path
+    assert read(path, model)[1] == []
+
+
+def test_a_name_says_its_kind(model, tmp_path):
+    with pytest.raises(InputError, match=r"end its name in \.mcap .* or \.csv"):
+        Recordings(tmp_path / "r.bag", model, print).start()
+
+
+def test_without_a_name_it_is_called_by_probe_and_date(model, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with closing(Recordings(None, model, lambda line: None)) as recordings:
+        recordings.start()
+        assert recordings.path.match("recordings/large-????????-??????.mcap")

@@ -1,0 +1,315 @@
+"""What the views show: shape, ellipsoid, parts, words; nothing sure where nothing is."""
+
+import json
+import math
+from collections import Counter
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from probedesign.estimator.estimate import RESULTS, Estimate
+from probedesign.frames import pose
+from probedesign.live.answer import Answer
+from probedesign.live.block import Block, blocks_of, readings_in
+from probedesign.live.reading import Reading
+from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.simulate import Simulation
+from probedesign.live.view.charts import Charts
+from probedesign.live.view.ellipsoid import ellipsoid
+from probedesign.live.view.html import events_html, words_html
+from probedesign.live.view.keeper import Keeper
+from probedesign.live.view.moment import STRIP, Moment, Said, Shape
+from probedesign.live.view.parts import FACET, parts_of, read_stl
+from probedesign.live.view.terminal import Terminal, table_of
+from probedesign.live.view.tube import AROUND, Tube, centreline
+
+
+def bent(estimator):
+    """The probe under a force that bends it by more than a radian."""
+    eq = estimator.model.rod.solve((9.81, 0.0, 0.0), (0.04, 0.02, 0.0), 0.14)
+    assert eq.ok and eq.tip_tangent[2] < math.cos(1.0)
+    return eq
+
+
+def tube_of(estimator) -> Tube:
+    rod = estimator.model.rod
+    return Tube(rod.s, rod.radius)
+
+
+# shape
+
+
+def test_the_drawn_centreline_is_the_solved_one(estimator):
+    eq, s = bent(estimator), np.linspace(0.0, estimator.model.rod.length, 200)
+    p, x, y = centreline(Shape(eq.s, eq.p_base, eq.R_base), s)
+    # a tenth of a millimetre is a pixel of a page that shows the whole probe
+    assert np.abs(p - eq.p_at(s)).max() < 1e-4
+    assert np.abs(np.einsum("ij,ij->i", x, y)).max() < 1e-12
+    turned = np.einsum("ij,ij->i", x, eq.R_at(s)[:, :, 0])
+    assert turned.min() > math.cos(math.radians(2.0))  # of a mark on the skin nobody sees two degrees
+
+
+def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator):
+    eq, tube = bent(estimator), tube_of(estimator)
+    vertices = tube.vertices(Shape(eq.s, eq.p_base, eq.R_base))
+    a, b, c = (vertices[tube.faces[:, i]] for i in range(3))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
+    # a polygon of n corners lacks 1 - sin(2π/n) n/2π of its circle, 0.5 % here; chords of a bent axis far less
+    rounded = math.sin(2.0 * math.pi / AROUND) * AROUND / (2.0 * math.pi)
+    assert volume == pytest.approx(rounded * estimator.model.rod.body.volume_beyond[0], rel=2e-3)
+    corners = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)[1].reshape(-1)
+    edges = Counter(
+        frozenset(edge)
+        for face in corners[tube.faces]
+        for edge in zip(face, np.roll(face, 1), strict=True)
+        if len(set(edge)) == 2
+    )
+    assert set(edges.values()) == {2}
+
+
+def test_a_flattened_section_is_drawn_flat(estimator):
+    free, rod = estimator.free((0.0, 0.0, 9.81)), estimator.model.rod
+    ring = Tube(rod.s, rod.radius, 0.5).vertices(Shape(free.s, free.p_base, free.R_base))[:AROUND]
+    assert np.ptp(ring[:, 0]) == pytest.approx(2.0 * rod.radius[0])
+    assert np.ptp(ring[:, 1]) == pytest.approx(rod.radius[0])
+
+
+def test_the_ellipsoid_holds_95_of_100():
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((3, 3))
+    half_axes, axes = ellipsoid(root @ root.T)
+    assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) == pytest.approx(1.0)
+    inside = np.linalg.norm((rng.standard_normal((20_000, 3)) @ root.T @ axes) / half_axes, axis=1) < 1.0
+    assert inside.mean() == pytest.approx(0.95, abs=5.0 * math.sqrt(0.95 * 0.05 / 20_000))
+
+
+# parts
+
+
+def stl(corners) -> bytes:
+    facets = np.zeros(len(corners), FACET)
+    facets["corners"] = np.reshape(corners, (-1, 3, 3))
+    return b"made by a test".ljust(80) + len(corners).to_bytes(4, "little") + facets.tobytes()
+
+
+@pytest.fixture
+def folder(tmp_path, estimator):
+    """Parts beside a frozen probe, each one triangle, the plate 22 mm below the sensor's face."""
+    for name in ("sensor_adapter", "clamp_ring", "flange_adapter"):
+        (tmp_path / f"{name}.stl").write_bytes(stl([[[0, 0, 0], [10, 0, 0], [0, 10, 0]]]))
+    below = pose(p=(0.0, 0.0, -0.022))
+    parts = {name: {"T_sensor_part": np.eye(4).tolist()} for name in ("sensor_adapter", "clamp_ring")}
+    parts["flange_adapter"] = {"T_sensor_part": below.tolist()}
+    manifest = {"fingerprint": estimator.model.fingerprint, "parts": parts}
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    return tmp_path
+
+
+def test_exported_parts_stand_where_the_manifest_puts_them(estimator, folder):
+    parts, note = parts_of(estimator.model, folder)
+    found = {part.name: part.vertices for part in parts}
+    face = -estimator.model.T_sensor_base[2, 3]  # of the sensor, in base axes
+    assert note == ""
+    assert set(found) == {"sensor", "flange", "sensor_adapter", "clamp_ring", "flange_adapter"}
+    assert np.allclose(found["flange_adapter"][:, 2], face - 0.022)
+    assert np.ptp(found["flange_adapter"][:, 0]) == pytest.approx(0.01)  # millimetres in the file
+    assert found["sensor"][:, 2].max() == pytest.approx(face)
+    assert np.ptp(found["sensor"], axis=0) == pytest.approx([0.017, 0.017, 0.0145], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda folder: (folder / "manifest.json").unlink(), "no manifest.json lies there"),
+        (lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'), "they are of probe 0"),
+        (lambda folder: (folder / "manifest.json").write_text("[]"), ""),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"), "clamp_ring.stl is no binary STL"),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])), "clamp_ring.stl is no binary STL"),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[math.inf] * 3] * 3])), "nowhere"),
+    ],
+)
+def test_what_is_not_the_probes_is_not_drawn_and_that_is_said(estimator, folder, spoil, told):
+    spoil(folder)
+    parts, note = parts_of(estimator.model, folder)
+    assert [part.name for part in parts] == ["sensor", "flange", "adapter"]
+    assert told in note and "plain cylinders" in note and "\n" not in note
+
+
+def test_an_stl_that_ends_early_is_none(folder):
+    path = folder / "clamp_ring.stl"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(ValueError, match="no binary STL"):
+        read_stl(path)
+
+
+# words
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+class OneByOne(Simulation):
+    """Its readings as they would come in time, a block each."""
+
+    def __iter__(self):
+        return blocks_of(readings_in(super().__iter__()))
+
+
+def kept(estimator, query: str, clock: Clock) -> Keeper:
+    """A keeper that has seen a simulated run, on the clock of the run."""
+    keeper, start = Keeper(clock=clock), clock.now
+    for answer in estimate_stream(estimator, OneByOne(estimator.model, query), Plan(), print, keeper):
+        clock.now = start + answer.reading.time
+    return keeper
+
+
+def of(moment: Moment) -> dict[str, Said]:
+    return {said.name: said for said in moment.words}
+
+
+def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> Answer:
+    gravity = estimator.model.gravity_base
+    return Answer(Reading(time, np.zeros(6), gravity), estimate, wrench_base=np.zeros(6), **more)
+
+
+def test_nothing_is_said_before_anything_is_read():
+    moment = Keeper().moment()
+    assert of(moment)["result"].text == "nothing read yet"
+    assert moment.place is None and moment.shape is None
+
+
+def test_a_contact_is_told_with_its_units_and_drawn(estimator):
+    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).moment()
+    words = of(moment)
+    assert words["result"] == Said("result", f"ok: {RESULTS['ok']}", "good")
+    assert words["contact"].text == f"s {1e3 * moment.place.s:.1f} ± {1e3 * moment.place.std_s:.1f} mm"
+    assert words["force"].text.endswith(" mN") and words["moments"].text.endswith(" N·mm")
+    assert "10 readings/s, 10 estimates/s" in words["rate"].text
+    assert moment.shape is not None and not moment.old
+    assert moment.strip.shape == (80, len(STRIP))
+
+
+@pytest.mark.parametrize("result", [result for result in RESULTS if result != "ok"])
+def test_a_result_other_than_ok_has_no_place(estimator, result):
+    """Not even if it carries candidates or a point fused from earlier readings."""
+    ok = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._answer.estimate
+    keeper = Keeper()
+    keeper.answered(answer(estimator, Estimate(result, candidates=ok.candidates, force_base=ok.force_base)))
+    moment = keeper.moment()
+    assert moment.place is None
+    assert [of(moment)[name].text for name in ("contact", "point", "force")] == ["–"] * 3
+    assert of(moment)["result"].text == f"{result}: {RESULTS[result]}"
+    assert np.isnan(moment.strip[:, 7:]).all()
+
+
+def test_silence_is_stale_and_what_is_known_is_old(estimator):
+    clock = Clock()
+    keeper = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
+    clock.now += 0.35  # with the 0.1 s of the last reading, not yet five gaps
+    assert not keeper.moment().old
+    clock.now += 1.95
+    moment = keeper.moment()
+    assert moment.old and of(moment)["result"] == Said("result", "stale: nothing read for 2.4 s", "bad")
+
+
+def test_a_source_that_tells_its_silence_is_believed(estimator):
+    keeper = Keeper()
+    keeper.answered(answer(estimator, Estimate("no_contact")))
+    none = np.empty(0)
+    keeper.read(Block(none, np.empty((0, 6)), estimator.model.gravity_base, none, "stale, no record"))
+    assert of(keeper.moment())["fault"] == Said("fault", "stale, no record", "bad")
+
+
+def test_readings_without_estimates_make_what_is_known_old(estimator):
+    clock = Clock()
+    keeper = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
+    gravity = estimator.model.gravity_base
+    for _ in range(100):
+        clock.now += 0.1
+        keeper.read(Block(np.zeros(1), np.zeros((1, 6)), gravity, np.zeros(1)))
+    assert "old" in of(keeper.moment())["result"].text and keeper.moment().old
+
+
+def test_loss_tare_and_recording_are_told(estimator):
+    keeper = Keeper(lambda: {"lost": 3, "received": 10})
+    for line in ("tare from 100 readings", "recording to a.mcap", "mark: here"):
+        keeper.told(1.0, line)
+    words = of(keeper.moment())
+    assert words["loss"] == Said("loss", "3 lost of 0 readings", "fair")
+    assert words["tare"].text == "from 100 readings" and words["recording"].text == "to a.mcap"
+    keeper.told(2.0, "recorded 7 readings to a.mcap")
+    assert of(keeper.moment())["recording"].text == "recorded 7 readings to a.mcap"
+    assert keeper.moment().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
+
+
+def test_each_touch_is_kept_once_at_its_surest(estimator):
+    moment = kept(estimator, "speed=max&rate_hz=10&seconds=23&period_s=10", Clock()).moment()
+    assert [place.number for place in moment.touches] == [1, 2]
+    for place in moment.touches:
+        # the simulated touch is told best near its far end, where a force bends the probe most; it moves by
+        # 2.8 mm between two readings
+        assert place.s == pytest.approx(0.95 * estimator.model.rod.length, abs=6e-3)
+
+
+def test_a_known_pose_puts_the_contact_into_the_world(estimator):
+    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._answer
+    T, keeper = pose(p=(1.0, 2.0, 3.0)), Keeper()
+    T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    keeper.answered(answer(estimator, found.estimate, T_world_base=T))
+    place = keeper.moment().place
+    assert place.in_world
+    assert place.p == pytest.approx(T[:3, :3] @ found.estimate.p_contact_base + T[:3, 3])
+    assert np.trace(place.cov) == pytest.approx(np.trace(found.estimate.cov_contact_base))
+    assert "world" in of(keeper.moment())["point"].text
+
+
+def test_what_comes_from_outside_is_escaped():
+    moment = Moment(words=(Said("fault", "<script>", "bad"),), events=((math.nan, "mark: <img src=x>"),))
+    assert "<script>" not in words_html(moment) and "&lt;script&gt;" in words_html(moment)
+    assert "<img" not in events_html(moment)
+
+
+# charts
+
+
+def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
+    charts = Charts()
+    rows = np.zeros((40_000, len(STRIP)))
+    rows[:, 0] = np.arange(40_000) / 1000.0
+    rows[::2, 7] = np.nan
+    assert charts.add(rows)
+    time, s, low, high = charts.lines()["place"]
+    assert np.isnan([s, low, high]).any() and np.isfinite([s, low, high]).any()
+    assert 400 <= len(time) <= 450 and charts.window() == pytest.approx((time[-1] - 15.0, time[-1]))
+    assert not charts.add(rows[:0])
+    assert charts.add(np.zeros((1, len(STRIP))))  # another run's clock
+    assert len(charts.lines()["push"][0]) == 1
+
+
+# terminal
+
+
+def test_the_terminal_says_what_the_page_says(estimator):
+    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).moment(shaped=False)
+    console = Console(file=StringIO(), width=120)
+    console.print(table_of("large", moment))
+    drawn = console.file.getvalue()
+    assert all(said.text in drawn for said in moment.words)
+
+
+def test_the_terminal_is_left_as_it_was(estimator):
+    console = Console(file=StringIO(), force_terminal=True, width=100, height=40)
+    terminal = Terminal("large", console=console)
+    terminal.answered(answer(estimator, Estimate("no_contact")))
+    terminal.told(0.0, "tare from [bold]100[/bold] readings")
+    terminal.close()
+    drawn = console.file.getvalue()
+    assert "no_contact" in drawn and "from [bold]100[/bold] readings" in drawn
+    assert drawn.index("\x1b[?25l") < drawn.rindex("\x1b[?25h")  # the cursor is back
