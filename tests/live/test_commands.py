@@ -15,7 +15,7 @@ from probedesign.cli.main import run
 from probedesign.live.block import readings_in
 from probedesign.live.recorder import Recorder
 from probedesign.live.recording import read_recording
-from probedesign.live.row import COLUMNS, TRUE_COLUMNS
+from probedesign.live.row import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
 from probedesign.live.simulate import Simulation
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
