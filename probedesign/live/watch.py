@@ -10,6 +10,7 @@ from probedesign.estimator.detector import Detector, Touching
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.fused import Fused
 from probedesign.estimator.tracker import Tracker
+from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.live.batch import Batch
 from probedesign.live.contacts import Contacts
@@ -18,6 +19,9 @@ from probedesign.live.pose.latency import TOLD, Timing
 from probedesign.live.pose.poses import Poses
 from probedesign.live.tare import Tare
 
+BIAS_STEPS = 0.5
+"""Of the bias since the tare, in steps of the sensor's resolution: what a walk of `DRIFT_STEPS` makes of it in a
+hundred seconds. Free readings before the touch tie it down."""
 Say = Callable[[str], None]
 """Takes a line that a user should know."""
 
@@ -66,7 +70,8 @@ class Watch:
         self._tracker: Tracker | None = None
         if poses is not None:
             of_means = Estimator(replace(model, averaging_samples=1))
-            self._tracker = Tracker(of_means, gravity_world=poses.gravity_world, rate=rate / samples)
+            unknowns = replace(Unknowns.of(model), bias_steps=BIAS_STEPS)
+            self._tracker = Tracker(of_means, unknowns, poses.gravity_world, rate=rate / samples)
         self._seen = self._unknown
         self._each, self._last = samples / rate, math.nan
 
