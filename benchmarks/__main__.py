@@ -1,43 +1,23 @@
-"""`python -m benchmarks [NAME ...]`: all parts or some, as `PARTS` names them."""
+"""`python -m benchmarks [PART ...]`: all parts or some; an unknown name is told which there are."""
 
 import argparse
 import sys
+from importlib import import_module
 
-from benchmarks import (
-    detection,
-    estimation,
-    export,
-    live,
-    optimisation,
-    peak,
-    prediction,
-    recording,
-    rod,
-    start,
-    view,
-)
 from benchmarks.timing import print_machine
 
-PARTS = {
-    "rod": rod.report,
-    "peak": peak.report,
-    "start": start.report,
-    "estimation": estimation.report,
-    "detection": detection.report,
-    "prediction": prediction.report,
-    "optimisation": optimisation.report,
-    "export": export.report,
-    "live": live.report,
-    "recording": recording.report,
-    "view": view.report,
-}
+PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "prediction", "optimisation", "sweep",
+         "export", "live", "recording", "view")  # fmt: skip
+"""Modules, each imported when its turn comes: worker processes import this one again."""
 
 
 def main(arguments: list[str]) -> int:
     """Run the parts named, all if none; the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
-    parser.add_argument("--minutes", type=float, default=live.MINUTES, help="how long live streams")
+    parser.add_argument(
+        "--minutes", type=float, help="how long live streams, a third of a minute if not said"
+    )
     parser.add_argument("--view", action="store_true", help="live with its page open")
     said = parser.parse_args(arguments)
     unknown = [name for name in said.parts if name not in PARTS]
@@ -45,7 +25,9 @@ def main(arguments: list[str]) -> int:
         parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     print_machine()
     for name in said.parts or PARTS:
-        live.report(said.minutes, said.view) if name == "live" else PARTS[name]()
+        options = {"view": said.view} if name == "live" else {}
+        options |= {"minutes": said.minutes} if name == "live" and said.minutes is not None else {}
+        import_module(f"benchmarks.{name}").report(**options)
     return 0
 
 

@@ -88,6 +88,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
             tab.get_by_text("Touches so far").wait_for(timeout=120_000)
             time.sleep(FADED_IN)
             _write(screenshot(tab), picture)
+            tab.close()  # a browser that still draws takes half a minute to close
             browser.close()
     finally:
         page.stop()

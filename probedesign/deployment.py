@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from dataclasses import asdict, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.files import write_atomically
 from probedesign.frames import Array, is_pose
 from probedesign.geometry import Flange, ProbeGeometry
@@ -63,6 +65,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
             for name, q in model.material.items()
         },
         "spread": {"stiffness": model.stiffness_spread, "creep": model.creep_spread},
+        "tolerances": asdict(Tolerances.of(model)),
         "sections": _sections(rod),
         "flexible_mass_kg": model.mass,
         "hanging": {
@@ -194,6 +197,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         material=material,
         assumptions=tuple(data["assumptions"]),
         cross_section=section,
+        tolerances=_tolerances(data.get("tolerances")),
         **_spread(data.get("spread", {})),
     )
     geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
@@ -221,6 +225,17 @@ def _spread(data: dict[str, Any]) -> dict[str, Any]:
     if not all(0.0 <= spread <= 0.5 for spread in spreads):
         raise InputError(f"spread: {spreads} must lie in 0 ... 0.5")
     return {"stiffness_spread": None if stiffness is None else float(stiffness), "creep_spread": creep}
+
+
+def _tolerances(data: dict[str, Any] | None) -> Tolerances | None:
+    """How well the probe is known; files written before that was told say nothing."""
+    if data is None:
+        return None
+    known = {entry.name for entry in fields(Tolerances)}
+    if set(data) != known or not isinstance(data["tared"], bool):
+        raise InputError(f"tolerances: must hold {', '.join(sorted(known))}")
+    spreads: dict[str, Any] = {name: float(value) for name, value in data.items() if name != "tared"}
+    return Tolerances(**spreads, tared=data["tared"])
 
 
 def _section(data: dict[str, Any]) -> CrossSection:

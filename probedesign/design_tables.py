@@ -284,6 +284,7 @@ class TolerancesTable(Table):
     clocking_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     gravity_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     creep: Share | None = None
+    robot_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tared: bool | None = None
 
 

@@ -7,6 +7,19 @@ from pathlib import Path
 from probedesign.errors import InputError
 
 
+def check_room(path: Path) -> None:
+    """Refuse early what could not be written in the end; folders that are missing are made only then.
+
+    Raises:
+        InputError: no folder, or none that may be written to.
+    """
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 def write_atomically(path: Path, content: bytes) -> None:
     """Write aside, then rename: the file is the old one or the whole new one at every moment.
 

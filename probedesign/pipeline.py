@@ -19,9 +19,11 @@ from probedesign.deployment import check_manifest, check_replaceable, write_froz
 from probedesign.design import Design, load_design
 from probedesign.design_file import write_design
 from probedesign.errors import InputError
-from probedesign.files import write_atomically
+from probedesign.files import check_room, write_atomically
+from probedesign.prediction.csv_tables import along_csv, conditions_csv
 from probedesign.prediction.paper_probes import PROBES, paper_design
-from probedesign.prediction.predict import Prediction, predict_touch, tip_sag_mm
+from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
+from probedesign.prediction.pressing import Pressing
 from probedesign.printing.check import PrintCheck, check_print
 from probedesign.printing.preform.connection import connection_to
 from probedesign.printing.preform.job import job_of
@@ -118,16 +120,18 @@ def predict(
     draws: int | None = None,
     seed: int = 0,
     tell: Callable[[str, float | None], None] = _silent,
+    pressing: Pressing = PRESSING,
 ) -> tuple[Prediction, list[Path]]:
     """Design → rod → estimator → prediction → report.
 
     Args:
         design_path: the design file.
-        out: folder for prediction.json, prediction.png and prediction.html; exports/NAME if None.
-        plots: make picture and page; None makes them where matplotlib is installed.
+        out: folder for prediction.json, its tables as CSV, prediction.html and prediction.png; exports/NAME if None.
+        plots: make page and picture; None makes the picture where matplotlib is installed.
         draws: Monte Carlo's estimates of each condition; none is run if None.
         seed: of what it draws.
         tell: told the step at work and the share done, if known.
+        pressing: how the touches are made that are fused.
 
     Returns:
         The prediction and the files written.
@@ -135,23 +139,32 @@ def predict(
     probe = probe_of(design_path)
     folder = EXPORTS / probe.design.name if out is None else out
     tell("predicting", None)
-    prediction = probe.predict()
+    prediction = probe.predict(pressing=pressing)
     if draws is not None:
+        from probedesign.prediction.fused import shown
         from probedesign.prediction.monte_carlo import Plan, sample
 
-        plan = Plan(probe.model, probe.tolerances, draws, seed)
-        sampled = sample(plan, prediction, folder, lambda share: tell("Monte Carlo", share))
+        plan = Plan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
+        sampled = sample(plan, prediction, folder, lambda share: tell("Monte Carlo", share),
+                         fused=shown(prediction.fused))  # fmt: skip
         prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]
     write_atomically(files[0], (json.dumps(prediction.as_dict(), indent=1) + "\n").encode())
-    if plots or (plots is None and find_spec("matplotlib") is not None):
-        from probedesign.pages.prediction_page import prediction_page
+    for name, table in (("prediction.csv", conditions_csv), ("prediction-along.csv", along_csv)):
+        files.append(folder / name)
+        write_atomically(files[-1], table(prediction))
+    if plots is False:
+        return prediction, files
+    from probedesign.pages.prediction_page import prediction_page
+
+    estimator = probe.estimator()
+    files.append(folder / "prediction.html")
+    write_atomically(files[-1], prediction_page(prediction, estimator))
+    if plots or find_spec("matplotlib") is not None:
         from probedesign.report import draw_prediction
 
-        estimator = probe.estimator()
-        files += [folder / "prediction.png", folder / "prediction.html"]
-        write_atomically(files[1], draw_prediction(prediction, estimator))
-        write_atomically(files[2], prediction_page(prediction, estimator))
+        files.append(folder / "prediction.png")
+        write_atomically(files[-1], draw_prediction(prediction, estimator))
     return prediction, files
 
 
@@ -204,14 +217,19 @@ def optimize(
     tell: Callable[[str, float | None], None],
 ) -> "Found":
     """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
-    from probedesign.search.confirm import confirm
+    from probedesign.search.confirm import check_confirmable, confirm
     from probedesign.search.found import Found, design_text
-    from probedesign.search.front import front
+    from probedesign.search.front import check_installed, front
     from probedesign.search.optimum import optimum
 
     path = out or Path("designs") / f"{search.start.name}-best.toml"
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
+    check_room(path)  # here and below: a search takes a minute, so what cannot end does not begin
+    if draws:
+        check_confirmable(search.task)
+    if trials:
+        check_installed()
     best = optimum(search, path.stem, tell)
     confirmed = None
     if draws:
@@ -223,6 +241,13 @@ def optimize(
     if shown is not None:
         files.append(path.with_name(f"{path.stem}-front.csv"))
         write_atomically(files[1], shown.csv())
+    if find_spec("matplotlib") is not None:
+        from probedesign.pages.comparison import compare as side_by_side
+        from probedesign.pages.comparison import comparison_page
+
+        files.append(path.with_name(f"{path.stem}-compared.html"))
+        compared = side_by_side([search.start, best.design], best.task)
+        write_atomically(files[-1], comparison_page(compared, best.task))
     return Found(search, best, confirmed, shown, tuple(files))
 
 

@@ -1,6 +1,6 @@
 """A designed probe as one object: geometry, sections, mass, rod, estimator, prediction. No CAD."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mass import MassProperties
@@ -22,7 +23,6 @@ from probedesign.sensor import averaged_noise
 
 if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction
-    from probedesign.prediction.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Probe:
         d = self.design
         adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name)
         calibration = d.calibration
-        return ProbeModel(
+        model = ProbeModel(
             name=d.name,
             fingerprint=self.geometry.fingerprint,
             flange=self.geometry.flange,
@@ -105,6 +105,7 @@ class Probe:
             stiffness_spread=d.material.stiffness_spread,
             creep_spread=d.material.creep_spread,
         )
+        return replace(model, tolerances=Tolerances.of(model, d.tolerances.model_dump()))
 
     def solve(
         self,
@@ -154,11 +155,9 @@ class Probe:
         return predict(self.model, **{"tolerances": self.tolerances, **options})
 
     @property
-    def tolerances(self) -> "Tolerances":
+    def tolerances(self) -> Tolerances:
         """How well the probe is known, as its design has it."""
-        from probedesign.prediction.tolerances import Tolerances
-
-        return Tolerances.of(self.model, self.design.tolerances.model_dump())
+        return Tolerances.of(self.model)
 
 
 def build_probe(design: Design) -> Probe:

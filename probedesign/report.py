@@ -1,7 +1,6 @@
 """Pictures of a prediction, made to be read at half size and in print."""
 
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,13 +28,15 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    figure = blank(12, 8.6)
-    axes: Any = figure.subplots(2, 2)
+    figure = blank(12, 8.6, (0.7, 0.1, 0.5, 0.75))
+    axes: Any = figure.subplots(2, 2, gridspec_kw={"wspace": 0.135, "hspace": 0.22})
     _draw_error(axes[0, 0], prediction)
     _draw_detection(axes[0, 1], prediction)
     _draw_sensitivity(axes[1, 0], prediction)
     _draw_shapes(axes[1, 1], estimator)
-    figure.suptitle(_title(prediction), fontsize=12, x=0.01, ha="left")
+    for ax in axes.flat:
+        ax.set_title(ax.get_title(), y=1.0)  # where it stands anyhow: else it is sought anew
+    figure.suptitle(_title(prediction), fontsize=12, x=0.01, y=0.992, ha="left", va="top")
     return _png(figure)
 
 
@@ -85,8 +86,17 @@ def draw_sweep(sweep: Sweep) -> bytes:
     return _png(figure)
 
 
-def blank(width: float, height: float) -> "Figure":
-    """An empty figure of that size [inch], drawn without a screen."""
+def blank(width: float, height: float, margins: tuple[float, float, float, float] | None = None) -> "Figure":
+    """An empty figure, drawn without a screen.
+
+    Args:
+        width, height: [inch].
+        margins: left, right, bottom and top of its axes [inch]; found from what is drawn if None, which takes as long
+            as drawing it twice more.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -94,47 +104,12 @@ def blank(width: float, height: float) -> "Figure":
         raise MissingDependencyError(
             "plots need matplotlib: pip install 'probedesign[plots]', or give --no-plots"
         ) from None
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), layout="constrained" if margins is None else None)
     FigureCanvasAgg(figure)
+    if margins is not None:
+        left, right, bottom, top = margins
+        figure.subplots_adjust(left / width, bottom / height, 1.0 - right / width, 1.0 - top / height)
     return figure
-
-
-def draw_panels(prediction: Prediction, estimator: Estimator) -> dict[str, bytes]:
-    """The panels of `draw_prediction` one by one, by what they answer, without their titles; SVGs.
-
-    Raises:
-        MissingDependencyError: matplotlib is not installed.
-    """
-    drawn: dict[str, Callable[[Axes], None]] = {
-        "error": lambda ax: _draw_error(ax, prediction),
-        "detection": lambda ax: _draw_detection(ax, prediction),
-        "sensitivity": lambda ax: _draw_sensitivity(ax, prediction),
-        "shapes": lambda ax: _draw_shapes(ax, estimator),
-    }
-    found = {}
-    for name, draw in drawn.items():
-        figure = blank(6.4, 4.4)
-        ax = figure.subplots()
-        draw(ax)
-        ax.set_title("")
-        legend = ax.get_legend()
-        if name == "error" and legend is not None:  # lines are everywhere: no room among them
-            legend.remove()
-            handles, labels = ax.get_legend_handles_labels()
-            figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8,
-                          columnspacing=0.8, handlelength=1.4)  # fmt: skip
-        found[name] = svg(figure)
-    return found
-
-
-def svg(figure: "Figure") -> bytes:
-    """The figure as an SVG element, letters drawn as outlines, the same bytes every time."""
-    from matplotlib import rc_context
-
-    picture = io.BytesIO()
-    with rc_context({"svg.hashsalt": "probedesign"}):
-        figure.savefig(picture, format="svg", metadata={"Date": None, "Creator": None})
-    return picture.getvalue()[picture.getvalue().index(b"<svg") :]
 
 
 def _png(figure: "Figure") -> bytes:

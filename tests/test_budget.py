@@ -10,11 +10,11 @@ import pytest
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
 from probedesign.estimator.bound import contact_bound
+from probedesign.estimator.causes import CAUSES, answers_of
+from probedesign.estimator.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import budget_of
-from probedesign.prediction.causes import CAUSES, answers_of
 from probedesign.prediction.monte_carlo import Plan, sample
 from probedesign.prediction.predict import predict, predict_touch
-from probedesign.prediction.tolerances import SOURCES, Tolerances
 from probedesign.prediction.worlds import Worlds
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
@@ -56,6 +56,18 @@ def test_many_contacts_are_each_one(large):
             # One Newton step after a misfit of 1e-4 leaves its square; the fast rod 1e-6.
             np.testing.assert_allclose(many.force[i], one.force_base, atol=1e-6 * size[i])
             np.testing.assert_allclose(many.d_touch[i], one.d_force, atol=1e-5 * np.abs(one.d_force).max())
+
+
+def test_touches_followed_are_those_solved_alone(large):
+    s, angle = np.array([0.2, 0.6, 0.9, 1.0]) * large.length, np.array([0.3, 1.5, -2.0, 3.0])
+    forces = np.geomspace(0.002, 0.02, 12)
+    for step, force in zip(follow_contacts(large.rod, GRAVITY, s, angle, forces), forces, strict=True):
+        alone = solve_contacts(large.rod, GRAVITY, s, angle, np.full(4, force), columns="all")
+        assert step.ok.all()
+        # Followed touches are left alone once they are within the fast rod's error, 1e-6; its columns are good to 1e-5.
+        for found, wanted, share in ((step.force, alone.force, 2e-6), (step.d_touch, alone.d_touch, 1e-5),
+                                     (step.batch.wrench_base, alone.batch.wrench_base, 2e-6)):  # fmt: skip
+            np.testing.assert_allclose(found, wanted, atol=share * np.abs(wanted).max())
 
 
 def test_a_touch_that_gave_way_stays_given_way(large):
@@ -121,8 +133,9 @@ def test_with_everything_known_only_the_noise_is_left(large, contacts):
 
 
 def test_the_causes_add_up(large, contacts):
-    whole = budget_of(contacts, large.model, GRAVITY, Tolerances())
-    parts = budget_of(contacts, large.model, GRAVITY, only(youngs_modulus=0.03, diameter_mm=0.075))
+    whole = budget_of(contacts, large.model, GRAVITY, Tolerances(), weighed=False)
+    few = only(youngs_modulus=0.03, diameter_mm=0.075)
+    parts = budget_of(contacts, large.model, GRAVITY, few, weighed=False)
     total = np.sqrt(np.trace(whole.total, axis1=1, axis2=2))
     np.testing.assert_allclose(total, np.sqrt((whole.rms**2).sum(axis=1)), rtol=1e-12)  # rounding
     for name in ("noise", "E"):
@@ -134,8 +147,28 @@ def test_each_cause_is_proportional_to_its_tolerance(large, contacts):
     twice = Tolerances(
         **{f.name: 2.0 * getattr(Tolerances(), f.name) for f in fields(Tolerances) if f.name != "tared"}
     )
-    once, doubled = (budget_of(contacts, large.model, GRAVITY, t).rms for t in (Tolerances(), twice))
+    once, doubled = (
+        budget_of(contacts, large.model, GRAVITY, t, weighed=False).rms for t in (Tolerances(), twice)
+    )
     np.testing.assert_allclose(doubled[:, 1:], 2.0 * once[:, 1:], rtol=1e-9, atol=1e-15)  # linear; rounding
+
+
+def test_what_is_predicted_is_what_the_estimator_states(large):
+    """To first order, of the same touch: budget and estimate share columns and weights, but not their code."""
+    touch = follow_contacts(large.rod, GRAVITY, np.array([0.6 * large.length]), np.array([1.5]), [0.05])[0]
+    told = large.estimator().with_tolerances(Tolerances()).estimate(touch.batch.wrench_base[0])
+    total = budget_of(touch, large.model, GRAVITY, Tolerances()).total[0]
+    # The estimate ends within a hundredth of a standard deviation of the touch.
+    np.testing.assert_allclose(told.candidates[0].cov_linear_base, total, atol=1e-2 * np.abs(total).max())
+
+
+def test_weighing_helps_where_causes_outweigh_the_noise(large):
+    hard = follow_contacts(large.rod, GRAVITY, np.array([0.5 * large.length]), np.array([0.0]), [0.1])[0]
+    weighed, exact = (
+        np.trace(budget_of(hard, large.model, GRAVITY, Tolerances(), weighed=w).total[0])
+        for w in (True, False)
+    )
+    assert weighed < exact
 
 
 def test_a_tare_takes_gravitys_direction_off_a_light_touch(large):
@@ -165,7 +198,8 @@ def misled(large, known):
     the covariance of the one cause there is."""
     worlds = Worlds.draw(large.model, known, 3, 1)
     wrenches, points = worlds.touched(*TOUCH)
-    near = [large.estimator().estimate(wrench).candidates[0].p_contact_base for wrench in wrenches]
+    estimator = large.estimator().with_tolerances(known)
+    near = [estimator.estimate(wrench).candidates[0].p_contact_base for wrench in wrenches]
     touch = follow_contacts(
         large.rod, GRAVITY, np.array([0.6 * large.length]), np.array([np.pi / 2]), [0.05]
     )[0]

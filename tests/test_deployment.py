@@ -93,6 +93,7 @@ def test_a_probe_reads_back_to_the_last_bit(name, path):
         "mass",
         "stiffness_spread",
         "creep_spread",
+        "tolerances",
     ):
         assert getattr(back, attribute) == getattr(model, attribute)
     for attribute in ("gravity_base", "T_sensor_base", "wrench_range"):

@@ -1,6 +1,5 @@
 """`probedesign compare`: several designs side by side."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +14,7 @@ def compare(
     /,
     *,
     out: Path | None = None,
-    page: Annotated[bool | None, Parameter(negative="--no-page")] = None,
+    page: Annotated[bool, Parameter(negative="--no-page")] = True,
     options: TaskOptions | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -24,16 +23,15 @@ def compare(
     Args:
         designs: two to six design files.
         out: the page to write; by default exports/compare-NAME-NAME.html.
-        page: write the page; by default where matplotlib is installed.
+        page: write the page.
         options: what they are judged by.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
 
     task = (options or TaskOptions()).task()
-    draw = find_spec("matplotlib") is not None if page is None else page
     with working("comparing"):
-        compared, file = pipeline.compare(designs, task, out, draw)
+        compared, file = pipeline.compare(designs, task, out, page)
     if as_json:
         document = [{"name": one.design.name, **one.worth.as_dict()} for one in compared]
         print_json({"task": task, "designs": document, "page": file})
@@ -44,5 +42,4 @@ def compare(
     print(task.text)
     for row in (table.head, *table.rows):
         print(f"  {row[0]:<16}" + "".join(f"{cell:>18}" for cell in row[1:]))
-    print(f"wrote {file}" if file else "no page: matplotlib is not installed (pip install 'probedesign[plots]')"
-          if page is None else "no page")  # fmt: skip
+    print(f"wrote {file}" if file else "no page")

@@ -28,6 +28,7 @@ def estimate(
     moment_unit: Literal["Nm", "Nmm"] = "Nm",
     other_probe: bool = False,
     manifest: Path | None = None,
+    exact_model: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Locate the contacts of a recording, one estimate a row.
@@ -47,6 +48,8 @@ def estimate(
         moment_unit: of a bag whose publisher does not keep to N·m.
         other_probe: read a recording that was made with another probe.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
+            else they hold the tolerances of material, print and mount too.
         as_json: print one JSON document: the rows and all that is to know of them.
     """
     from probedesign.deployment import load_estimator
@@ -60,6 +63,7 @@ def estimate(
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None
     estimator = load_estimator(bundle, manifest)
+    estimator = estimator if exact_model else estimator.with_tolerances()
     with working("loading the rod kernels"):
         warm_up(estimator, _say)
     choice = Choice(topic, moment_unit=moment_unit, other_probe=other_probe)

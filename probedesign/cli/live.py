@@ -40,6 +40,7 @@ def live(
     view_host: str = "127.0.0.1",
     view_port: int = 8080,
     manifest: Path | None = None,
+    exact_model: bool = False,
     lines: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -70,6 +71,8 @@ def live(
         view_host: address that the page listens on; 0.0.0.0 opens it to the network.
         view_port: its port, or the next free one.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
+        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
+            else they hold the tolerances of material, print and mount too.
         lines: print a line an estimate on a terminal too.
         as_json: print each estimate as one line of JSON.
     """
@@ -92,11 +95,13 @@ def live(
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
+    estimator = estimator if exact_model else estimator.with_tolerances()
     if record is not None:
         check_name(record)
     if record is not None and record.exists() and not force:
         raise InputError(f"{record}: exists already; --force replaces it, or name another file")
-    about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}"}
+    about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
+             "exact_model": str(exact_model).lower()}  # fmt: skip
     with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
         counts = partial(getattr, opened, "counts", {})

@@ -83,8 +83,8 @@ def _print(found: "Optimum", confirmed: "tuple[Confirmed, Confirmed] | None", fr
         print(f"  {name:<16}{_cell(before[name]):>12}{_cell(after[name]):>12}")
     if confirmed is not None:
         for name, one in zip(("start", "best"), confirmed, strict=True):
-            print(f"  {name}, drawn and fused: {one.rms_mm:.3g} mm RMS, bound {one.bound_mm:.3g} mm, "
-                  f"{one.located} of {one.drawn} located")  # fmt: skip
+            print(f"  {name}, drawn and fused: {one.rms_mm:.3g} mm RMS, {one.expected_mm:.3g} mm but for the luck of "
+                  f"the draws, bound {one.bound_mm:.3g} mm, {one.located} of {one.drawn} located")  # fmt: skip
     print(f"  held back by: {', '.join(found.binding) or 'nothing: it is a free optimum'}")
     print(f"  {found.looked} bodies looked at from {len(found.starts)} starts: "
           f"{', '.join('no good' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip

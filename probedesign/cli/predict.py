@@ -20,11 +20,13 @@ def predict(
     out: Path | None = None,
     monte_carlo: int | None = None,
     seed: int = 0,
+    touches: int = 5,
+    forces_too: bool = False,
     table1: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Predict sensitivity and contact error of a design; write prediction.json, prediction.png and prediction.html.
+    """Predict sensitivity and contact error of a design; write prediction.json, .csv, .html and .png.
 
     Args:
         design: the design file; none with --table1.
@@ -33,10 +35,14 @@ def predict(
             interrupted run of the same stopped.
         seed: of what Monte Carlo draws.
         table1: predict the paper's Table I for its own three probes, beside what was measured.
-        plots: make picture and page, which reads without a network; by default where matplotlib is installed.
+        touches: how many touches of one point are fused, as the base presses on.
+        forces_too: fuse forces and moments; by default the moments alone that the sensor reads.
+        plots: make the page, which reads without a network, and the picture; by default the latter where matplotlib
+            is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
+    from probedesign.prediction.pressing import Pressing
 
     if (design is None) is not table1:
         raise InputError(
@@ -50,15 +56,16 @@ def predict(
         else:
             tables.print_table_one(table)
         return
+    pressing = Pressing(touches, None if forces_too else "sensor")
     with telling() as tell:
-        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, tell)
+        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, tell, pressing)
     if as_json:
         print_json(prediction.as_dict())
     else:
         _print(prediction)
         print("wrote", ", ".join(map(str, files)))
-        if plots is None and len(files) == 1:
-            print("no picture and no page: matplotlib is not installed (pip install 'probedesign[plots]')")
+        if plots is None and not any(file.suffix == ".png" for file in files):
+            print("no picture: matplotlib is not installed (pip install 'probedesign[plots]')")
 
 
 def _print(prediction: "Prediction") -> None:

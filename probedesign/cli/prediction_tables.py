@@ -1,23 +1,31 @@
 """Tables of a prediction: error budget, Monte Carlo beside it, and what a touch costs the object."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from probedesign.prediction.fused import FusedCondition
     from probedesign.prediction.predict import Condition, Prediction
-    from probedesign.prediction.reach import Reach
     from probedesign.prediction.table_one import Score, TableOne
+    from probedesign.prediction.workspace import Workspace
+
+    Cell = Condition | FusedCondition
 
 BUDGET_FORCE_N = 0.02
 """At which the budget is shown, or at the force of the grid nearest to it: a delicate touch that is located."""
+SHOWN_N = 0.005
+"""The same of fused touches, which see more."""
 LIMITS = {"gives_way": "gives way", "sensor": "sensor", "slips_off": "slips off", "none": "none"}
 
 
 def print_all(prediction: "Prediction") -> None:
     """The tables, one after another."""
-    force = min((c.force_N for c in prediction.conditions), key=lambda f: abs(f - BUDGET_FORCE_N))
-    print(f"\nError budget [mm], RMS of one reading of {1e3 * force:g} mN by cause, worst of the directions")
-    print(_budget(prediction, force))
+    single, fused = _worst(prediction.conditions, BUDGET_FORCE_N), _worst(prediction.fused, SHOWN_N)
+    for rows, what in ((single, "one reading of"), (fused, f"{prediction.pressing.text}, up to")):
+        if rows:
+            force = 1e3 * next(iter(rows.values())).force_N
+            print(f"\nError budget [mm], RMS of {what} {force:g} mN by cause, worst of the directions")
+            print(_budget(rows))
     print(
         "  The spreads behind it are assumed unless the design says otherwise: prediction.json, [tolerances]."
     )
@@ -26,20 +34,44 @@ def print_all(prediction: "Prediction") -> None:
         print(_monte_carlo(prediction))
     print("\nWhat it takes and what it stands, all causes counted, worst of the directions")
     print(_reach(prediction))
+    print_workspace(prediction.workspace)
 
 
-def _budget(prediction: "Prediction", force: float) -> str:
-    worst: dict[float, Condition] = {}
-    for c in prediction.conditions:
+def print_workspace(workspace: "Workspace") -> None:
+    """Where the contact point can be pushed to."""
+    if not workspace.paths:
+        return
+    print("\nWhere the contact point can be pushed to while the base stands still")
+    for side, area in (workspace.area_mm2 or {}).items():
+        furthest = max((path for path in workspace.paths if path.direction == side),
+                       key=lambda path: path.pressed_mm, default=None)  # fmt: skip
+        most = "" if furthest is None else (
+            f", furthest {furthest.pressed_mm:.3g} mm, at {furthest.contact_fraction:g} of the length")  # fmt: skip
+        print(
+            f"  along {side}  sweeps {1e-2 * area:.3g} cm²{most}{' (mirrored)' if furthest is None else ''}"
+        )
+    if workspace.volume_mm3 is not None:
+        print(f"  from all round {1e-3 * workspace.volume_mm3:.3g} cm³")
+
+
+def _worst(conditions: "Sequence[Cell]", wanted_N: float) -> "dict[float, Cell]":
+    """Of each place the direction with the greatest error, at the force of the grid nearest to that."""
+    force = min((c.force_N for c in conditions), key=lambda f: abs(f - wanted_N), default=0.0)
+    worst: dict[float, Cell] = {}
+    for c in conditions:
         if c.force_N == force and c.budget_mm is not None:
             before = worst.get(c.contact_fraction)
             if before is None or (c.total_error_mm or 0.0) > (before.total_error_mm or 0.0):
                 worst[c.contact_fraction] = c
+    return worst
+
+
+def _budget(worst: "dict[float, Cell]") -> str:
     places = sorted(worst)
     lines = ["  s/L               " + "".join(f"{place:>7g}" for place in places)]
-    rows: list[tuple[str, Callable[[Condition], float | None]]] = [
+    rows: list[tuple[str, Callable[[Cell], float | None]]] = [
         (cause, lambda c, cause=cause: (c.budget_mm or {})[cause])  # type: ignore[misc]
-        for cause in (next(iter(worst.values())).budget_mm or {} if worst else {})
+        for cause in next(iter(worst.values())).budget_mm or {}
     ]
     rows += [("all", lambda c: c.total_error_mm), ("95 % within", lambda c: c.total_error_95_mm)]
     for name, value in rows:
@@ -48,11 +80,11 @@ def _budget(prediction: "Prediction", force: float) -> str:
 
 
 def _monte_carlo(prediction: "Prediction") -> str:
-    lines = ["  s/L     force  from   budget   Monte Carlo         95 %   located"]
+    lines = ["  s/L     force  from  touches   budget   Monte Carlo         95 %   located"]
     for row in prediction.monte_carlo:
         shown = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"
         lines.append(
-            f"  {row.contact_fraction:<5g}{1e3 * row.force_N:>5g} mN  {row.direction:<4}"
+            f"  {row.contact_fraction:<5g}{1e3 * row.force_N:>5g} mN  {row.direction:<4}{row.touches:>9}"
             f"{_cell(row.first_order_mm, 9)}{shown:>14}{'*' if row.differs else ' '}{_cell(row.error_95_mm, 12)}"
             f"{row.located / row.draws:>9.0%}"
         )
@@ -60,24 +92,27 @@ def _monte_carlo(prediction: "Prediction") -> str:
 
 
 def _reach(prediction: "Prediction") -> str:
-    lines = ["  s/L     1 mm    2 mm    5 mm   greatest  limit        moved by",
-             "            mN      mN      mN         mN                     mm"]  # fmt: skip
+    k = prediction.pressing.touches
+    lines = [f"  s/L     felt    5 mm    2 mm    1 mm  2 mm, {k:>2} fused   greatest  limit        moved by",
+             "            mN      mN      mN      mN              mN         mN                     mm"]  # fmt: skip
     for place in sorted({r.contact_fraction for r in prediction.reach}):
         here = [r for r in prediction.reach if r.contact_fraction == place]
         least = min(here, key=lambda r: r.greatest_force_N or 0.0)
         needed = [
-            _most(here, name) for name in ("force_mN_for_1_mm", "force_mN_for_2_mm", "force_mN_for_5_mm")
+            _most([d for d in prediction.detection if d.contact_fraction == place], "detectable_force_mN"),
+            *(_most(here, f"force_mN_for_{mm}_mm") for mm in (5, 2, 1)),
+            _most([f for f in prediction.fused_reach if f.contact_fraction == place], "force_mN_for_2_mm"),
         ]
         lines.append(
             f"  {place:<5g}"
-            + "".join(_cell(value, 8 if k else 7) for k, value in enumerate(needed))
+            + "".join(_cell(value, width) for value, width in zip(needed, (7, 8, 8, 8, 16), strict=True))
             + _cell(None if least.greatest_force_N is None else 1e3 * least.greatest_force_N, 11)
             + f"  {LIMITS[least.limit]:<11}{_cell(least.deflection_mm, 10)}"
         )
     return "\n".join(lines)
 
 
-def _most(rows: "list[Reach]", name: str) -> float | None:
+def _most(rows: "Sequence[Any]", name: str) -> float | None:
     """The greatest; none if one has none."""
     values = [getattr(row, name) for row in rows]
     return None if None in values else max(values)

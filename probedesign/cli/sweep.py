@@ -40,11 +40,16 @@ def sweep(
         options: what the designs are judged by.
         as_json: print one JSON document.
     """
-    from probedesign import pipeline
-    from probedesign.search.grid import parse_axis
+    from probedesign.search.workers import prepare
 
     if workers is not None and not 1 <= workers <= 1024:
         raise InputError(f"--workers {workers} must lie in 1 ... 1024")
+    if scheduler is None:
+        prepare()  # before all that takes its time to import
+
+    from probedesign import pipeline
+    from probedesign.search.grid import parse_axis
+
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
     try:
         with telling() as tell:

@@ -98,6 +98,20 @@ class Normal(NamedTuple):
     shifts: Array
 
 
+class Gain(NamedTuple):
+    """How the answer moves with the n numbers read.
+
+    Attributes:
+        cov: of the unknowns, (7, 7).
+        unknowns: by the readings, (7, n).
+        shifts: of how far each base was likely off for itself, (k, 3, n).
+    """
+
+    cov: Array
+    unknowns: Array
+    shifts: Array
+
+
 def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
     """What of a wrench at the base counts.
 
@@ -219,6 +233,16 @@ class Equations:
         left = (weighted[:, -1] - weighted[:, :-1] @ step).reshape(len(linear.by_place), -1)
         shifts = self.unknowns.base_repeat**2 * np.einsum("kmi,km->ki", linear.by_place, left)
         return Normal(cov, step, chi2, shifts)
+
+    def gain(self, linear: Linear) -> Gain:
+        """How the answer moves with the readings."""
+        V, D, n = self.covariance(linear, self.unknowns), linear.design, len(linear.misfit)
+        weighted = np.linalg.solve(V, np.column_stack([D, np.eye(n)]))
+        cov = _inverted(D.T @ weighted[:, :UNKNOWNS], self.unknowns.prior)
+        unknowns = cov @ weighted[:, :UNKNOWNS].T
+        left = (weighted[:, UNKNOWNS:] @ (np.eye(n) - D @ unknowns)).reshape(len(linear.by_place), -1, n)
+        shifts = self.unknowns.base_repeat**2 * linear.by_place.transpose(0, 2, 1) @ left
+        return Gain(cov, unknowns, shifts)
 
     def rms(self, linear: Linear, unknowns: Unknowns) -> float:
         """Of the fixed point [m], by the bound."""

@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from probedesign.errors import InputError
-from probedesign.estimator import likelihood, paper
+from probedesign.estimator import doubtful, likelihood, paper
+from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.estimate import Candidate, Estimate, Result
 from probedesign.estimator.fused import Fused, MomentsAbout
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.observation import Observation
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
@@ -47,10 +49,13 @@ class Estimator:
 
     Attributes:
         model: the probe.
+        tolerances: how well the probe is known; None takes it for exactly what the model says.
     """
 
     model: ProbeModel
+    tolerances: Tolerances | None = None
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
+    _last_doubts: dict[bytes, Doubts] = field(default_factory=dict, compare=False, repr=False)
 
     def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
         """The same estimator for readings with these standard deviations of each channel.
@@ -65,7 +70,19 @@ class Estimator:
         for name, value in (("force_N", force_N), ("moment_Nm", moment_Nm)):
             if not 0.0 < value < np.inf:
                 raise InputError(f"{name} = {value} must be positive and finite")
-        return Estimator(self.model.with_noise(Noise(float(force_N), float(moment_Nm))))
+        return Estimator(self.model.with_noise(Noise(float(force_N), float(moment_Nm))), self.tolerances)
+
+    def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
+        """The same estimator for a probe that is known only so well.
+
+        E, G, density, diameters, length, mount, gravity and drift then count in the weights of "ml", in its test of
+        consistency and in its covariance, for any one reading or window; "paper" and `fuse`, which has unknowns of
+        its own, stay as they are.
+
+        Args:
+            tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
+        """
+        return Estimator(self.model, Tolerances.of(self.model) if tolerances is None else tolerances)
 
     def estimate(
         self,
@@ -112,12 +129,29 @@ class Estimator:
         if method == "paper":
             return self._decide(paper.locate(self.model.rod, seen), chi2, readings)
         start = near.candidates[0] if near is not None and near.candidates else None
-        found = likelihood.locate(self.model.rod, seen, start)
+        found = self._likeliest(seen, start)
         if found:
             return self._decide(found, chi2, readings)
         # Why there is none the paper's method may tell, but its place is not the one that was asked for.
         why = self._decide(paper.locate(self.model.rod, seen), chi2, readings)
         return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
+
+    def _likeliest(self, seen: Observation, start: Candidate | None) -> list[Candidate]:
+        """The contacts of greatest likelihood, by the noise and, if there are any, the tolerances."""
+        if self.tolerances is None:
+            return likelihood.locate(self.model.rod, seen, start)
+        return doubtful.locate(self._doubts(seen.gravity), seen, start)
+
+    def _doubts(self, gravity: Array) -> Doubts:
+        """What the tolerances make of readings under a gravity; the last one is kept."""
+        assert self.tolerances is not None
+        key = gravity.tobytes()
+        doubts = self._last_doubts.get(key)
+        if doubts is None:
+            doubts = Doubts.of(self.model, gravity, self.tolerances)
+            self._last_doubts.clear()
+            self._last_doubts[key] = doubts
+        return doubts
 
     def _gravity(self, gravity_base: ArrayLike | None) -> Array:
         if gravity_base is None:

@@ -56,6 +56,11 @@ def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[C
     return places or fitter.stalled
 
 
+def rough(rod: Rod, seen: Observation) -> Candidate | None:
+    """The likeliest of the places that one integration tells; None if it tells none."""
+    return min(_Fitter(rod, seen).traced(), key=lambda place: place.chi2, default=None)
+
+
 @dataclass
 class _Fitter:
     """Fits contacts to one reading.

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,9 @@ from probedesign.mass import MassProperties
 from probedesign.materials import Quantity
 from probedesign.rod.rod import Rod
 from probedesign.sensor import Noise
+
+if TYPE_CHECKING:
+    from probedesign.estimator.tolerances import Tolerances
 
 FULL_SCALE = 1e-3
 """Of the range: a channel that close to its end is taken for saturated. A step of the resolution is 1/3840 of it."""
@@ -39,6 +43,7 @@ class ProbeModel:
         cross_section: which the fingerprint counts; the rod has its factors.
         stiffness_spread: standard deviation of a common factor on E and G; None: by where E comes from.
         creep_spread: likewise of how far it relaxes while touches are fused.
+        tolerances: how well all of it is known; None: as `Tolerances.of` has it from the material.
     """
 
     name: str
@@ -56,6 +61,7 @@ class ProbeModel:
     cross_section: CrossSection = FULL_ROUND
     stiffness_spread: float | None = None
     creep_spread: float = 0.0
+    tolerances: "Tolerances | None" = None
 
     @cached_property
     def mass(self) -> float:

@@ -1,7 +1,7 @@
 """What an estimate is made from: one reading at the base, or the mean of a window of them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +59,10 @@ class Observation:
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
             whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, seen[:WEIGHT], readings)))
         return cls(seen[:WEIGHT], whiten, gravity, seen[WEIGHT:CHI2], chi2)
+
+    def known_to(self, cov: Array) -> "Observation":
+        """The same, its wrench known to another covariance, (6, 6)."""
+        return replace(self, whiten=np.linalg.inv(np.linalg.cholesky(cov)))
 
     @property
     def cov(self) -> Array:

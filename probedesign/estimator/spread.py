@@ -45,6 +45,9 @@ NUMERICAL, NUMERICAL_SHARE = 5e-9, 3e-5
 """Error that the fast rod leaves at a contact, each axis: [m], and over the standard deviation of s, since its steps
 are chosen by the reading's noise (`fit.tolerance`). RMS of 1500 touches of random probes: 3e-9 at forces of 0.1 N and
 more, 2e-5 to 4e-5 of the bound below."""
+WEAKEST = 0.2
+"""Share to which a force is known at worst where a place is told (`estimator.LEAST_FORCE`). Towards a thin tip s may
+be known far better: that is no force's doing and says nothing of the other side."""
 KNOWN = 0.25
 """Of the length: where s is known no better, nothing is told of its place anyhow."""
 
@@ -141,6 +144,7 @@ def _curved(point, along, seen, tangent, std, side, wide, cov_p):
         cov_p: (9,), added to.
     """
     share = (1.0 - 1.0 / math.sqrt(wide)) / side
+    share = max(share * side, -WEAKEST * ASIDE) / side
     # The mean of 1/(1 - share δ)² over Gauss and Hermite's three places.
     wider = 2.0 / 3.0 + (wide + 1.0 / (1.0 + side * share) ** 2) / 6.0
     high = wider**5

@@ -1,7 +1,7 @@
 """A recording in, one estimate a row out."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,7 @@ class Estimates:
             "average": self.samples,
             "noise_force_N": model.noise.force,
             "noise_moment_Nm": model.noise.moment,
+            "tolerances": self.estimator.tolerances and asdict(self.estimator.tolerances),
             "tare": tare and {
                 "start_s": tare.window.start,
                 "end_s": tare.window.end,

@@ -2,6 +2,7 @@
 
 from probedesign.mounting.adapter import SensorAdapter as SensorAdapter
 from probedesign.mounting.adapter import sensor_adapter_for as sensor_adapter_for
+from probedesign.mounting.adapter import widest_through_ring as widest_through_ring
 from probedesign.mounting.flange_adapter import FlangeAdapter as FlangeAdapter
 from probedesign.mounting.flange_adapter import flange_adapter_for as flange_adapter_for
 from probedesign.mounting.hanging import hanging_mass as hanging_mass

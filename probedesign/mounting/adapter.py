@@ -185,11 +185,16 @@ def sensor_adapter_for(geometry: ProbeGeometry, sensor: SensorModel, name: str =
 def _ring_bore_d(geometry: ProbeGeometry) -> float:
     """Narrowest diameter of the ring's bore [m]: the ring comes on over the tip, past the widest section."""
     bore_d = 2.0 * (float(geometry.radius.max()) + RING_AIR)
-    widest = geometry.flange.diameter - 2 * MIN_LIP
-    if bore_d > widest:
+    most = widest_through_ring(geometry.flange)
+    if bore_d - 2 * RING_AIR > most:
         raise InputError(
             f"probe.profile_mm: {(bore_d - 2 * RING_AIR) / MM:g} mm at its widest, "
-            f"so the clamp ring cannot pass; at most {(widest - 2 * RING_AIR) / MM:g} mm "
+            f"so the clamp ring cannot pass; at most {most / MM:g} mm "
             f"with a base of {2 * geometry.base_radius / MM:g} mm"
         )
     return bore_d
+
+
+def widest_through_ring(flange: Flange) -> float:
+    """Diameter of the widest section over which a clamp ring comes that still holds the flange [m]."""
+    return flange.diameter - 2 * MIN_LIP - 2 * RING_AIR

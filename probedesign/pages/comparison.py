@@ -2,27 +2,24 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from probedesign.design import Design
 from probedesign.errors import InputError
+from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, span_of
 from probedesign.pages.page import Section, TextTable, page_of
+from probedesign.prediction.predict import Prediction
+from probedesign.prediction.pressing import MOST_TOUCHES, Pressing
 from probedesign.probe import build_probe
-from probedesign.report import blank, svg
 from probedesign.search.task import Task
 from probedesign.search.worth import FIGURES, Touched, Worth, touches, worth
 from probedesign.units import MM
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 MOST = 6
-COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-"""Okabe and Ito's, for colour-blind readers; markers and dashes tell them apart in grey."""
-MARKS = ("o-", "s--", "^-.", "D:", "v-", "x--")
 PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
+SIDE = "+y"
+"""Sideways to the gravity of a horizontal mount, as in the task."""
 FORCES_N = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 
@@ -35,12 +32,14 @@ class Compared:
         worth: its figures in the task.
         along: its touches at `PLACES`.
         by_force: RMS over the task's places at each of `FORCES_N` [m]; infinite where it gives way.
+        prediction: pushed sideways with the task's force: what is felt, borne and, fused, left with all causes.
     """
 
     design: Design
     worth: Worth
     along: Touched
     by_force: tuple[float, ...]
+    prediction: Prediction
 
 
 def compare(designs: Sequence[Design], task: Task) -> list[Compared]:
@@ -55,9 +54,17 @@ def compare(designs: Sequence[Design], task: Task) -> list[Compared]:
 
 
 def _compared(design: Design, task: Task) -> Compared:
-    model = build_probe(design).model
+    probe = build_probe(design)
+    model, moments = probe.model, task.moments_about
+    prediction = probe.predict(
+        forces_N=(task.force_N,), directions=(SIDE,),
+        tolerances=replace(probe.tolerances, robot_mm=task.base_repeat_mm),
+        pressing=Pressing(min(max(task.touches, 2), MOST_TOUCHES), moments),
+    )  # fmt: skip
     rms = tuple(touches(model, replace(task, force_N=force)).rms for force in FORCES_N)
-    return Compared(design, worth(design, task), touches(model, replace(task, fractions=PLACES)), rms)
+    return Compared(
+        design, worth(design, task), touches(model, replace(task, fractions=PLACES)), rms, prediction
+    )
 
 
 def table_of(compared: Sequence[Compared]) -> TextTable:
@@ -67,86 +74,108 @@ def table_of(compared: Sequence[Compared]) -> TextTable:
 
 
 def comparison_page(compared: Sequence[Compared], task: Task) -> bytes:
-    """The page.
-
-    Raises:
-        MissingDependencyError: matplotlib is not installed.
-    """
+    """The page."""
     touched = task.text.split(", RMS over")[0]
-    drawn: list[tuple[str, str, Callable[[Axes, Sequence[Compared]], None]]] = [
-        ("How well along the probe?", f"{touched}. A line ends where the probe gives way.", _draw_along),
-        (
-            "How well at which force?",
-            "The same, RMS over the task's places, by the strongest force.",
-            _draw_force,
-        ),
-        ("What do they look like?", "Diameter along the undeformed axis.", _draw_outline),
-        ("How do they hang?", "Free of touch, under gravity as mounted, seen along y.", _draw_sag),
-    ]
-    sections = [Section(heading, caption, _figure(compared, draw)) for heading, caption, draw in drawn]
+    drawn: list[tuple[str, str, bytes]] = [
+        ("How well along the probe?", f"{touched}; by the bound. A line ends where the probe gives way.",
+         _lines(compared, _along, _PLACE, _ERROR)),
+        ("How well at which force?", "The same, RMS over the task's places, by the strongest force.",
+         _lines(compared, _by_force, Axis("contact force [mN]", 0.9, 55.0, log=True), _ERROR)),
+        ("What is left with all causes?", f"{compared[0].prediction.pressing.text}, up to {1e3 * task.force_N:g} mN, "
+         "all causes of the error counted, pushed sideways.", _lines(compared, _all_causes, _PLACE, _ERROR)),
+        ("From which force on is it felt?", "Smallest force told from none every other time, one false alarm an hour.",
+         _lines(compared, _felt, _PLACE, "smallest detectable force [mN]")),
+        ("How hard can one press?",
+         "Until the probe gives way, an object slips off the tip or the sensor's range ends, "
+         "pushed sideways.", _lines(compared, _most, _PLACE, "greatest force [mN]")),
+        ("What do they look like?", "Diameter along the undeformed axis.",
+         _lines(compared, _outline, "s, base to tip [mm]", "diameter [mm]", from_zero=True)),
+        ("How do they hang?", "Free of touch, under gravity as mounted, seen along y, x downwards.",
+         _draw_sag(compared)),
+    ]  # fmt: skip
     names = " · ".join(one.design.name for one in compared)
     assumed = [
         f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared
     ]
+    sections = [Section(*one) for one in drawn]
     return page_of(f"Compared: {names}", [task.text, *assumed], table_of(compared), sections)
 
 
-def _figure(compared: Sequence[Compared], draw: "Callable[[Axes, Sequence[Compared]], None]") -> bytes:
-    figure = blank(6.4, 4.4)
-    ax = figure.subplots()
-    draw(ax, compared)
-    ax.grid(True, alpha=0.25)
-    ax.legend(fontsize=9)
-    return svg(figure)
+_Line = tuple[Sequence[float], Sequence[float]]
+_PLACE = Axis("contact, fraction of the length", 0.0, 1.05, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+_ERROR = "contact error, RMS [mm]"
 
 
-def _draw_along(ax: "Axes", compared: Sequence[Compared]) -> None:
-    for one, colour, mark in zip(compared, COLOURS, MARKS, strict=False):
-        ax.plot(PLACES, _shown(one.along.errors), mark, color=colour, ms=4, label=one.design.name)
-    ax.set(yscale="log", xlabel="contact, fraction of the length", ylabel="contact error, RMS [mm]")
-    _plain(ax, both=False)
+def _lines(
+    compared: Sequence[Compared],
+    line: Callable[[Compared], _Line],
+    x: Axis | str,
+    y: str,
+    from_zero: bool = False,
+) -> bytes:
+    """A line a design; logarithmic upwards unless it is from zero."""
+    lines = [line(one) for one in compared]
+    low, high = span_of([v for _, values in lines for v in values], not from_zero)
+    along = x if isinstance(x, Axis) else Axis(x, *span_of([v for values, _ in lines for v in values], False))
+    chart = Chart(along, Axis(y, 0.0 if from_zero else low, high, log=not from_zero))
+    for one, (places, values), colour, dashes, mark in zip(
+        compared, lines, COLOURS, DASHES, MARKS, strict=False
+    ):
+        chart.line(places, values, colour, dashes, mark, one.design.name)
+    return chart.svg()
 
 
-def _draw_force(ax: "Axes", compared: Sequence[Compared]) -> None:
-    for one, colour, mark in zip(compared, COLOURS, MARKS, strict=False):
-        ax.plot(
-            1e3 * np.array(FORCES_N), _shown(one.by_force), mark, color=colour, ms=4, label=one.design.name
-        )
-    ax.set(xscale="log", yscale="log", xlabel="contact force [mN]", ylabel="contact error, RMS [mm]")
-    _plain(ax, both=True)
+def _along(one: Compared) -> _Line:
+    return PLACES, _shown(one.along.errors)
 
 
-def _draw_outline(ax: "Axes", compared: Sequence[Compared]) -> None:
-    for one, colour, mark in zip(compared, COLOURS, MARKS, strict=False):
-        s, d = np.array(one.design.probe.knots_mm).T
-        ax.plot(s, d, mark, color=colour, ms=4, label=one.design.name)
-    ax.set(xlabel="s, base to tip [mm]", ylabel="diameter [mm]", ylim=(0.0, None))
+def _by_force(one: Compared) -> _Line:
+    return [1e3 * force for force in FORCES_N], _shown(one.by_force)
 
 
-def _draw_sag(ax: "Axes", compared: Sequence[Compared]) -> None:
-    for one, colour, mark in zip(compared, COLOURS, MARKS, strict=False):
+def _all_causes(one: Compared) -> _Line:
+    cells = one.prediction.fused
+    return [c.contact_fraction for c in cells], [
+        _number(c.total_error_mm if c.result == "ok" else None) for c in cells
+    ]
+
+
+def _felt(one: Compared) -> _Line:
+    rows = one.prediction.detection
+    return [row.contact_fraction for row in rows], [_number(row.detectable_force_mN) for row in rows]
+
+
+def _most(one: Compared) -> _Line:
+    rows = one.prediction.reach
+    return [row.contact_fraction for row in rows], [1e3 * _number(row.greatest_force_N) for row in rows]
+
+
+def _outline(one: Compared) -> _Line:
+    s, d = np.array(one.design.probe.knots_mm).T
+    return s.tolist(), d.tolist()
+
+
+def _draw_sag(compared: Sequence[Compared]) -> bytes:
+    hung = []
+    for one in compared:
         probe = build_probe(one.design)
         free = probe.rod.solve(probe.model.gravity_base)
-        if free.ok:
-            p = free.p_at(np.linspace(0.0, probe.length, 60)) / MM
-            ax.plot(p[:, 2], p[:, 0], mark[1:], color=colour, label=one.design.name)
-    ax.set(xlabel="z, along the undeformed axis [mm]", ylabel="x [mm]")
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.invert_yaxis()  # gravity of a horizontal mount points along +x: down
+        s = np.linspace(0.0, probe.length, 60)
+        hung.append(free.p_at(s) / MM if free.ok else np.full((1, 3), np.nan))
+    points = np.concatenate(hung)
+    x = Axis("z, along the undeformed axis [mm]", *span_of(points[:, 2].tolist(), False))
+    chart = Chart(x, Axis("x [mm]", *span_of(points[:, 0].tolist(), False)), square=True, down=True)
+    for one, p, colour, dashes in zip(compared, hung, COLOURS, DASHES, strict=False):
+        chart.line(p[:, 2].tolist(), p[:, 0].tolist(), colour, dashes, name=one.design.name)
+    return chart.svg()
 
 
 def _shown(errors: Sequence[float]) -> list[float]:
     return [error / MM if np.isfinite(error) else np.nan for error in errors]
 
 
-def _plain(ax: "Axes", both: bool) -> None:
-    """0.1, 1, 10 instead of powers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator
-
-    for axis in (ax.yaxis, ax.xaxis) if both else (ax.yaxis,):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
 
 
 def _cell(value: float | int | None) -> str:

@@ -15,8 +15,11 @@ section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; heig
 section p { color: #333; margin: 1mm 0; font-size: 9.5pt }
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb; white-space: nowrap }
-th:first-child, td:first-child { text-align: left } thead th { border-bottom: 1pt solid #111 }
-@media print { body { margin: 0; padding: 0; max-width: none } .figures { grid-template-columns: 1fr 1fr } }
+th:first-child, td:first-child, .last td:last-child { text-align: left } .last td:last-child { white-space: normal }
+.last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
+thead th { border-bottom: 1pt solid #111 }
+@media print { body { margin: 0; padding: 0; max-width: none } section p { font-size: 8.5pt }
+  .figures { grid-template-columns: 1fr 1fr } }
 """
 
 
@@ -37,19 +40,27 @@ class Section:
 
 @dataclass(frozen=True)
 class TextTable:
-    """Rows of text under a head; the first column names them."""
+    """Rows of text under a head; the first column names them; a note below, if any."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
+    note: str = ""
 
     def html(self) -> str:
         """The element."""
         head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        note = f"<p>{escape(self.note)}</p>" if self.note else ""
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
 
 
-def page_of(title: str, about: Sequence[str], table: TextTable, sections: Sequence[Section]) -> bytes:
+def page_of(
+    title: str,
+    about: Sequence[str],
+    table: TextTable,
+    sections: Sequence[Section],
+    after: Sequence[tuple[str, TextTable]] = (),
+) -> bytes:
     """The page.
 
     Args:
@@ -57,17 +68,21 @@ def page_of(title: str, about: Sequence[str], table: TextTable, sections: Sequen
         about: lines under the title: what the numbers rest on.
         table: of the figures that matter most.
         sections: in order.
+        after: headings and tables at the end.
     """
     lines = "<br>".join(map(escape, about))
     figures = "".join(
         f"<section><h2>{escape(s.heading)}</h2>{_named(s).decode()}<p>{escape(s.caption)}</p></section>\n"
         for s in sections
     )
+    last = "".join(
+        f"<section class=last><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in after
+    )
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n'
         f'<body><h1>{escape(title)}</h1>\n<p class="about">{lines}</p>\n<section>{table.html()}</section>\n'
-        f'<div class="figures">\n{figures}</div>\n</body></html>\n'
+        f'<div class="figures">\n{figures}</div>\n{last}</body></html>\n'
     ).encode()
 
 

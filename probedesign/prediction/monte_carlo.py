@@ -1,7 +1,7 @@
 """Monte Carlo of a prediction: probes that differ from their model, noisy readings, and the real estimator on them.
 
-The truth is the fast rod, whose error is micrometres; the estimator is the default one, from a cold start, with no
-knowledge of the draw. Every condition meets the same worlds, so a few prints serve them all.
+The truth is the fast rod, whose error is micrometres; the estimator starts cold, knows nothing of the draw, and weighs
+readings by the tolerances that it was drawn from. Every condition meets the same worlds, so a few prints serve all.
 """
 
 import hashlib
@@ -11,9 +11,10 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,14 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.files import write_atomically
-from probedesign.prediction.predict import Condition, Prediction
+from probedesign.frames import Array
+from probedesign.prediction.fused import FusedCondition
+from probedesign.prediction.predict import PRESSING, Condition, Prediction
+from probedesign.prediction.pressed_worlds import PressedWorlds, fuse
+from probedesign.prediction.pressing import Pressing
 from probedesign.prediction.sampled import Sampled
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.worlds import Worlds
 from probedesign.units import MM
 
@@ -34,10 +39,13 @@ DIFFERS = 0.10
 SAVE_EVERY_S = 2.0
 MOST_DRAWS = 1_000_000
 COUNTED = ("ok", "inconsistent")
-"""Answers whose best place counts: also where the consistency test, which knows of the sensor's noise alone, refuses
-it, else the errors would be those of the luckier worlds."""
-Touch = tuple[float, float, str]
-"""Contact fraction, force [N] and direction."""
+"""Answers whose best place counts: also where the consistency test refuses it, else the errors would be those of the
+luckier worlds."""
+Touch = tuple[float, float, str, int]
+"""Contact fraction, force [N], direction, and how many touches are fused."""
+
+Answer = tuple[str, float | None]
+"""Result, and how far off [m]; None where nothing counts."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +56,14 @@ class Plan:
         model, tolerances: of the probe.
         draws: worlds a condition.
         seed: of everything random.
+        pressing: how several touches are made.
     """
 
     model: ProbeModel
     tolerances: Tolerances
     draws: int
     seed: int
+    pressing: Pressing = PRESSING
 
     def __post_init__(self) -> None:
         """Raises InputError where the numbers make no sense."""
@@ -72,22 +82,63 @@ class Plan:
                    model.noise.force, model.noise.moment, model.averaging_samples, model.hanging.mass,
                    model.hanging.p_com]  # fmt: skip
         told = json.dumps([[np.asarray(n, dtype=float).ravel().tolist() for n in numbers], rod.rounded_from,
-                           rod.factors, asdict(self.tolerances), self.draws, self.seed, 1])  # fmt: skip
+                           rod.factors, asdict(self.tolerances), self.draws, self.seed,
+                           asdict(self.pressing), 2])  # fmt: skip
         return hashlib.sha256(told.encode()).hexdigest()[:12]
 
-    def sample(self, touch: Touch, worlds: Worlds) -> dict[str, Any]:
+    def sample(self, touch: Touch, worlds: "Drawn") -> dict[str, Any]:
         """Errors of one condition over all worlds."""
-        told = json.dumps([self.seed, *touch]).encode()
+        told = json.dumps([self.seed, *(touch if touch[3] > 1 else touch[:3])]).encode()
         rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
-        wrenches, points = worlds.touched(*touch)
-        read, estimator = wrenches + worlds.noise(len(wrenches), rng), Estimator(self.model)
+        errors = (
+            self._fused(touch, worlds.pressed, rng) if touch[3] > 1 else self._once(touch, worlds.single, rng)
+        )
         off, located = [], 0
+        for result, error in errors:
+            located += result == "ok"
+            if error is not None:
+                off.append(error)
+        return _summary(np.array(off), located)
+
+    def _once(self, touch: Touch, worlds: Worlds, rng: np.random.Generator) -> Iterator[Answer]:
+        wrenches, points = worlds.touched(*touch[:3])
+        read = wrenches + worlds.noise(len(wrenches), rng)
+        estimator = Estimator(self.model).with_tolerances(self.tolerances)
         for wrench, point in zip(read, points, strict=True):
             found = estimator.estimate(wrench)
-            located += found.result == "ok"
-            if found.result in COUNTED and found.candidates:
-                off.append(float(np.linalg.norm(found.candidates[0].p_contact_base - point)))
-        return _summary(np.array(off), located)
+            best = found.candidates[0].p_contact_base if found.candidates else None
+            yield found.result, _off(found.result, best, point)
+
+    def _fused(self, touch: Touch, worlds: PressedWorlds, rng: np.random.Generator) -> Iterator[Answer]:
+        series, estimator = worlds.touched(*touch[:3]), Estimator(self.model)
+        read, places = series.wrenches + worlds.noise(rng), series.places + worlds.robot(rng)
+        for wrenches, there, point in zip(read, places, series.points, strict=True):
+            found = fuse(estimator, self.tolerances, self.pressing, wrenches, there)
+            best = found.candidates_world[0] if len(found.candidates_world) else None
+            yield found.result, _off(found.result, best, point)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What every condition of a plan meets, drawn when it is asked for."""
+
+    plan: Plan
+
+    @cached_property
+    def single(self) -> Worlds:
+        """Of single touches."""
+        plan = self.plan
+        return Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
+
+    @cached_property
+    def pressed(self) -> PressedWorlds:
+        """The same, but they creep while they are pressed."""
+        plan = self.plan
+        return PressedWorlds.draw(plan.model, plan.tolerances, plan.pressing, plan.draws, plan.seed)
+
+
+def _off(result: str, best: Array | None, point: Array) -> float | None:
+    return float(np.linalg.norm(best - point)) if result in COUNTED and best is not None else None
 
 
 def sample(
@@ -96,8 +147,9 @@ def sample(
     folder: Path | None,
     progress: Callable[[float], None] = lambda share: None,
     workers: int | None = None,
+    fused: Sequence[FusedCondition] = (),
 ) -> tuple[Sampled, ...]:
-    """Run a Monte Carlo of every condition that is expected to be located.
+    """Run a Monte Carlo of every condition that is expected to be located, and of some fused ones.
 
     Args:
         plan: what to draw.
@@ -105,6 +157,7 @@ def sample(
         folder: where what is done is kept, so that an interrupted run goes on; nowhere if None.
         progress: told the share done.
         workers: processes; all cores if None, this one alone if 1.
+        fused: conditions of fused touches; each draw takes some hundred times as long as a single touch's.
 
     Returns:
         What came of each condition.
@@ -114,7 +167,8 @@ def sample(
         KeyboardInterrupt: with where to go on from.
     """
     path = None if folder is None else folder / f"monte-carlo-{plan.key}.json"
-    wanted = {_name(touch): touch for touch in map(_touch, prediction.conditions) if touch}
+    conditions: tuple[Condition | FusedCondition, ...] = (*prediction.conditions, *fused)
+    wanted = {_name(touch): touch for touch in map(_touch, conditions) if touch}
     done = {name: row for name, row in _kept(path).items() if name in wanted}
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
     try:
@@ -130,9 +184,7 @@ def sample(
     finally:
         if path and done:
             _keep(path, done)
-    return tuple(
-        _sampled(plan, c, done[name]) for c in prediction.conditions if (name := _name(_touch(c))) in done
-    )
+    return tuple(_sampled(plan, c, done[name]) for c in conditions if (name := _name(_touch(c))) in done)
 
 
 def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -140,11 +192,13 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
     if not touches:
         return
     if workers == 1:
-        worlds = Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
+        worlds = Drawn(plan)
         yield from ((name, plan.sample(touch, worlds)) for name, touch in touches.items())
         return
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context = multiprocessing.get_context(method)
+    if method == "forkserver":  # imports once for all workers
+        context.set_forkserver_preload([__name__])
     with ProcessPoolExecutor(workers, context, _begin, (plan,)) as pool:
         futures = {pool.submit(_sample_there, touch): name for name, touch in touches.items()}
         try:
@@ -155,7 +209,7 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
             raise
 
 
-_here: tuple[Plan, Worlds] | None = None
+_here: tuple[Plan, Drawn] | None = None
 """Of a worker process."""
 
 
@@ -163,7 +217,7 @@ def _begin(plan: Plan) -> None:
     """Make a worker ready; an interrupt is its parent's business."""
     global _here
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _here = plan, Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
+    _here = plan, Drawn(plan)
 
 
 def _sample_there(touch: Touch) -> dict[str, Any]:
@@ -185,7 +239,7 @@ def _summary(off: np.ndarray[Any, Any], located: int) -> dict[str, Any]:
     }
 
 
-def _sampled(plan: Plan, condition: Condition, row: dict[str, Any]) -> Sampled:
+def _sampled(plan: Plan, condition: Condition | FusedCondition, row: dict[str, Any]) -> Sampled:
     first, error = condition.total_error_mm, row["error"]
     differs = False
     if error is not None and first is not None:
@@ -193,14 +247,18 @@ def _sampled(plan: Plan, condition: Condition, row: dict[str, Any]) -> Sampled:
     told = {name: None if row[key] is None else row[key] / MM for name, key in
             (("error_mm", "error"), ("error_95_mm", "error_95"), ("standard_error_mm", "standard_error"))}  # fmt: skip
     return Sampled(condition.contact_fraction, condition.force_N, condition.direction, plan.draws, row["located"],
-                   first_order_mm=first, differs=differs, **told)  # fmt: skip
+                   first_order_mm=first, differs=differs, touches=_touches(condition), **told)  # fmt: skip
 
 
-def _touch(condition: Condition) -> Touch | None:
+def _touch(condition: Condition | FusedCondition) -> Touch | None:
     """Of a condition that is expected to be located."""
     if condition.result != "ok":
         return None
-    return condition.contact_fraction, condition.force_N, condition.direction
+    return condition.contact_fraction, condition.force_N, condition.direction, _touches(condition)
+
+
+def _touches(condition: Condition | FusedCondition) -> int:
+    return condition.touches if isinstance(condition, FusedCondition) else 1
 
 
 def _name(touch: Touch | None) -> str:

@@ -7,19 +7,32 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.estimator.causes import CAUSES
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.prediction.causes import CAUSES
+from probedesign.estimator.tolerances import Tolerances
+from probedesign.prediction.fused import FusedCondition, FusedReach, forces_of, fused_conditions, fused_reach
+from probedesign.prediction.pressing import Pressing
 from probedesign.prediction.reach import LADDER_N, Reach, reach_of
 from probedesign.prediction.sampled import Sampled
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
+from probedesign.prediction.workspace import Workspace, workspace_of
 from probedesign.units import MM
 
-__all__ = ["DIRECTIONS", "Condition", "Detection", "Prediction", "predict", "predict_touch", "tip_sag_mm"]
+__all__ = [
+    "DIRECTIONS",
+    "PRESSING",
+    "Condition",
+    "Detection",
+    "Prediction",
+    "predict",
+    "predict_touch",
+    "tip_sag_mm",
+]
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+PRESSING, NO_WORKSPACE = Pressing(), Workspace()
 _WEAK_N = 1e-6  # a push so light that everything answers in proportion
 
 
@@ -86,6 +99,10 @@ class Prediction:
         detection: along the probe.
         reach: what a touch costs the object, along the probe.
         tolerances: how well the probe is known, standard deviations, and where each number comes from.
+        fused: the same grid, each point touched several times and fused.
+        fused_reach: force that they take for a wanted accuracy, along the probe.
+        pressing: how they are made.
+        workspace: where the contact point can be, the base standing still.
         monte_carlo: of the conditions that are located; empty if none was run.
     """
 
@@ -100,6 +117,10 @@ class Prediction:
     detection: tuple[Detection, ...]
     reach: tuple[Reach, ...]
     tolerances: Tolerances
+    fused: tuple[FusedCondition, ...] = ()
+    fused_reach: tuple[FusedReach, ...] = ()
+    pressing: Pressing = PRESSING
+    workspace: Workspace = NO_WORKSPACE
     monte_carlo: tuple[Sampled, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -113,6 +134,7 @@ def predict(
     forces_N: tuple[float, ...] = FORCES_N,
     directions: tuple[str, ...] = ("+x", "-x", "+y"),
     tolerances: Tolerances | None = None,
+    pressing: Pressing = PRESSING,
 ) -> Prediction:
     """Predict sensitivity and contact error over a grid of touches.
 
@@ -125,6 +147,7 @@ def predict(
         forces_N: how hard [N].
         directions: keys of `DIRECTIONS`: which way the object pushes.
         tolerances: how well the probe is known; as `Tolerances.of` the model has it if None.
+        pressing: how the touches of one point are made that are fused.
 
     Raises:
         InputError: a fraction, force or direction that makes no sense.
@@ -134,15 +157,24 @@ def predict(
     end = model.rod.flank_end / model.rod.length
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
-    reach, detection = _nothing(lines), tuple(Detection(*line, None) for line in lines)
+    workspace, reach, detection = (
+        NO_WORKSPACE,
+        _nothing(lines),
+        tuple(Detection(*line, None) for line in lines),
+    )
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
                   for line in lines for force in forces_N}  # fmt: skip
+    fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
+                  for place in fractions for force in forces_N for side in directions)  # fmt: skip
     if estimator.free().ok:  # else it cannot even stand
-        touches = touches_of(estimator, known, lines + ends, (_WEAK_N, *LADDER_N, *forces_N))
+        pressed = forces_of(pressing, forces_N)
+        touches = touches_of(estimator, known, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
         reach = reach_of(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
         detection = tuple(_detection(touches[_WEAK_N], i, line) for i, line in enumerate(lines))
         told = {force: conditions_of(touches[force], lines) for force in forces_N}
         conditions = {(*line, force): told[force][i] for i, line in enumerate(lines) for force in forces_N}
+        fused = fused_conditions(lines, touches, forces_N, pressing)
+        workspace = workspace_of(reach, touches, model.gravity_base)
     return Prediction(
         name=model.name,
         fingerprint=model.fingerprint,
@@ -158,6 +190,10 @@ def predict(
         detection=detection,
         reach=reach,
         tolerances=known,
+        fused=fused,
+        fused_reach=fused_reach(fused),
+        workspace=workspace,
+        pressing=pressing,
     )  # fmt: skip
 
 

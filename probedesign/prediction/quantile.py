@@ -9,11 +9,13 @@ from probedesign.frames import Array
 
 _NODES = 16
 _AT_ONCE = 512  # covariances: what fits into a cache
-_NEWTON = 4  # steps, each of which doubles the digits
+_HALLEY = 3  # steps, each of which trebles the digits
 # u is at angle arccos c from the longest axis. Nodes squeezed towards c = 0 keep needle-like ellipsoids exact.
 _X, _W = np.polynomial.legendre.leggauss(_NODES)
-_C, _WEIGHT = ((_X + 1.0) / 2.0) ** 3, 1.5 * ((_X + 1.0) / 2.0) ** 2 * _W
 _PHI = (np.arange(_NODES // 2) + 0.5) * (np.pi / _NODES)
+_C2 = np.repeat(((_X + 1.0) / 2.0) ** 6, len(_PHI))
+_COS2 = np.tile(np.cos(_PHI) ** 2, _NODES)
+_WEIGHT = np.repeat(1.5 * ((_X + 1.0) / 2.0) ** 2 * _W, len(_PHI)) / len(_PHI)
 
 
 def radius_95(cov: Array, share: float = 0.95) -> float:
@@ -35,7 +37,7 @@ def radii_95(cov: Array, share: float = 0.95) -> Array:
     Writes e by its direction and length: |e|² = ρ² (uᵀ cov u) with ρ² chi-square of three degrees of
     freedom, independent of the direction u, which is uniform on the sphere; P is the mean over u of
     the chi-square distribution at r²/(uᵀ cov u), by Gauss-Legendre and the trapezoidal rule on one octant.
-    Newton's method on r, from between those of a line, a disc and a ball.
+    Halley's method on r, from between those of a line, a disc and a ball.
 
     Args:
         cov: [m²], (n, 3, 3), each positive semidefinite.
@@ -58,14 +60,17 @@ def radii_95(cov: Array, share: float = 0.95) -> Array:
 def _of_largest(eigenvalues: Array, share: float) -> Array:
     """Radii over the longest axis, (n,), of ascending eigenvalues (n, 3)."""
     low, middle = (eigenvalues[:, i, None] / eigenvalues[:, 2, None] for i in (0, 1))
-    across = low * np.cos(_PHI) ** 2 + middle * np.sin(_PHI) ** 2
-    spread = _C[:, None] ** 2 + (1.0 - _C[:, None] ** 2) * across[:, None, :]
-    inverse = 1.0 / np.sqrt(np.maximum(spread, 1e-300))
+    across = low * _COS2 + middle * (1.0 - _COS2)
+    inverse = 1.0 / np.sqrt(np.maximum(_C2 + (1.0 - _C2) * across, 1e-300))
     line, disc, ball = (math.sqrt(float(chdtri(dof, 1.0 - share))) for dof in (1, 2, 3))
     r = (line**2 + (disc**2 - line**2) * middle + (ball**2 - disc**2) * low)[:, 0] ** 0.5
-    for _ in range(_NEWTON):
-        x = r[:, None, None] * inverse
-        bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * x * x)
-        inside = (erf(x * math.sqrt(0.5)) - bell).mean(axis=2) @ _WEIGHT
-        r = r + (share - inside) / ((bell * inverse * x).mean(axis=2) @ _WEIGHT)
+    for _ in range(_HALLEY):
+        x = r[:, None] * inverse
+        square = x * x
+        bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * square)
+        slopes = bell * inverse
+        off = (erf(x * math.sqrt(0.5)) - bell) @ _WEIGHT - share
+        slope = (slopes * x) @ _WEIGHT
+        bend = (slopes * inverse * (2.0 - square)) @ _WEIGHT
+        r = r - 2.0 * off * slope / (2.0 * slope * slope - off * bend)
     return r

@@ -16,6 +16,7 @@ class Sampled:
         standard_error_mm: of that RMS.
         first_order_mm: what the budget says.
         differs: whether the two differ by more than a tenth and two standard errors.
+        touches: how many were fused; 1 is a single reading.
     """
 
     contact_fraction: float
@@ -28,3 +29,4 @@ class Sampled:
     standard_error_mm: float | None
     first_order_mm: float | None
     differs: bool
+    touches: int = 1

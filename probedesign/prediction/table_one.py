@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
+from probedesign.estimator.causes import CAUSES
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.prediction.causes import CAUSES
-from probedesign.prediction.tolerances import Tolerances
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 from probedesign.units import MM
 
@@ -141,7 +141,9 @@ def measured() -> tuple[dict[str, str], ...]:
 def _row(model: ProbeModel, tolerances: Tolerances, said: dict[str, str], reference_mm: float) -> Row:
     force, fraction = float(said["force_N"]), float(said["contact_fraction"])
     lines = [(fraction, direction) for direction in DIRECTIONS]
-    touches = touches_of(Estimator(model), tolerances, lines, [force])[force]
+    touches = touches_of(Estimator(model), tolerances, lines, [force], weighed=False)[
+        force
+    ]  # as the paper's method
     held, own, noise, largest = touches.contacts.ok, None, None, "none"
     if held.any():
         squares = (touches.budget.rms[held] ** 2).mean(axis=0)

@@ -9,10 +9,10 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.prediction.budget import Budget, budget_of
 from probedesign.prediction.quantile import radii_95
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.rod.contacts import Contacts, follow_contacts
 
 DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
@@ -27,28 +27,31 @@ class Touches:
         estimator: of the probe.
         tolerances: how well the probe is known.
         contacts: one a line, with all columns.
+        weighed: whether readings are weighed by the tolerances, or the probe is taken as exact.
     """
 
     estimator: Estimator
     tolerances: Tolerances
     contacts: Contacts
+    weighed: bool = True
 
     @cached_property
     def budget(self) -> Budget:
         """Of each line."""
         model = self.estimator.model
-        return budget_of(self.contacts, model, model.gravity_base, self.tolerances)
+        return budget_of(self.contacts, model, model.gravity_base, self.tolerances, weighed=self.weighed)
 
     @cached_property
     def rms(self) -> tuple[Array, Array]:
-        """Error of the contact point by the sensor's noise and by all causes [m], (n,) each."""
-        total = np.sqrt(np.trace(self.budget.total, axis1=1, axis2=2))
-        return np.asarray(self.budget.rms[:, 0]), np.asarray(total)
+        """Error of the contact point by the sensor's noise alone and by all causes [m], (n,) each."""
+        noise, total = (np.sqrt(np.trace(cov, axis1=1, axis2=2))
+                        for cov in (self.budget.cov_noise, self.budget.total))  # fmt: skip
+        return noise, total
 
     @cached_property
     def within_95(self) -> tuple[Array, Array]:
         """The distance that 95 of 100 such errors stay within [m], (n,) each."""
-        return radii_95(self.budget.cov[:, 0]), radii_95(self.budget.total)
+        return radii_95(self.budget.cov_noise), radii_95(self.budget.total)
 
     @cached_property
     def sensor_use(self) -> Array:
@@ -90,6 +93,7 @@ def touches_of(
     tolerances: Tolerances,
     lines: Sequence[tuple[float, str]],
     forces_N: Sequence[float],
+    weighed: bool = True,
 ) -> dict[float, Touches]:
     """Touches of all lines, by force.
 
@@ -98,13 +102,17 @@ def touches_of(
         tolerances: how well the probe is known.
         lines: contact fraction and direction of each.
         forces_N: how hard [N], in any order.
+        weighed: see `Touches`.
     """
     model = estimator.model
     s = np.array([fraction for fraction, _ in lines]) * model.rod.length
     angle = np.array([DIRECTIONS[direction] for _, direction in lines])
     forces = sorted(set(forces_N))
     steps = follow_contacts(model.rod, model.gravity_base, s, angle, forces)
-    return {force: Touches(estimator, tolerances, step) for force, step in zip(forces, steps, strict=True)}
+    return {
+        force: Touches(estimator, tolerances, step, weighed)
+        for force, step in zip(forces, steps, strict=True)
+    }
 
 
 def check_grid(fractions: Sequence[float], forces_N: Sequence[float], directions: Sequence[str]) -> None:

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.estimator.causes import answers_of, parameters_of, turns_of
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array, inverse, wrench_map
-from probedesign.prediction.causes import answers_of, parameters_of, turns_of
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.rod.batch import solve_batch
-from probedesign.rod.contacts import Start, follow_contacts, solve_contacts
+from probedesign.rod.batch import Rods, solve_batch
+from probedesign.rod.contacts import Contacts, Start, follow_contacts, solve_contacts
 from probedesign.rod.rod import Rod
 
 
@@ -22,7 +22,7 @@ class Worlds:
     Attributes:
         model: of the probe.
         tolerances: it was drawn by.
-        rods: as printed.
+        rods: as printed, one a draw.
         parameters: by which they differ: log E, log G, log density, log length, log diameters, (n, 4 + K).
         gravity: as each base sees it [m/s²], (n, 3).
         R: turn of each base, (n, 3, 3).
@@ -33,7 +33,7 @@ class Worlds:
 
     model: ProbeModel
     tolerances: Tolerances
-    rods: list[Rod]
+    rods: Rods
     parameters: Array
     gravity: Array
     R: Array
@@ -53,22 +53,34 @@ class Worlds:
         R = Rotation.from_rotvec(turns[:, 3:6]).as_matrix()
         pulled = gravity + turns[:, 6:9]
         seen = np.einsum("nji,nj->ni", R, pulled)
-        worlds = cls(model, tolerances, [_printed(model.rod, row) for row in parameters], parameters, seen, R,
-                     turns[:, 0:3], np.zeros((n, 6)))  # fmt: skip
+        rods = Rods.of([_printed(model.rod, row) for row in parameters])
+        worlds = cls(model, tolerances, rods, parameters, seen, R, turns[:, 0:3], np.zeros((n, 6)))
         return replace(worlds, off=worlds._off(pulled))
+
+    def of_rods(self, rods: list[Rod]) -> "Worlds":
+        """The same worlds with other probes, tared with these."""
+        other = replace(self, rods=Rods.of(rods))
+        return replace(other, off=other._off(np.einsum("nij,nj->ni", self.R, self.gravity)))
 
     def touched(self, fraction: float, force_N: float, direction: str) -> tuple[Array, Array]:
         """The touch in every world: reading without noise and true point, told in the model's base frame, (n, 6) and
         (n, 3); NaN where the probe gives way."""
-        n, length = len(self.rods), np.array([rod.length for rod in self.rods])
-        angle = DIRECTIONS[direction]
-        contacts = solve_contacts(
-            self.rods, self.gravity, fraction * length, np.full(n, angle), np.full(n, force_N),
+        contacts = self.contacts(fraction, force_N, direction)
+        return self.told(contacts.batch.wrench_base) + self.off, self.told_point(
+            contacts.batch.p_contact_base
+        )
+
+    def contacts(self, fraction: float, force_N: float, direction: str) -> Contacts:
+        """The touch in every world, as its own base sees it, without columns."""
+        n, angle = len(self.rods), DIRECTIONS[direction]
+        return solve_contacts(
+            self.rods, self.gravity, fraction * self.rods.length, np.full(n, angle), np.full(n, force_N),
             start=self._start(fraction, force_N, angle), columns="none", threads=1,
         )  # fmt: skip
-        wrench = self._told(contacts.batch.wrench_base) + self.off
-        point = np.einsum("nij,nj->ni", self.R, contacts.batch.p_contact_base) + self.shift
-        return wrench, point
+
+    def told_point(self, point: Array) -> Array:
+        """Points of the true bases in the model's base frame [m], (n, 3)."""
+        return np.asarray(np.einsum("nij,nj->ni", self.R, point) + self.shift)
 
     def noise(self, n: int, rng: np.random.Generator) -> Array:
         """Of n readings, with the drift of the bias, at the base, (n, 6)."""
@@ -88,7 +100,7 @@ class Worlds:
         force = step.force + by @ d_force.T
         return Start(np.full(n, force_N), force, np.tile(step.tip, (n, 1)), np.zeros((n, 3)))
 
-    def _told(self, wrench: Array) -> Array:
+    def told(self, wrench: Array) -> Array:
         """Wrenches of the true bases in the model's base frame, (n, 6)."""
         force, moment = (np.einsum("nij,nj->ni", self.R, part) for part in (wrench[:, 0:3], wrench[:, 3:6]))
         return np.hstack([force, moment + np.cross(self.shift, force)])
@@ -101,7 +113,7 @@ class Worlds:
             change = pulled - model.gravity_base
             return np.array([back @ model.gravity_wrench_sensor(g) for g in change])
         free = solve_batch(self.rods, self.gravity, (0.0, 0.0, 0.0), 0.0, threads=1)
-        return np.asarray(model.rod.solve(model.gravity_base).wrench_base - self._told(free.wrench_base))
+        return np.asarray(model.rod.solve(model.gravity_base).wrench_base - self.told(free.wrench_base))
 
 
 def _printed(rod: Rod, by: Array) -> Rod:

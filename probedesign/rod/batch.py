@@ -1,9 +1,10 @@
 """Many equilibria at once: rods and loads as arrays in, answers as arrays out, on all cores."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,6 +63,13 @@ class Batch:
             values[of] = getattr(self, name)
         return Batch(result=result, **full)
 
+    def changed(self, of: Indices, rows: "Batch") -> "Batch":
+        """The same with other answers of these cases."""
+        full = {name: value.copy() for name, value in vars(self).items()}
+        for name, value in full.items():
+            value[of] = getattr(rows, name)
+        return Batch(**full)
+
     def without(self, bad: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "Batch":
         """The same, with no numbers for some."""
         kept = {
@@ -77,8 +85,55 @@ class Batch:
         return np.asarray(self.result == "ok")
 
 
+@dataclass(frozen=True)
+class Rods:
+    """Rods with equally many knots, their arrays stacked once for many batches.
+
+    Attributes:
+        rods: one or more.
+    """
+
+    rods: tuple[Rod, ...]
+
+    def __post_init__(self) -> None:
+        """Raises InputError where they do not fit."""
+        if not self.rods or any(len(rod.s) != len(self.rods[0].s) for rod in self.rods):
+            raise InputError("the rods of a batch need equally many knots, and there must be one")
+
+    @classmethod
+    def of(cls, rods: "Rod | Sequence[Rod] | Rods") -> "Rods":
+        """However they are given."""
+        if isinstance(rods, Rods):
+            return rods
+        return cls((rods,) if isinstance(rods, Rod) else tuple(rods))
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.rods)
+
+    def __iter__(self) -> Iterator[Rod]:
+        """One by one."""
+        return iter(self.rods)
+
+    @cached_property
+    def bodies(self) -> kernels.Body:
+        """Their arrays, one row a rod."""
+        arrays = zip(*(rod.body for rod in self.rods), strict=True)
+        return kernels.Body(*(np.ascontiguousarray(np.stack(rows)) for rows in arrays))
+
+    @cached_property
+    def length(self) -> Array:
+        """Of each [m]."""
+        return np.array([rod.length for rod in self.rods])
+
+    @cached_property
+    def flank_end(self) -> Array:
+        """Of each, the furthest arclength at which a touch acts [m]."""
+        return np.array([rod.flank_end for rod in self.rods])
+
+
 def solve_batch(
-    rods: Rod | Sequence[Rod],
+    rods: Rod | Sequence[Rod] | Rods,
     gravity: ArrayLike,
     force: ArrayLike,
     s_contact: ArrayLike,
@@ -97,7 +152,7 @@ def solve_batch(
     Cases do not know of each other: the answers are the same to the bit whatever the number of threads.
 
     Args:
-        rods: one for all cases, or several with equally many knots.
+        rods: one for all cases, or several with equally many knots; `Rods` where they are used again.
         gravity: base axes [m/s²], (n, 3) or (3,).
         force: base axes [N], (n, 3) or (3,).
         s_contact: [m], (n,) or a number.
@@ -116,13 +171,13 @@ def solve_batch(
     Raises:
         InputError: shapes do not fit, a number is not finite or a contact lies off its rod.
     """
-    several = [rods] if isinstance(rods, Rod) else list(rods)
-    loads, of = _cases(several, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
-    bodies = _stacked(several)
-    n, k = len(loads), several[0].columns_of(columns)
+    several = Rods.of(rods)
+    loads, of = _cases(several.length, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
+    bodies = several.bodies
+    n, k = len(loads), several.rods[0].columns_of(columns)
     found, derivatives = np.empty((n, kernels.FOUND)), np.full((n, 15, k + 1), np.nan)
     tol, until = TOLERANCES[mode]
-    order, kinds = _by_kind(several, of)
+    order, kinds = _by_kind(bodies, of)
     loads, of = loads[order], of[order]
     start = kernels.COLD
     if guess is not None:
@@ -155,7 +210,20 @@ def solve_batch(
         for begin, end, directed in kinds
         for first in range(begin, end, chunk)
     ]
-    for _begin, _end, directed in kinds:  # compiles, if anything has to be
+    _done(run, chunks, threads)
+    back = np.argsort(order)
+    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
+
+
+def _done(
+    run: Callable[[int, int, int | None], None], chunks: list[tuple[int, int, int | None]], threads: int
+) -> None:
+    """Run all chunks, side by side where that is worth a pool of threads."""
+    if len(chunks) <= 1 or threads == 1:
+        for chunk in chunks:
+            run(*chunk)
+        return
+    for directed in {directed for _, _, directed in chunks}:  # compiles, if anything has to be
         run(0, 0, directed)
     with ThreadPoolExecutor(threads) as pool:
         try:
@@ -164,12 +232,10 @@ def solve_batch(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    back = np.argsort(order)
-    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
 
 
 def _cases(
-    rods: Sequence[Rod],
+    lengths: Array,
     gravity: ArrayLike,
     force: ArrayLike,
     s_contact: ArrayLike,
@@ -177,7 +243,7 @@ def _cases(
     which: ArrayLike | None,
     one: bool,
 ) -> tuple[Array, Array]:
-    """Loads (n, 13) and the rod of each case, (n,), checked."""
+    """Loads (n, 13) and the rod of each case, (n,), checked; `lengths` of the rods."""
     given = {
         "gravity": np.array(gravity, float),
         "force": np.array(force, float),
@@ -185,7 +251,7 @@ def _cases(
     }
     s = np.array(s_contact, dtype=float)
     sizes = [len(v) for v in given.values() if v.ndim == 2] + ([len(s)] if s.ndim else [])
-    of = np.arange(len(rods)) if which is None else np.array(which)
+    of = np.arange(len(lengths)) if which is None else np.array(which)
     if not one or which is not None:
         sizes.append(len(of))
     n = max(sizes, default=1)
@@ -195,8 +261,8 @@ def _cases(
     if s.shape not in ((), (n,)):
         raise InputError(f"s_contact has shape {s.shape}; it must be a number or ({n},)")
     of = np.zeros(n, dtype=np.int64) if one and which is None else of
-    if of.shape != (n,) or of.dtype.kind != "i" or ((of < 0) | (of >= len(rods))).any():
-        raise InputError(f"which must be {n} indices of the {len(rods)} rods, one a case")
+    if of.shape != (n,) or of.dtype.kind != "i" or ((of < 0) | (of >= len(lengths))).any():
+        raise InputError(f"which must be {n} indices of the {len(lengths)} rods, one a case")
     loads = np.zeros((n, kernels.LOAD))
     loads[:, 0:3], loads[:, 3:6], loads[:, 9:12], loads[:, 12] = (
         given["force"],
@@ -204,7 +270,7 @@ def _cases(
         given["couple"],
         s,
     )
-    length = np.array([rod.length for rod in rods])[of]
+    length = lengths[of]
     good = np.isfinite(loads).all(axis=1) & (loads[:, 12] >= 0.0) & (loads[:, 12] <= length * (1 + 1e-12))
     if not good.all():
         i = int(np.argmin(good))
@@ -216,18 +282,9 @@ def _cases(
     return loads, of.astype(np.int64)
 
 
-def _stacked(rods: Sequence[Rod]) -> kernels.Body:
-    """The rods' arrays, one row a rod."""
-    if not rods or any(len(rod.s) != len(rods[0].s) for rod in rods):
-        raise InputError("the rods of a batch need equally many knots, and there must be one")
-    return kernels.Body(
-        *(np.ascontiguousarray(np.stack(arrays)) for arrays in zip(*(rod.body for rod in rods), strict=True))
-    )
-
-
-def _by_kind(rods: Sequence[Rod], of: Array) -> tuple[Indices, list[tuple[int, int, int | None]]]:
+def _by_kind(bodies: kernels.Body, of: Array) -> tuple[Indices, list[tuple[int, int, int | None]]]:
     """An order of the cases in which those of round straight rods come first; where each kind begins and ends."""
-    general = np.array([rod.directed is not None for rod in rods])[of]
+    general = bodies.constants[of, kernels.GENERAL] != 0.0
     straight = int((~general).sum())
     kinds = [(0, straight, None), (straight, len(of), 0)]
     return np.argsort(general, kind="stable").astype(np.int64), [kind for kind in kinds if kind[0] < kind[1]]

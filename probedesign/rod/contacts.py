@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probedesign.frames import Array
-from probedesign.rod.batch import Batch, solve_batch
+from probedesign.rod.batch import Batch, Rods, solve_batch
 from probedesign.rod.rod import Columns, Rod
 
 _MAX_ITERATIONS = 12
 _CLOSE = 1e-4
 """Relative misfit of force and normal from which Newton's next step is the last: it squares it."""
+_EXACT = 1e-6
+"""Relative misfit that is left alone: the fast rod's own error."""
+_FAR = 2.0
+"""Steps of the magnitude, over the one before, beyond which a curve through the last two is not trusted."""
 _LEAST_STEP = 1e-3  # of the magnitude
 TIP_AT_REST = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 Indices = NDArray[np.int64]
@@ -42,6 +46,17 @@ class Start(NamedTuple):
     def ahead(self, magnitude: Array) -> Array:
         """The force at other magnitudes, to first order [N], (n, 3)."""
         return self.force + (magnitude - self.magnitude)[:, None] * self.by_magnitude
+
+    def bent(self, before: "Start", magnitude: float) -> "Start":
+        """The same with the slope that leads to where the cubic through both will be at another magnitude."""
+        past, h = (
+            (a - b)[:, None] for a, b in ((self.magnitude, before.magnitude), (magnitude, self.magnitude))
+        )
+        mean = (self.force - before.force) / past
+        second = (2.0 * before.by_magnitude + 4.0 * self.by_magnitude - 6.0 * mean) / past
+        third = 6.0 * (before.by_magnitude + self.by_magnitude - 2.0 * mean) / past**2
+        slope = self.by_magnitude + h * (second / 2.0 + h * third / 6.0)
+        return self._replace(by_magnitude=np.where(h <= _FAR * past, slope, self.by_magnitude))
 
 
 @dataclass(frozen=True)
@@ -139,7 +154,7 @@ class Contacts:
 
 
 def solve_contacts(
-    rods: Rod | Sequence[Rod],
+    rods: Rod | Sequence[Rod] | Rods,
     gravity: ArrayLike,
     s_contact: ArrayLike,
     angle: ArrayLike,
@@ -162,13 +177,30 @@ def solve_contacts(
     Returns:
         The contacts; "unstable" is a push that the rod cannot hold, however gently it grows.
     """
-    several = [rods] if isinstance(rods, Rod) else list(rods)
+    several = Rods.of(rods)
     s, angle, magnitude = (np.array(v, dtype=float) for v in (s_contact, angle, magnitude))
     which = np.arange(len(s)) if len(several) > 1 else np.zeros(len(s), dtype=np.int64)
-    end = np.array([rod.flank_end for rod in several])[which]
-    pushes = _Pushes(several, which, np.broadcast_to(np.asarray(gravity, dtype=float), (len(s), 3)),
-                     np.minimum(s, end), angle, _slopes(several, which, np.minimum(s, end)), threads)  # fmt: skip
+    s = np.minimum(s, several.flank_end[which])
+    pushes = _Pushes(several, which, np.broadcast_to(np.asarray(gravity, dtype=float), (len(s), 3)), s, angle,
+                     _slopes(several, which, s), threads)  # fmt: skip
     return pushes.grown(magnitude, start, columns)
+
+
+def contacts_at(rod: Rod, gravity: Array, s: Array, force: Array, tip: Array) -> Contacts:
+    """Contacts that have been found already, with all columns.
+
+    Args:
+        rod: the rod.
+        gravity: base axes [m/s²], (3,).
+        s: of each contact [m], (n,).
+        force: base axes [N], (n, 3).
+        tip: of each equilibrium, (n, 6).
+    """
+    batch = solve_batch(rod, gravity, force, s, columns="all", guess=tip, guess_only=True, threads=1)
+    x, y = (np.einsum("ni,ni->n", batch.frame[:, of], force) for of in (slice(3, 6), slice(9, 12)))
+    magnitude = np.linalg.norm(force, axis=1)
+    slope = _slopes(Rods.of(rod), np.zeros(len(s), dtype=np.int64), np.minimum(s, rod.flank_end))
+    return Contacts(batch.result, s, np.arctan2(y, x), magnitude, slope, force, batch.tip, magnitude, batch)
 
 
 def follow_contacts(
@@ -188,13 +220,15 @@ def follow_contacts(
         Contacts of all touches for each force, with all columns.
     """
     steps: list[Contacts] = []
-    alive, last = np.arange(len(s_contact)), None
+    alive, last, before = np.arange(len(s_contact)), None, None
     for magnitude in magnitudes:
+        start = last if last is None or before is None else last.bent(before, magnitude)
         size = np.full(len(alive), magnitude)
-        start = None if last is None else Start(last.magnitude, last.force, last.tip, last.d_touch[:, :, 2])
         here = solve_contacts(rod, gravity, s_contact[alive], angle[alive], size, start=start, columns="all")
-        steps.append(here if last is None else _spread(here, alive, steps[-1], magnitude))
-        alive, last = alive[here.ok], here.rows(here.ok)
+        steps.append(_spread(here, alive, steps[-1], magnitude) if steps else here)
+        ok, held = np.flatnonzero(here.ok), here.rows(here.ok)
+        alive, before = alive[ok], None if last is None else last.rows(ok)
+        last = Start(held.magnitude, held.force, held.tip, held.d_touch[:, :, 2])
     return steps
 
 
@@ -220,7 +254,7 @@ def _spread(here: Contacts, alive: Indices, before: Contacts, magnitude: float) 
 class _Pushes:
     """Pushes at given places from given sides."""
 
-    rods: list[Rod]
+    rods: Rods
     which: Indices
     gravity: Array
     s: Array
@@ -230,16 +264,26 @@ class _Pushes:
 
     def grown(self, magnitude: Array, start: Start | None, columns: Columns) -> Contacts:
         """At once where Newton goes there, else the push grows from where it starts."""
+        every, first, misfit = np.arange(len(self.s)), None, np.full(len(self.s), np.inf)
         force = magnitude[:, None] * self._weights if start is None else start.ahead(magnitude)
-        tip = None if start is None else start.tip
-        force, tip, result = self._newton(np.arange(len(self.s)), magnitude, force, tip)
+        tip = np.tile(TIP_AT_REST, (len(every), 1)) if start is None else start.tip.copy()
+        if start is not None and columns != "none":  # neighbours may know the force to the last digit
+            first = self._solve(every, force, tip, columns)
+            force, misfit = self._improved(every, first, magnitude, force)
+            tip[first.ok] = first.tip[first.ok]
+        result = np.where(misfit <= _CLOSE * magnitude, "ok", "not_converged").astype("<U16")
+        far = np.flatnonzero(result != "ok")
+        guess = None if start is None else tip[far]
+        force[far], tip[far], result[far] = self._newton(far, magnitude[far], force[far], guess)
         lost, held = np.flatnonzero(result != "ok"), magnitude.copy()
         if len(lost):
             begun = self._unloaded(lost) if start is None else start.rows(lost)
             force[lost], tip[lost], result[lost], held[lost] = self._step_by_step(
                 lost, magnitude[lost], begun
             )
-        return self._told(magnitude, force, tip, result, held, columns)
+        batch = self._told(np.flatnonzero(misfit > _EXACT * magnitude), force, tip, result, columns, first)
+        force = np.where((result == "ok")[:, None], force, np.nan)
+        return Contacts(result, self.s, self.angle, magnitude, self.slope, force, batch.tip, held, batch)
 
     @cached_property
     def _weights(self) -> Array:
@@ -252,45 +296,49 @@ class _Pushes:
         tip = np.where(free.ok[:, None], free.tip, TIP_AT_REST)
         return Start(np.zeros(len(of)), np.zeros((len(of), 3)), tip, np.nan_to_num(push))
 
-    def _told(self, magnitude: Array, force: Array, tip: Array, result: NDArray[np.str_], held: Array,
-              columns: Columns) -> Contacts:  # fmt: skip
-        """All with the columns asked for; the forces of those without an answer count as none."""
+    def _told(self, of: Indices, force: Array, tip: Array, result: NDArray[np.str_], columns: Columns,
+              first: Batch | None) -> Batch:  # fmt: skip
+        """All with the columns asked for, of which some are to be solved; the forces of those without an answer count
+        as none."""
         good = result == "ok"
-        batch = self._solve(np.arange(len(good)), np.where(good[:, None], force, 0.0), tip, columns)
+        here = self._solve(of, np.where(good[:, None], force, 0.0)[of], tip[of], columns)
+        batch = here if first is None else first.changed(of, here)
         result[good] = batch.result[good]
-        batch = batch.without(result != "ok")
-        force = np.where((result == "ok")[:, None], force, np.nan)
-        return Contacts(result, self.s, self.angle, magnitude, self.slope, force, batch.tip, held, batch)
+        return batch.without(result != "ok")
 
     def _solve(self, of: Indices, force: Array, tip: Array | None, columns: Columns) -> Batch:
-        one = len(self.rods) == 1
-        rods = self.rods[0] if one else self.rods
-        return solve_batch(rods, self.gravity[of], force, self.s[of], which=None if one else self.which[of],
-                           columns=columns, guess=tip, guess_only=tip is not None, threads=self.threads)  # fmt: skip
+        return solve_batch(self.rods, self.gravity[of], force, self.s[of], which=self.which[of], columns=columns,
+                           guess=tip, guess_only=tip is not None, threads=self.threads)  # fmt: skip
 
     def _newton(
         self, of: Indices, magnitude: Array, force: Array, tip: Array | None
     ) -> tuple[Array, Array, NDArray[np.str_]]:
         """Newton on the forces of some pushes from guesses; force, tip and result of each."""
-        force, weights = force.copy(), self._weights[of]
-        result = np.full(len(of), "not_converged", dtype="<U16")
+        force, result = force.copy(), np.full(len(of), "not_converged", dtype="<U16")
         tips = np.tile(TIP_AT_REST, (len(of), 1))
         busy = np.arange(len(of))
         for _ in range(_MAX_ITERATIONS):
-            batch = self._solve(of[busy], force[busy], tip, "load")
-            f, w, ok = magnitude[busy], weights[busy], batch.ok
-            misfit = force[busy] - f[:, None] * np.einsum("nij,nj->ni", _axes(batch.frame), w)
-            jacobian = np.eye(3) - f[:, None, None] * _pushed(w, batch.d_contact[:, :, 0:3])
-            force[busy[ok]] -= np.linalg.solve(jacobian[ok], misfit[ok][:, :, None])[:, :, 0]
-            tips[busy[ok]], result[busy[~ok]] = batch.tip[ok], batch.result[~ok]
-            done = ok & (np.linalg.norm(misfit, axis=1) <= _CLOSE * f)
-            result[busy[done]] = "ok"
-            # Newton may leave the sphere on which the force must lie.
-            going = ok & ~done & (np.linalg.norm(force[busy], axis=1) <= 3.0 * f)
-            busy, tip = busy[going], batch.tip[going]
             if not len(busy):
                 break
+            batch = self._solve(of[busy], force[busy], tip, "load")
+            force[busy], misfit = self._improved(of[busy], batch, magnitude[busy], force[busy])
+            ok, done = batch.ok, misfit <= _CLOSE * magnitude[busy]
+            tips[busy[ok]], result[busy[~ok]] = batch.tip[ok], batch.result[~ok]
+            result[busy[done]] = "ok"
+            # Newton may leave the sphere on which the force must lie.
+            going = ok & ~done & (np.linalg.norm(force[busy], axis=1) <= 3.0 * magnitude[busy])
+            busy, tip = busy[going], batch.tip[going]
         return force, tips, result
+
+    def _improved(self, of: Indices, batch: Batch, magnitude: Array, force: Array) -> tuple[Array, Array]:
+        """Forces after a step of Newton from their equilibria, and how far they were off [N]; those without an
+        equilibrium stay, infinitely far off."""
+        w, ok = self._weights[of], batch.ok
+        off = force - magnitude[:, None] * np.einsum("nij,nj->ni", _axes(batch.frame), w)
+        jacobian = np.eye(3) - magnitude[:, None, None] * _pushed(w, batch.d_contact[:, :, 0:3])
+        better = force.copy()
+        better[ok] -= np.linalg.solve(jacobian[ok], off[ok][:, :, None])[:, :, 0]
+        return better, np.where(ok, np.linalg.norm(off, axis=1), np.inf)
 
     def _step_by_step(
         self, of: Indices, magnitude: Array, start: Start
@@ -331,10 +379,9 @@ def _pushed(weights: Array, d_contact: Array) -> Array:
     return np.asarray(x * d_contact[:, 3:6] + y * d_contact[:, 9:12] + z * d_contact[:, 0:3])
 
 
-def _slopes(rods: list[Rod], which: Indices, s: Array) -> Array:
+def _slopes(rods: Rods, which: Indices, s: Array) -> Array:
     """Half-angle of the frustum of each place [rad], (n,)."""
-    of = rods[:1] if len(rods) == 1 else [rods[i] for i in which]
-    knots, radii = np.stack([rod.s for rod in of]), np.stack([rod.radius for rod in of])
-    i = np.clip((knots < s[:, None]).sum(axis=1) - 1, 0, knots.shape[1] - 2)
-    row = np.zeros(len(s), dtype=np.int64) if len(of) == 1 else np.arange(len(s))
-    return np.asarray(np.arctan((radii[row, i] - radii[row, i + 1]) / (knots[row, i + 1] - knots[row, i])))
+    knots, radii = rods.bodies.knots, rods.bodies.radii
+    i = np.clip((knots[which] < s[:, None]).sum(axis=1) - 1, 0, knots.shape[1] - 2)
+    thinner = radii[which, i] - radii[which, i + 1]
+    return np.asarray(np.arctan(thinner / (knots[which, i + 1] - knots[which, i])))

@@ -12,8 +12,11 @@ from probedesign.design import Design, check_design
 from probedesign.design_tables import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.errors import InputError
 from probedesign.frames import Array
+from probedesign.geometry import flange_for
+from probedesign.mounting import widest_through_ring
 from probedesign.printing import limits
 from probedesign.search.grid import tables_of
+from probedesign.units import MM
 
 Free = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5
@@ -23,6 +26,8 @@ PIECES = 11
 LENGTH_MM, RATIO = (20.0, 400.0), (0.2, 0.9)
 _UNIT = {"length": 10.0, "section": 0.1}
 """Of the numbers, so that all of them are between one and fifty."""
+_ROUNDED = 2e-3
+"""Of a rule's limit, kept free where a ratio varies: rounded like the diameters, it must not break the rule."""
 DIGITS = 3
 """Of a millimetre, in a design file: no printer knows the thousandth."""
 
@@ -135,9 +140,12 @@ class Body:
         if hollow and ratio is not None:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.HELD_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.HOLE - 1.0
+        if self.controls > 2:
+            rules["room for the clamp ring"] = (_widest_mm(d[0]) - d) / limits.TIP
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.TIP
-        return rules
+        spare = _ROUNDED if "section" in self.free else 0.0
+        return {name: room - spare for name, room in rules.items()}
 
     def tables(self, x: Array, digits: int) -> dict[str, Any]:
         """The tables of its design file, dimensions rounded to so many digits of a millimetre."""
@@ -162,3 +170,8 @@ class Body:
             InputError: no design may be so.
         """
         return check_design(self.tables(x, digits))
+
+
+def _widest_mm(base_d_mm: float) -> float:
+    """Over which the clamp ring comes that holds the flange of such a base [mm]."""
+    return widest_through_ring(flange_for(base_d_mm * MM)) / MM

@@ -44,7 +44,10 @@ class Found:
             "bodies_looked_at": best.looked,
             "confirmed": None
             if confirmed is None
-            else dict(zip(("start", "best"), map(asdict, confirmed), strict=True)),
+            else {
+                name: asdict(one) | {"expected_mm": one.expected_mm}
+                for name, one in zip(("start", "best"), confirmed, strict=True)
+            },
             "front": None if self.front is None else self.front.rows,
             "files": [str(file) for file in self.files],
         }

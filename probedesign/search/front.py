@@ -4,6 +4,7 @@ import csv
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from probedesign.frames import Array
 from probedesign.search.body import Body
 from probedesign.search.optimum import Search
 from probedesign.search.problem import FORCES, Problem
-from probedesign.search.trial import HOPELESS, Trial
+from probedesign.search.trial import Trial
 
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
@@ -47,6 +48,16 @@ class Front:
         return text.getvalue().encode()
 
 
+def check_installed() -> None:
+    """Refuse to begin what cannot be ended.
+
+    Raises:
+        MissingDependencyError: optuna is not installed.
+    """
+    if find_spec("optuna") is None:
+        raise MissingDependencyError("--pareto needs optuna: pip install 'probedesign[optimize]'")
+
+
 def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | None], None]) -> Front:
     """Cones of any length that keep the limits: least error, least force, most reach.
 
@@ -60,10 +71,9 @@ def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | N
         MissingDependencyError: optuna is not installed.
         InputError: no body among them keeps the limits.
     """
-    try:
-        import optuna
-    except ModuleNotFoundError:
-        raise MissingDependencyError("--pareto needs optuna: pip install 'probedesign[optimize]'") from None
+    check_installed()
+    import optuna
+
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     problem = Problem(Trial(Body.of(search.start, ("cone", "length")), search.task, True), search.kept)
     sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, trials), seed=seed)
@@ -91,8 +101,8 @@ def _look(problem: Problem, drawn: "Drawn") -> tuple[float, float, float]:
     force = drawn.suggest_float("force", *FORCES, log=True)
     x: Array = np.array([base, tip, length / 10.0, np.log(force)])
     figures = problem.trial.figures(x)
-    stands = figures["error_mm"] < HOPELESS["error_mm"]
-    broken = {c.text: -c.least(x) for c in problem.constraints} | {"stands": 0.0 if stands else 1.0}
+    broken = {c.text: -c.least(x) for c in problem.constraints}
+    broken["stands"] = 0.0 if problem.trial.stands(x) else 1.0
     for text, by in broken.items():
         drawn.set_constraint(text, by)
     drawn.set_user_attr("keeps", max(broken.values()) <= 0.0)

@@ -10,7 +10,7 @@ from probedesign.design import Design, check_design
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.search.body import DIGITS, Body, Free
-from probedesign.search.goal import Goal, Limit
+from probedesign.search.goal import Goal, Limit, check_limits
 from probedesign.search.problem import FORCES, Problem
 from probedesign.search.task import Task
 from probedesign.search.trial import Trial
@@ -18,6 +18,8 @@ from probedesign.search.worth import Worth, worth
 
 STARTS = (1.0, 0.6)
 """Factors on the diameters of the design that is to be bettered, to start from."""
+_THICKER, _TIMES = 1.25, 8
+"""Factor on the diameters of a start that gives way, and how often: nothing leads a search out of there."""
 
 Tell = Callable[[str, float | None], None]
 
@@ -53,6 +55,17 @@ class Search:
             )
         if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
             raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
+        check_limits([*self.kept])
+        self._check_length()
+
+    def _check_length(self) -> None:
+        """Raises InputError where a limit asks for another length than the one that is to stay."""
+        length_mm = self.start.probe.length_mm
+        for limit in self.limits:
+            if limit.figure == "length_mm" and "length" not in self.free and limit.room(length_mm) < 0.0:
+                raise InputError(
+                    f"--subject-to {limit.text}: the length stays {length_mm:g} mm; name it too: --over ... length"
+                )
 
     @property
     def kept(self) -> tuple[Limit, ...]:
@@ -141,5 +154,17 @@ def _starts(problem: Problem, designs: list[Design]) -> list[Array]:
         x = body.x_of(design)
         x[: body.controls] *= factor
         force = [float(np.log(FORCES[1]) / 2.0)] if problem.trial.with_force else []
-        found.append(problem.clipped(np.append(x, force)))
+        found.append(_standing(problem, problem.clipped(np.append(x, force))))
     return found
+
+
+def _standing(problem: Problem, x: Array) -> Array:
+    """The start, or one that is so much thicker that it bears the force; the same if none does."""
+    thicker, diameters = x, slice(problem.trial.body.controls)
+    for _ in range(_TIMES):
+        if problem.trial.stands(thicker):
+            return thicker
+        thicker = thicker.copy()
+        thicker[diameters] *= _THICKER
+        thicker = problem.clipped(thicker)
+    return x

@@ -42,12 +42,16 @@ class PressSeries:
         """(k, 4, 4)."""
         return np.array([pose(p=-touch.p_surface) for touch in self.touches])
 
-    def rms(self, unknowns: Unknowns, task: Task) -> float:
-        """Of the fixed point [m] by the bound, as `Estimator.fuse` states it."""
+    def equations(self, unknowns: Unknowns, task: Task) -> Equations:
+        """As `Estimator.fuse` would write them down."""
         cov, gravity = self.model.noise_base(), self.model.gravity_base
         readings = tuple(Reading(touch.wrench, cov, T, gravity, True)
                          for touch, T in zip(self.touches, self.Ts_world_base, strict=True))  # fmt: skip
-        equations = Equations(self.model, readings, unknowns, channels_of(self.model, task.moments_about))
+        return Equations(self.model, readings, unknowns, channels_of(self.model, task.moments_about))
+
+    def rms(self, unknowns: Unknowns, task: Task) -> float:
+        """Of the fixed point [m] by the bound, as `Estimator.fuse` states it."""
+        equations = self.equations(unknowns, task)
         return equations.rms(equations.linear(self.touches, np.zeros(UNKNOWNS)), unknowns)
 
 
@@ -61,7 +65,8 @@ def unknowns_of(model: ProbeModel, task: Task) -> Unknowns:
 def press_series(model: ProbeModel, fraction: float, task: Task, angle: float = SIDE) -> PressSeries | None:
     """The touches at one place of the probe; None if it gives way.
 
-    The strongest is sought from nothing, so that it is the branch that a press reaches; the others follow it down.
+    The strongest is sought from nothing, so that it is the branch that a press reaches; the others follow it down, or
+    are sought so too where the probe is so near to giving way that they cannot.
 
     Args:
         model: of the probe.
@@ -69,19 +74,24 @@ def press_series(model: ProbeModel, fraction: float, task: Task, angle: float = 
         task: how hard and how often.
         angle: of the push about the tangent [rad].
     """
-    rod, gravity = model.rod, model.gravity_base
-    strongest = solve_frictionless(rod, gravity, fraction * rod.length, angle, task.force_N)
-    if strongest.result != "ok":
-        return None
-    eq = strongest.equilibrium
-    push, found = Push(eq.s_contact, angle, task.force_N, strongest.force_base, eq.tip), list[Pressed]()
+    s, found = fraction * model.rod.length, list[Pressed]()
     for k in range(task.touches, 0, -1):
-        pressed = _at(model, push, task.force_N * k / task.touches)
+        force = task.force_N * k / task.touches
+        pressed = _at(model, found[-1].push, force) if found else None
+        pressed = pressed or _from_nothing(model, s, angle, force)
         if pressed is None:
             return None
         found.append(pressed)
-        push = pressed.push
     return PressSeries(model, tuple(found[::-1]))
+
+
+def _from_nothing(model: ProbeModel, s: float, angle: float, force: float) -> Pressed | None:
+    """The touch there, the push grown from nothing."""
+    contact = solve_frictionless(model.rod, model.gravity_base, s, angle, force)
+    if contact.result != "ok":
+        return None
+    eq = contact.equilibrium
+    return _at(model, Push(eq.s_contact, angle, force, contact.force_base, eq.tip), force)
 
 
 def _at(model: ProbeModel, near: Push, force: float) -> Pressed | None:

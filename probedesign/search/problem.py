@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from probedesign.frames import Array
 from probedesign.search.goal import Limit
-from probedesign.search.trial import Trial, differences
+from probedesign.search.trial import HELD, Trial, differences
 
 SPARE = 1e-3
 """Share of a limit that is kept free, so that rounding the dimensions does not break it."""
@@ -80,7 +80,19 @@ class Problem:
     def constraints(self) -> list[Constraint]:
         """One a limit, and one a rule of printing."""
         rules = self.trial.body.printable(self.trial.body.x_of(self.trial.body.start))
-        return [*map(self._limit, self.limits), *map(self._rule, rules)]
+        return [*map(self._limit, self.limits), self._bearing, *map(self._rule, rules)]
+
+    @property
+    def _bearing(self) -> Constraint:
+        """That a body bears more than the task's force."""
+        trial = self.trial
+
+        def room(x: Array) -> Array:
+            return np.array([np.log(trial.figures(x)["borne"] / HELD) - SPARE])
+
+        return Constraint(
+            f"bears {HELD:g} x the force", room, lambda x: differences(room, x, central=False).T
+        )
 
     def _limit(self, limit: Limit) -> Constraint:
         # In logarithms: an error may be a hundred times too large, and a search lives by straight lines.

@@ -2,8 +2,6 @@
 
 import csv
 import io
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -16,6 +14,7 @@ from probedesign.files import write_atomically
 from probedesign.search.grid import Axis, points, tables_of, varied
 from probedesign.search.journal import Journal, Record, fingerprint
 from probedesign.search.task import Task
+from probedesign.search.workers import deaf_to_interruption, settings
 from probedesign.search.worth import FIGURES, worth
 
 if TYPE_CHECKING:
@@ -147,9 +146,7 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
         raise _missing(error.name) from None
-    with dask.config.set(
-        {"distributed.worker.daemon": True, "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S}
-    ):
+    with dask.config.set(settings() | {"distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S}):
         if scheduler is not None:
             tell(f"reaching {scheduler}", None)
             try:
@@ -169,7 +166,7 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
             return
         tell(f"starting {workers} workers", None)
         local = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-        with _deaf_to_interruption():
+        with deaf_to_interruption():
             made = LocalCluster(n_workers=workers, **local)
         with made as cluster, Client(cluster) as client:
             yield client
@@ -187,19 +184,6 @@ def _await_workers(client: "Client", scheduler: str) -> None:
         raise InputError(
             f"--scheduler {scheduler}: has no workers; start some with: dask worker {scheduler}"
         ) from None
-
-
-@contextmanager
-def _deaf_to_interruption() -> Iterator[None]:
-    """Processes started here leave Ctrl-C to their parent, who ends them; else each would complain for itself."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _plain(task: Task) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.rod import Rod
+from probedesign.search.bearing import borne
 from probedesign.search.body import Body
 from probedesign.search.task import Task
-from probedesign.search.worth import holds, touches
+from probedesign.search.worth import touches
 from probedesign.units import MM
 
 STEP = 1e-4
@@ -23,7 +24,9 @@ _SMALL = 1e-4  # of a radius, where a difference is of the hanging rod alone
 HELD = 1.25
 """Force, over the task's, that a body must bear: the bound does not see how near it is to giving way, and a print may
 be softer than designed by some times the 3 % that E spreads (assumed)."""
-HOPELESS = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "sag_mm": 1e3, "reach_mm": 1e-3}
+_ASKED = 1.1 * HELD  # so that what is told is smooth at the limit itself
+HOPELESS = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "sag_mm": 1e3, "reach_mm": 1e-3,
+            "borne": 0.1}  # fmt: skip
 """What stands for figures of a body that gives way: numbers that no search takes for good."""
 
 
@@ -64,19 +67,24 @@ class Trial:
             self._seen[key] = self._figures(x)
         return self._seen[key]
 
+    def stands(self, x: Array) -> bool:
+        """Whether the body bears the task's force."""
+        return self.figures(x)["error_mm"] < HOPELESS["error_mm"]
+
     def _figures(self, x: Array) -> dict[str, float]:
         length = {"length_mm": self.body.length_mm(x)}
         try:
             probe = self.probe(x)
+            model = probe.model
         except InputError:
             return HOPELESS | length | {"mass_g": 1e3}
         found = {**HOPELESS, **length, "mass_g": 1e3 * probe.mass}
         task = self.task_at(x)
-        touched = touches(probe.model, task)
-        if math.isfinite(touched.rms) and holds(probe.model, replace(task, force_N=HELD * task.force_N)):
+        touched = touches(model, task)
+        if math.isfinite(touched.rms):
             found |= {"error_mm": touched.rms / MM, "worst_error_mm": max(touched.errors) / MM,
-                      "sensor_use": touched.sensor_use}  # fmt: skip
-        free = probe.rod.solve(probe.model.gravity_base)
+                      "sensor_use": touched.sensor_use, "borne": borne(model, task, _ASKED)}  # fmt: skip
+        free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)
             found["sag_mm"] = float(np.linalg.norm(tip - [0.0, 0.0, probe.length])) / MM

@@ -113,13 +113,6 @@ def touches(model: ProbeModel, task: Task) -> Touched:
     return Touched(tuple(error for error, _ in found), max(use for _, use in found))
 
 
-def holds(model: ProbeModel, task: Task) -> bool:
-    """Whether a probe bears the task's force at all of its places."""
-    rod, gravity = model.rod, model.gravity_base
-    pushed = (solve_frictionless(rod, gravity, f * rod.length, SIDE, task.force_N) for f in task.fractions)
-    return all(contact.result == "ok" for contact in pushed)
-
-
 def _fused(model: ProbeModel, fraction: float, task: Task) -> tuple[float, float]:
     series = press_series(model, fraction, task)
     if series is None:

@@ -151,7 +151,7 @@ def test_live_prints_lines_of_equal_columns(call, bundle):
     status, out, err = call("live", bundle, "--source", SIM)
     lines = out.splitlines()
     assert (status, len(lines)) == (0, 60)
-    assert "noise seed 1" in err.splitlines()[0]
+    assert "noise seed 1" in err  # after what compiling says, if it has to
     assert err.splitlines()[-1].startswith("60 estimates: ")
     ok = [line for line in lines if " ok " in line]
     assert len({(line.index("±"), line.index("true s"), len(line)) for line in ok}) == 1

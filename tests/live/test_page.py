@@ -181,6 +181,7 @@ def tab(view):
         tab.goto(view.url, timeout=PATIENCE)
         tab.get_by_text("Touches so far").wait_for(timeout=PATIENCE)
         yield tab
+        tab.close()  # a browser that still draws takes half a minute to close
         browser.close()
 
 

@@ -1,4 +1,4 @@
-"""How well the things are known that a prediction counts with: standard deviations, each with where it comes from."""
+"""How well a probe, its mount and its sensor are known: standard deviations, each with where it comes from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -23,6 +23,7 @@ SOURCES = {
     "clocking_deg": "assumed: play of the screws",
     "gravity_deg": "assumed: a machine levelled by hand",
     "creep": "assumed: nothing is published for Elastic 50A",
+    "robot_mm": "assumed: a small arm's repeatability",
 }
 """Where each default comes from."""
 
@@ -41,7 +42,8 @@ class Tolerances:
         tilt_deg: of the base about its x and its y axis.
         clocking_deg: of the base about its z axis.
         gravity_deg: of gravity's direction, about each of two axes across it.
-        creep: of how far the stiffness has relaxed at the reading, relative.
+        creep: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
+        robot_mm: of several touches, of the base's place at each for itself, on each axis; one touch does not see it.
         tared: whether the sensor was tared with the probe free, as mounted: what the free probe's reading has of an
             error is then gone.
     """
@@ -60,6 +62,7 @@ class Tolerances:
     clocking_deg: float = 0.5
     gravity_deg: float = 0.2
     creep: float = 0.01
+    robot_mm: float = 0.05
     tared: bool = True
 
     def __post_init__(self) -> None:
@@ -74,9 +77,11 @@ class Tolerances:
         """What a design says of them, the material's spread and creep where it says nothing, and else the defaults.
 
         Args:
-            model: of the probe.
+            model: of the probe; where it has tolerances of its own, they are it.
             said: by name; None where nothing is said.
         """
+        if model.tolerances is not None:
+            return model.tolerances
         spread = Unknowns.of(model)
         own = cls(youngs_modulus=spread.stiffness, shear_modulus=spread.stiffness,
                   creep=spread.creep or cls.creep)  # fmt: skip

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.estimator.model import ProbeModel
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array, inverse, skew, wrench_map
-from probedesign.prediction.tolerances import Tolerances
 from probedesign.rod import kernels
 from probedesign.rod.contacts import Contacts
 from probedesign.rod.rod import Rod
@@ -46,8 +46,14 @@ class Answers:
     force: Array
 
 
-def parameters_of(rod: Rod, tolerances: Tolerances) -> dict[str, Array]:
-    """Of each cause that is the rod's own, one standard deviation: the parameters from log E on, a row each."""
+def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
+    """Of each cause that is the rod's own, one standard deviation: the parameters from log E on, a row each.
+
+    Args:
+        rod: of the model.
+        tolerances: how well it is known.
+        hung: whether only what a touch adds creeps: a rod that is lighter by as much as it is softer hangs the same.
+    """
     K, diameters = len(rod.s), 2.0 * rod.radius / MM
     unit = np.eye(4 + K)
     t = tolerances
@@ -60,7 +66,7 @@ def parameters_of(rod: Rod, tolerances: Tolerances) -> dict[str, Array]:
         "diameter": (common @ unit[4:])[None],
         "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[4:],
         "length": length * unit[3:4],
-        "creep": t.creep * (unit[0:1] + unit[1:2]),
+        "creep": t.creep * (unit[0:1] + unit[1:2] + hung * unit[2:3]),
     }
 
 
@@ -89,7 +95,7 @@ def answers_of(contacts: Contacts, rod: Rod, gravity: Array) -> Answers:
     d_moment = _chosen(batch.d_moment, by_length)
     d_force = np.broadcast_to(_d_weight(rod, gravity), (n, 3, d_moment.shape[2]))
     dead = contacts.magnitude[:, None, None] * contacts.pushed(d_contact)
-    turning = contacts.d_force(dead, _d_slope(rod, contacts))
+    turning = contacts.d_force(dead, d_slope(rod, contacts))
     wrench = np.concatenate([d_force + turning, d_moment + batch.d_moment[:, :, 0:3] @ turning], axis=1)
     point = d_contact[:, 6:9] + batch.d_contact[:, 6:9, 0:3] @ turning
     return Answers(wrench, point, batch.wrench_base, batch.p_contact_base, turning)
@@ -111,24 +117,25 @@ def free_answers(rod: Rod, gravity: Array) -> Answers:
 
 
 def moved_by(
-    answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances
+    answers: Answers, model: ProbeModel, gravity: Array, tolerances: Tolerances, hung: bool = False
 ) -> dict[str, tuple[Array, Array]]:
     """Of each cause, how one standard deviation of it moves reading and point as told in the model's base frame.
+    `hung` is that of `parameters_of`.
 
     Returns:
         Of each cause, (n, 6, j) and (n, 3, j): one column for each of its unit normals.
     """
     found = {
         name: (answers.wrench[:, :, 3:] @ rows.T, answers.point[:, :, 3:] @ rows.T)
-        for name, rows in parameters_of(model.rod, tolerances).items()
+        for name, rows in parameters_of(model.rod, tolerances, hung).items()
     }
-    by_pose = _by_turns(answers, model, gravity)
+    by_pose = by_turns(answers, model, gravity)
     for name, rows in turns_of(gravity, tolerances).items():
         found[name] = (by_pose[0] @ rows.T, by_pose[1] @ rows.T)
     return found
 
 
-def _by_turns(answers: Answers, model: ProbeModel, gravity: Array) -> tuple[Array, Array]:
+def by_turns(answers: Answers, model: ProbeModel, gravity: Array) -> tuple[Array, Array]:
     """Of reading and point in the model's base frame by shift and turn of the base and by gravity, (n, 6, 9) and
     (n, 3, 9). A turn of the base turns what it reads, and gravity the other way as seen from it."""
     n, seen = len(answers.p), skew(gravity)
@@ -172,7 +179,7 @@ def _d_weight(rod: Rod, gravity: Array) -> Array:
     return found
 
 
-def _d_slope(rod: Rod, contacts: Contacts) -> Array:
+def d_slope(rod: Rod, contacts: Contacts) -> Array:
     """Of the frustum's half-angle [rad], (n, j)."""
     K = len(rod.s)
     i = np.clip(np.searchsorted(rod.s, contacts.s) - 1, 0, K - 2)

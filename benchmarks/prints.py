@@ -1,0 +1,56 @@
+"""One reading of probes that differ from their model as tolerances allow: taken as exact, and weighed by them."""
+
+import time
+
+import numpy as np
+from scipy.special import chdtri
+
+from benchmarks.timing import print_table, shown
+from benchmarks.touches import paper_models
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tolerances import Tolerances
+from probedesign.frames import Array
+from probedesign.prediction.worlds import Worlds
+from probedesign.units import MM
+
+DRAWS = 300
+TOUCHES = ((0.3, 0.02, "+y"), (0.6, 0.02, "+y"), (0.9, 0.01, "+y"), (0.5, 0.1, "+x"), (0.3, 0.2, "+y"))
+WITHIN_95 = float(chdtri(3, 0.05))
+
+
+def report() -> None:
+    """Print the table."""
+    rows = []
+    for name, model in paper_models().items():
+        worlds = Worlds.draw(model, Tolerances.of(model), DRAWS, 3)
+        exact = Estimator(model)
+        for fraction, force, direction in TOUCHES:
+            wrenches, points = worlds.touched(fraction, force, direction)
+            read = wrenches + worlds.noise(DRAWS, np.random.default_rng(7))
+            told = [_told(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
+            rows.append([f"{name}, {1e3 * force:g} mN at {fraction:g} L, {direction}",
+                         *(" / ".join(pair) for pair in zip(*told, strict=True))])  # fmt: skip
+    head = [
+        "probe taken as exact / weighed by its tolerances",
+        "ok",
+        "RMS error",
+        "stated",
+        "in 95 %",
+        "one estimate",
+    ]
+    print_table(f"Prints drawn from their tolerances, {DRAWS} each", head, rows)
+
+
+def _told(estimator: Estimator, read: Array, points: Array) -> tuple[str, ...]:
+    """Share located, RMS error of the best places, RMS stated, share inside the 95 % ellipsoid, time."""
+    estimator.estimate(read[0])
+    start = time.process_time()
+    found = [estimator.estimate(wrench) for wrench in read]
+    spent = (time.process_time() - start) / len(read)
+    off = [e.candidates[0].p_contact_base - p for e, p in zip(found, points, strict=True) if e.candidates]
+    located = [(e.p_contact_base - p, e.cov_contact_base) for e, p in zip(found, points, strict=True) if e.ok]
+    inside = np.mean([d @ np.linalg.solve(cov, d) <= WITHIN_95 for d, cov in located])
+    stated = np.sqrt(np.mean([np.trace(cov) for _, cov in located]))
+    rms = np.sqrt(np.mean(np.sum(np.square(off), axis=1)))
+    return (f"{len(located) / len(found):.0%}", f"{rms / MM:.2f} mm", f"{stated / MM:.2f} mm",
+            f"{inside:.0%}", shown(spent))  # fmt: skip

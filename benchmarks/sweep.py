@@ -1,0 +1,63 @@
+"""A sweep by two workers against one: the whole command, its workers' start and end too."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from benchmarks.timing import print_table, shown
+
+DESIGN = Path(__file__).parents[1] / "designs/large.toml"
+VARY = ("probe.base_d_mm=8:15.8:0.2", "probe.tip_d_mm=1.6:4:0.1")
+"""40 times 25 designs, none of which gives way."""
+DESIGNS = 1000
+WORKERS = (1, 2)
+_LOOK_S = 0.5
+
+
+def report() -> None:
+    """Print the table."""
+    runs = {workers: _run(workers) for workers in WORKERS}
+    first = runs[WORKERS[0]][0]
+    rows = [[counted(workers), shown(wall), shown(cpu), f"{first / wall:.2f} x"]
+            for workers, (wall, cpu) in runs.items()]  # fmt: skip
+    print_table(f"Sweep of {DESIGNS} designs, whole command, on {len(os.sched_getaffinity(0))} cores; CPU is of all "
+                "processes together; target for two workers 1.8 x", ["", "wall", "CPU", "faster"], rows)  # fmt: skip
+
+
+def counted(workers: int) -> str:
+    """So many workers."""
+    return f"{workers} worker{'' if workers == 1 else 's'}"
+
+
+def _run(workers: int) -> tuple[float, float]:
+    """Wall and CPU [s]."""
+    with tempfile.TemporaryDirectory() as out:
+        vary = [part for axis in VARY for part in ("--vary", axis)]
+        command = [sys.executable, "-m", "probedesign.cli.main", "sweep", str(DESIGN), *vary,
+                   "--workers", str(workers), "--out", out]  # fmt: skip
+        wall = time.perf_counter()
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+            cpu = _watched(run)
+            said = run.stdout.read() if run.stdout else ""
+        wall = time.perf_counter() - wall
+    assert f"{DESIGNS} designs, {DESIGNS} computed" in said, said
+    return wall, cpu
+
+
+def _watched(run: "subprocess.Popen[str]") -> float:
+    """CPU of a process and of all that it has brought forth, while it runs [s]: not all of them are waited for."""
+    import psutil  # comes with dask.distributed
+
+    first, used = psutil.Process(run.pid), dict[int, float]()
+    while run.poll() is None:
+        with suppress(psutil.Error):
+            for process in (first, *first.children(recursive=True)):
+                with suppress(psutil.Error):
+                    spent = process.cpu_times()
+                    used[process.pid] = spent.user + spent.system
+        time.sleep(_LOOK_S)
+    return sum(used.values())
