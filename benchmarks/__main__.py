@@ -25,8 +25,8 @@ def main(arguments: list[str]) -> int:
         parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     print_machine()
     for name in said.parts or PARTS:
-        options = {"view": said.view} if name == "live" else {}
-        options |= {"minutes": said.minutes} if name == "live" and said.minutes is not None else {}
+        asked = {"minutes": said.minutes, "view": said.view} if name == "live" else {}
+        options = {option: value for option, value in asked.items() if value}
         import_module(f"benchmarks.{name}").report(**options)
     return 0
 
