@@ -37,7 +37,8 @@ def warm_up(estimator: Estimator, say: Callable[[str], None], *, fusing: bool = 
     try:
         touches = _touches(estimator)
         for wrench, _ in touches[-1:]:
-            _ = estimator.estimate(wrench).shape
+            estimate = estimator.estimate(wrench)
+            _ = estimator.estimate(wrench, near=estimate).shape
         if fusing:
             _fuse(estimator, touches)
     finally:
