@@ -26,9 +26,12 @@ from probedesign.live.block import Block
 from probedesign.live.box.box import OFF
 from probedesign.live.netft.source import NetFT
 from probedesign.live.recordings import Recordings
+from probedesign.live.requests import Requests
 from probedesign.live.run import Plan, estimate_stream
+from probedesign.live.sinks import Sinks
 from probedesign.live.source import open_source
 from probedesign.live.tare import Window
+from probedesign.live.view.view import View
 from probedesign.live.warm_up import warm_up
 from probedesign.probe import build_probe
 
@@ -40,11 +43,12 @@ PARTS = 10
 """Of the run, for what grows."""
 
 
-def report(minutes: float = MINUTES) -> None:
+def report(minutes: float = MINUTES, view: bool = False) -> None:
     """Print losses, latency and their growth; then what a restart of the box does.
 
     Args:
         minutes: how long the records stream [min].
+        view: with the page of `live --view` open.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -53,7 +57,7 @@ def report(minutes: float = MINUTES) -> None:
         estimator = load_estimator(bundle)
         warm_up(estimator, print, fusing=True)
         with _box(bundle) as spec:
-            _rate(estimator, spec, 60.0 * minutes, folder / "record.mcap")
+            _rate(estimator, spec, 60.0 * minutes, folder, view)
         with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as spec:
             _faults(estimator, spec, 20.0)
 
@@ -87,16 +91,19 @@ class Watched:
             yield block
 
 
-def _rate(estimator: Estimator, spec: str, seconds: float, recording: Path) -> None:
+def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: bool) -> None:
     source = open_source(spec, estimator.model, print)
     assert isinstance(source, NetFT)
     late, memory = [], []
     wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
     plan = Plan(TARE, AVERAGE, seconds=seconds)
-    with closing(Recordings(recording, estimator.model, print)) as recordings:
-        recordings.start()
-        for answer in estimate_stream(estimator, source, plan, print, recordings):
-            late.append(1e3 * (time.monotonic() - answer.reading.received))
+    recordings = Recordings(folder / "record.mcap", estimator.model, print)
+    recordings.start()
+    with closing(Sinks(recordings)) as sinks:
+        if view:
+            sinks.add(View(estimator, folder, Requests(), print, counts=lambda: source.counts))
+        for answer in estimate_stream(estimator, source, plan, print, sinks):
+            late.append(1e3 * (answer.made - answer.reading.received))
             memory.append(_resident())
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu
     counts, parts = source.counts, [float(np.median(part)) for part in np.array_split(late, PARTS)]
@@ -115,7 +122,7 @@ def _rate(estimator: Estimator, spec: str, seconds: float, recording: Path) -> N
         ["wall, processor [s]", f"{wall:.1f}, {cpu:.1f} ({cpu / wall:.0%} of one core)", ""],
         ["full collections of garbage", str(gc.get_stats()[2]["collections"] - collected), ""],
     ]  # fmt: skip
-    title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded"
+    title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded{', seen' * view}"
     print_table(title, ["", "measured", "target"], rows)
 
 

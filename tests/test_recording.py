@@ -57,6 +57,8 @@ def test_one_row_is_a_recording(path):
     [
         ("t_ms,FX_mN,fy_mn,Fz_N,Tx_Nmm,Ty_mNm,TZ_NM", [1e-3, 1e-3, 1e-3, 1.0, 1e-3, 1e-3, 1.0]),
         ("Timestamp_us,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm", [1e-6, 1, 1, 1, 1, 1, 1]),
+        ("Time (s),Fx [N],Fy(N),Fz_n,Tx (N·mm),Ty [N-mm],Tz (N m)", [1, 1, 1, 1, 1e-3, 1e-3, 1.0]),
+        ("t [µs],Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm", [1e-6, 1, 1, 1, 1, 1, 1]),
         ('"time_ns", Fx_N ,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm', [1e-9, 1, 1, 1, 1, 1, 1]),
     ],
 )
@@ -139,7 +141,7 @@ def test_a_coarse_clock_has_no_gaps(path):
         (f"{HEADER},Tx_Nmm\n0,{ROW},1\n", "columns 'Mx_Nm' and 'Tx_Nmm' are the same"),
         (f"{HEADER},gx_m_s2\n0,{ROW},1\n", "columns are missing: gy_m_s2, gz_m_s2"),
         (HEADER.replace("Fx_N", "Fx") + f"\n{rows(0.0)}", "names no unit; end its name in one of _N, _mN"),
-        (HEADER.replace("Fx_N", "Fx (N)") + f"\n{rows(0.0)}", "column 'Fx (N)': names no unit"),
+        (HEADER.replace("Fx_N", "Fx (lbf)") + f"\n{rows(0.0)}", "column 'Fx (lbf)': unit 'lbf' is not known"),
         (HEADER.replace("time_s", "time") + f"\n{rows(0.0)}", "column 'time': names no unit"),
         (HEADER.replace("Fx_N", "Fx_lbf") + f"\n{rows(0.0)}", "unit 'lbf' is not known"),
         (HEADER.replace("Mx_Nm", "Mx_N") + f"\n{rows(0.0)}", "unit 'N' is not known; end its name in"),

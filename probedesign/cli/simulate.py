@@ -22,6 +22,7 @@ def simulate(
     records: int = 1,
     seed: int = 1,
     seconds: float | None = None,
+    pose_to: str | None = None,
 ) -> None:
     """Play a Net F/T box with the probe on it, for `live` and any other client.
 
@@ -42,7 +43,9 @@ def simulate(
         records: in a packet of buffered streaming, at most 40.
         seed: of noise, drift and faults.
         seconds: end so long after the start.
+        pose_to: HOST:PORT to send the base's poses to, as live --pose udp:// hears them.
     """
+    from contextlib import ExitStack
     from dataclasses import replace
 
     from probedesign.deployment import load_estimator
@@ -50,6 +53,7 @@ def simulate(
     from probedesign.live.box.box import NATIVE, Box
     from probedesign.live.box.faults import parse_faults
     from probedesign.live.box.motion import Motion
+    from probedesign.live.box.robot import Robot
     from probedesign.live.box.scene import press_scene
     from probedesign.live.box.transducer import Transducer
     from probedesign.live.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
@@ -73,8 +77,14 @@ def simulate(
         ranges=ranges,
     )
     things = press_scene(model, scene)
-    transducer = Transducer(model, Motion(model, things).wrench_sensor, seed)
-    with Box(transducer, configuration, host=host, port=port, http_port=http_port, faults=faults) as box:
+    motion = Motion(model, things)
+    transducer = Transducer(model, motion.wrench_sensor, seed)
+    with ExitStack() as on:
+        box = on.enter_context(
+            Box(transducer, configuration, host=host, port=port, http_port=http_port, faults=faults)
+        )
+        if pose_to is not None:
+            on.enter_context(Robot(motion, lambda: box.gone, pose_to))
         for line in (*(thing.line for thing in things), *_listening(host, box.source, bundle)):
             print(line, flush=True)
         with suppress(KeyboardInterrupt):

@@ -20,7 +20,16 @@ from scipy.special import chdtri
 from scipy.stats import f as fisher
 
 from probedesign.errors import InputError
-from probedesign.estimator.detector_kernel import CONTACT, FREE, INVALID, LENGTHS, LOST, Memory, advance
+from probedesign.estimator.detector_kernel import (
+    CONTACT,
+    DOUBT,
+    FREE,
+    INVALID,
+    LENGTHS,
+    LOST,
+    Memory,
+    advance,
+)
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
 
@@ -59,8 +68,9 @@ class Detector:
         sample = self.model.noise_base() * self.model.averaging_samples
         whiten = np.linalg.inv(np.linalg.cholesky(sample))
         self._memory = Memory.fresh(
-            whiten, self._thresholds(), float(chdtri(6, RELEASED)), self._gain(), TRUSTED
-        )
+            whiten, self._thresholds(), float(chdtri(6, RELEASED)), self._gain(), TRUSTED,
+            DRIFT_STEPS**2 / self.rate,
+        )  # fmt: skip
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -114,6 +124,10 @@ class Detector:
             self.run(wrenches)
         finally:
             self._memory.thresholds[:] = thresholds
+
+    def rest(self, seconds: float) -> None:
+        """No sample came for so long [s]: the bias may have walked."""
+        self._memory.state[DOUBT] += DRIFT_STEPS**2 * seconds
 
     @property
     def bias(self) -> Array:

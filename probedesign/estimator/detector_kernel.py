@@ -13,7 +13,7 @@ drop_stale(Path(__file__).parent)
 LENGTHS = (1, 4, 16, 64, 256, 1024)
 RATIO = 4
 FREE, CONTACT, LOST, INVALID = 0, 1, 2, 3
-STATE_NOW, DETECTED_BY = 0, 1
+STATE_NOW, DETECTED_BY, DOUBT, WALK = 0, 1, 2, 3
 
 
 class Memory(NamedTuple):
@@ -25,7 +25,8 @@ class Memory(NamedTuple):
         released: T² below which a touch is over.
         gain: of the bias.
         trusted: weight of the identity in the covariances, and how many means they remember.
-        state: what was said last, and by which length a touch was told, (2,).
+        state: what was said last, by which length a touch was told, the variance by which the bias may have walked
+            while it was not followed, and its walk a sample, in those of a sample, (4,).
         bias: whitened, (6,).
         sums: running for each length, (6, 6); counts: of parts in them, (6,).
         scatter: Cholesky factor of S for each length, (6, 6, 6); moments: what S is made from, (6, 6, 6).
@@ -45,13 +46,13 @@ class Memory(NamedTuple):
 
     @classmethod
     def fresh(
-        cls, whiten: Array, thresholds: Array, released: float, gain: float, trusted: float
+        cls, whiten: Array, thresholds: Array, released: float, gain: float, trusted: float, walk: float
     ) -> "Memory":
         """Of a probe that is free."""
         lengths = len(LENGTHS)
         eye = np.tile(np.eye(6), (lengths, 1, 1))
-        return cls(whiten, thresholds, released, gain, trusted, np.zeros(2), np.zeros(6), np.zeros((lengths, 6)),
-                   np.zeros(lengths), eye.copy(), eye.copy())  # fmt: skip
+        return cls(whiten, thresholds, released, gain, trusted, np.array([0.0, 0.0, 0.0, walk]), np.zeros(6),
+                   np.zeros((lengths, 6)), np.zeros(lengths), eye.copy(), eye.copy())  # fmt: skip
 
 
 @inner
@@ -116,12 +117,15 @@ def advance(
             continue
         touching = state[STATE_NOW] == CONTACT
         said = CONTACT if touching else FREE
+        if touching:
+            state[DOUBT] += state[WALK]
         for a in range(6):
             sums[0, a] += white[a]
         counts[0] += 1.0
         j, n = 0, 1.0
         while j < lengths and counts[j] >= (1.0 if j == 0 else RATIO):
-            root = np.sqrt(n)
+            # While touched the bias walks unseen: a free mean may lie off by that until it is followed again.
+            root = np.sqrt(n) if touching else np.sqrt(n * (1.0 + n * state[DOUBT]))
             for a in range(6):
                 z[a] = sums[j, a] / root
             far = square(z, scatter[j])
@@ -133,8 +137,10 @@ def advance(
             elif said == FREE:
                 learn(j, z, 1.0 / trusted, moments, scatter)
                 if j == lengths - 1:
+                    doubt = n * state[DOUBT] + gain / (1.0 - gain)  # over a mean's noise
                     for a in range(6):
-                        bias[a] += gain * sums[j, a] / n
+                        bias[a] += doubt / (doubt + 1.0) * sums[j, a] / n
+                    state[DOUBT] /= doubt + 1.0
             if j + 1 < lengths:
                 for a in range(6):
                     sums[j + 1, a] += sums[j, a]

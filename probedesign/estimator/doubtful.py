@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
-from probedesign.estimator import likelihood
-from probedesign.estimator.doubts import Doubts
+import numpy as np
+
 from probedesign.estimator.estimate import Candidate
+from probedesign.estimator.fit import PLACE
+from probedesign.estimator.likelihood import Fitter
 from probedesign.estimator.observation import Observation
+from probedesign.estimator.weighing import Causes, Weighing
 from probedesign.frames import Array
 
 NEAR = 0.05
@@ -14,43 +17,42 @@ ROUNDS = 3
 """How often they are told anew at most."""
 
 
-def locate(doubts: Doubts, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
+def locate(causes: Causes, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
     """The contacts of greatest likelihood, weighed by the reading's noise and the probe's tolerances together.
 
     What the tolerances do to a reading depends on where it is touched, so they are weighed as at the place that the
     noise alone makes likeliest, and once more where that leads elsewhere.
 
     Args:
-        doubts: of the probe under the reading's gravity.
+        causes: of doubt, under the reading's gravity.
         seen: the reading, with its noise alone.
         near: a neighbouring reading's place, as for `likelihood.locate`.
     """
-    rod, noise = doubts.model.rod, seen.cov + doubts.drift
-    place = near or likelihood.rough(rod, seen)
+    rod = causes.model.rod
+    fitter, weighing = Fitter(rod, seen), Weighing(causes, seen)
+    place = fitter.likeliest() if near is None else _unknowns(near)
     found: list[Candidate] = []
     for _ in range(ROUNDS):
-        doubt = doubts.at([place])[0] if place is not None else None
-        if place is None or doubt is None:
-            return found or likelihood.locate(rod, seen, near)
-        found = likelihood.locate(rod, seen.known_to(doubt.cov_wrench(noise)), near)
+        if place is None or not weighing.at(place):
+            return found or Fitter(rod, seen).locate(near)
+        fitter.known_to(weighing.whiten)
+        found = fitter.locate(near)
         best = min(found, key=lambda candidate: candidate.chi2, default=None)
-        if best is None or abs(best.s_contact - place.s_contact) <= NEAR * rod.length:
+        if best is None or abs(best.s_contact - place[PLACE]) <= NEAR * rod.length:
             break
-        place = best
-    return _told(doubts, found, noise)
+        place = _unknowns(best)
+    return [_told(weighing, candidate) for candidate in found]
 
 
-def _told(doubts: Doubts, found: list[Candidate], noise: Array) -> list[Candidate]:
-    """With the covariance of each point as tolerances make it; its bow as it was."""
-    of = doubts.at(found) if found else []
-    return [
-        candidate
-        if doubt is None
-        else replace(
-            candidate,
-            cov_contact_base=candidate.cov_contact_base - candidate.cov_linear_base + linear,
-            cov_linear_base=linear,
-        )
-        for candidate, doubt in zip(found, of, strict=True)
-        for linear in [candidate.cov_linear_base if doubt is None else doubt.cov_point(noise)]
-    ]
+def _unknowns(place: Candidate) -> Array:
+    """(STATE,)."""
+    return np.concatenate([place.tip, place.force_base, (place.s_contact,)])
+
+
+def _told(weighing: Weighing, place: Candidate) -> Candidate:
+    """With the covariance of its point as tolerances make it; its bow as it was."""
+    if not weighing.at(_unknowns(place)):
+        return place
+    linear = weighing.cov_point
+    return replace(place, cov_contact_base=place.cov_contact_base - place.cov_linear_base + linear,
+                   cov_linear_base=linear)  # fmt: skip

@@ -11,13 +11,13 @@ from scipy.special import chdtri
 
 from probedesign.errors import InputError
 from probedesign.estimator import doubtful, likelihood, paper
-from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.estimate import Candidate, Estimate, Result
 from probedesign.estimator.fused import Fused, MomentsAbout
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.observation import Observation
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimator.weighing import Causes
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.sensor import Noise
@@ -55,7 +55,7 @@ class Estimator:
     model: ProbeModel
     tolerances: Tolerances | None = None
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
-    _last_doubts: dict[bytes, Doubts] = field(default_factory=dict, compare=False, repr=False)
+    _last_causes: dict[bytes, Causes] = field(default_factory=dict, compare=False, repr=False)
 
     def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
         """The same estimator for readings with these standard deviations of each channel.
@@ -82,7 +82,8 @@ class Estimator:
         Args:
             tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
         """
-        return Estimator(self.model, Tolerances.of(self.model) if tolerances is None else tolerances)
+        known = Tolerances.of(self.model) if tolerances is None else tolerances
+        return Estimator(self.model, None if known.exact else known)
 
     def estimate(
         self,
@@ -140,18 +141,23 @@ class Estimator:
         """The contacts of greatest likelihood, by the noise and, if there are any, the tolerances."""
         if self.tolerances is None:
             return likelihood.locate(self.model.rod, seen, start)
-        return doubtful.locate(self._doubts(seen.gravity), seen, start)
+        return doubtful.locate(self._causes(seen.gravity), seen, start)
 
-    def _doubts(self, gravity: Array) -> Doubts:
-        """What the tolerances make of readings under a gravity; the last one is kept."""
+    def _causes(self, gravity: Array) -> Causes:
+        """What may differ under a gravity; the last one is kept."""
         assert self.tolerances is not None
         key = gravity.tobytes()
-        doubts = self._last_doubts.get(key)
-        if doubts is None:
-            doubts = Doubts.of(self.model, gravity, self.tolerances)
-            self._last_doubts.clear()
-            self._last_doubts[key] = doubts
-        return doubts
+        causes = self._last_causes.get(key)
+        if causes is None:
+            free, last = self._free(gravity), next(iter(self._last_causes.values()), None)
+            causes = (
+                Causes.of(self.model, self.tolerances, gravity, free)
+                if last is None
+                else last.under(gravity, free)
+            )
+            self._last_causes.clear()
+            self._last_causes[key] = causes
+        return causes
 
     def _gravity(self, gravity_base: ArrayLike | None) -> Array:
         if gravity_base is None:

@@ -5,7 +5,8 @@ Where it may lie one integration tells (`trace.py`); where that leads nowhere, t
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -28,6 +29,7 @@ _SAME = 1e-5
 _ALIKE = 0.05
 """Likewise over a standard deviation; a fit ends within a hundredth or so."""
 _UNKNOWNS = slice(everywhere.FOUND, everywhere.TOLD)
+_NONE = np.empty((0, everywhere.ROW))
 
 
 def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
@@ -38,31 +40,11 @@ def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[C
         seen: the reading.
         near: a neighbouring reading's place: only from there is then searched, everywhere only if nothing is there.
     """
-    fitter = _Fitter(rod, seen)
-    if near is not None:
-        found = fitter.fit(near.tip, near.force_base, near.s_contact)
-        if found is not None and fitter.explains(found):
-            return [found]
-    places = fitter.traced()
-    if not any(fitter.explains(place) for place in places):
-        scanned = starts(rod, seen.gravity, seen.force, seen.wrench[3:6])
-        places = fitter.places((tip, seen.force, s) for s, tip in scanned)
-    if not any(fitter.explains(place) for place in places):
-        # The scan may be too coarse where the probe gives way.
-        exact = candidates(rod, seen.gravity, seen.force, seen.wrench[3:6])
-        places += fitter.places((eq.tip, seen.force, eq.s_contact) for eq in exact)
-    if rod.rounded_from is not None:
-        places += fitter.at_round_end(places)
-    return places or fitter.stalled
-
-
-def rough(rod: Rod, seen: Observation) -> Candidate | None:
-    """The likeliest of the places that one integration tells; None if it tells none."""
-    return min(_Fitter(rod, seen).traced(), key=lambda place: place.chi2, default=None)
+    return Fitter(rod, seen).locate(near)
 
 
 @dataclass
-class _Fitter:
+class Fitter:
     """Fits contacts to one reading.
 
     Attributes:
@@ -77,17 +59,42 @@ class _Fitter:
 
     def __post_init__(self) -> None:
         """The memory that the kernels work in."""
-        seen = self.seen
         self._work = np.empty(everywhere.room_for(len(self.rod.body.knots)))
-        self._reading = (
-            self.rod.body,
-            self.rod.flank_end,
-            seen.gravity,
-            seen.weight,
-            seen.wrench,
-            seen.whiten,
-            self._work,
-        )
+        self._rows = _NONE
+
+    @property
+    def _reading(self) -> tuple[Any, ...]:
+        """What every fit is told."""
+        seen = self.seen
+        return self.rod.body, self.rod.flank_end, seen.gravity, seen.weight, seen.wrench, seen.whiten
+
+    def known_to(self, whiten: Array) -> None:
+        """From now on the reading is known otherwise: see `Observation.whiten`, (6, 6)."""
+        self.seen, self.stalled = replace(self.seen, whiten=whiten), []
+
+    def likeliest(self) -> Array | None:
+        """The unknowns of the likeliest of the places that one integration tells, (STATE,); None if it tells none."""
+        rows = [row for row in self._everywhere(rough=True) if row[everywhere.FITTED] <= fit.AT_END]
+        return min(rows, key=_misfit)[_UNKNOWNS] if rows else None
+
+    def locate(self, near: Candidate | None = None) -> list[Candidate]:
+        """As the function of that name."""
+        rod, seen = self.rod, self.seen
+        if near is not None:
+            found = self.fit(near.tip, near.force_base, near.s_contact)
+            if found is not None and self.explains(found):
+                return [found]
+        places = self.traced()
+        if not any(self.explains(place) for place in places):
+            scanned = starts(rod, seen.gravity, seen.force, seen.wrench[3:6])
+            places = self.places((tip, seen.force, s) for s, tip in scanned)
+        if not any(self.explains(place) for place in places):
+            # The scan may be too coarse where the probe gives way.
+            exact = candidates(rod, seen.gravity, seen.force, seen.wrench[3:6])
+            places += self.places((eq.tip, seen.force, eq.s_contact) for eq in exact)
+        if rod.rounded_from is not None:
+            places += self.at_round_end(places)
+        return places or self.stalled
 
     def explains(self, place: Candidate) -> bool:
         """Whether a contact there may well have made the reading."""
@@ -95,9 +102,14 @@ class _Fitter:
 
     def traced(self) -> list[Candidate]:
         """What is found from wherever the trace says."""
+        return self._distinct(self._place(row) for row in self._everywhere(rough=False))
+
+    def _everywhere(self, rough: bool) -> Array:
+        """Fits from wherever the trace says or, where it was asked before, from what was fitted there, (n, ROW)."""
         rows = np.empty((everywhere.MOST, everywhere.ROW))
-        count = everywhere.fit_everywhere(*self._reading, rows)
-        return self._distinct(self._place(rows[k]) for k in range(count))
+        count = everywhere.fit_contacts(*self._reading, False, self._rows, rough, self._work, rows)
+        self._rows = rows[:count]
+        return self._rows
 
     def places(self, guesses: Iterable[tuple[Array, Array, float]]) -> list[Candidate]:
         """What is found from each guess, each place once."""
@@ -117,17 +129,17 @@ class _Fitter:
 
     def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
         """The fit from one guess; None if there is no least misfit near."""
-        row = np.empty(everywhere.ROW)
-        state = row[_UNKNOWNS]
+        rows = np.empty((1, everywhere.ROW))
+        state = rows[0, _UNKNOWNS]
         state[: fit.PUSH], state[fit.PUSH : fit.PLACE], state[fit.PLACE] = tip, force, s
-        everywhere.fit_near(*self._reading, row)
-        return self._place(row)
+        everywhere.fit_contacts(*self._reading, True, _NONE, False, self._work, rows)
+        return self._place(rows[0])
 
     def _place(self, row: Array) -> Candidate | None:
         """What a fit has found, if it is a least misfit."""
         if row[everywhere.FITTED] == fit.LOST:
             return None
-        place = self._candidate(row[_UNKNOWNS], row[everywhere.TOLD :])
+        place = self._candidate(row[_UNKNOWNS], row[everywhere.TOLD : everywhere.FROM])
         if row[everywhere.FITTED] != fit.STALLED:
             return place
         if not self.explains(place):
@@ -167,3 +179,7 @@ class _Fitter:
 
     def _same(self, a: Candidate, b: Candidate) -> bool:
         return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + _ALIKE * min(a.std_s, b.std_s)
+
+
+def _misfit(row: Array) -> float:
+    return float(row[everywhere.TOLD + spread.CHI2])

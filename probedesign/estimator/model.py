@@ -70,11 +70,11 @@ class ProbeModel:
 
     def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
         """What the rigid things between sensor face and s = 0 weigh on the sensor, in its frame, (6,)."""
-        weight: Array = self._hanging_by_gravity @ np.asarray(gravity_base, dtype=float)
+        weight: Array = self.hanging_by_gravity @ np.asarray(gravity_base, dtype=float)
         return weight
 
     @cached_property
-    def _hanging_by_gravity(self) -> Array:
+    def hanging_by_gravity(self) -> Array:
         """Of that wrench by gravity in base axes, (6, 3)."""
         R = self.T_sensor_base[:3, :3]
         return np.stack([self.hanging.wrench(R[:, i]) for i in range(3)], axis=1)
@@ -128,7 +128,7 @@ class ProbeModel:
         """What `observe` needs: wrenches' way to the sensor (6, 6), what hangs there by gravity (6, 3), the range
         (6,), and the whitening of one reading (6, 6)."""
         contiguous = np.ascontiguousarray
-        return (contiguous(self._sensor_from_base), contiguous(self._hanging_by_gravity),
+        return (contiguous(self._sensor_from_base), contiguous(self.hanging_by_gravity),
                 contiguous(self.readable), contiguous(self.whiten))  # fmt: skip
 
     def with_noise(self, noise: Noise) -> "ProbeModel":

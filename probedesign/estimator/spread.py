@@ -168,11 +168,12 @@ def _bend(i, point, along, seen, tangent, std, side):
 @inner
 def locate_contact(
     body, gravity, weight, wrench, whiten, low, high, most, load, sweep_work, nodes, blocks, y, contact, turns,
-    derivatives, work, state, answer,
+    derivatives, work, state, rough, answer,
 ):  # fmt: skip
     """Fit a contact from a guess and tell how well it is known.
 
     Args:
+        rough: whether its covariance is not asked for beyond the first order.
         answer: see the indices above, (ANSWER,), filled unless the fit is lost.
         work: (WORK,).
         The others as in `fit_contact`.
@@ -224,7 +225,7 @@ def locate_contact(
                 for n in range(UNKNOWNS):
                     total += by_load[UNKNOWNS * i + j] * cov[UNKNOWNS * j + n] * by_load[UNKNOWNS * k + n]
             cov_p[3 * i + k] = answer[LINEAR + 3 * i + k] = total if known else math.inf
-    if not std < KNOWN * body.knots[-1]:
+    if rough or not std < KNOWN * body.knots[-1]:
         return status
     fitted_turns = own[16:28].reshape((3, UNKNOWNS))
     for q in range(3):

@@ -93,6 +93,11 @@ class Tolerances:
         nothing: dict[str, Any] = {entry.name: 0.0 for entry in fields(cls) if entry.name != "tared"}
         return cls(**nothing)
 
+    @property
+    def exact(self) -> bool:
+        """Whether one reading is of a probe that is all as the model says."""
+        return replace(self, robot_mm=0.0, tared=True) == Tolerances.none()
+
     def sources(self) -> dict[str, str]:
         """Where each comes from, by name."""
         return {name: text if getattr(self, name) == getattr(Tolerances, name) else "design"

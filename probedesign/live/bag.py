@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.live.mcap import require
-from probedesign.live.recording_table import shown
+from probedesign.live.recording_table import plain, shown
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 """How the two kinds of files begin."""
@@ -147,7 +147,7 @@ class RosBag:
         self._reader = Reader
         try:
             with Reader(path) as reader:
-                self._channels = [Channel(c.topic, c.msgtype) for c in reader.connections]
+                self._channels = [Channel(str(c.topic), str(c.msgtype)) for c in reader.connections]
         except Exception as error:
             raise self._unreadable(error) from None
 
@@ -165,6 +165,10 @@ class RosBag:
             with self._reader(self.path) as reader:
                 wanted = [connection for connection in reader.connections if connection.topic in topics]
                 for connection, logged, data in reader.messages(wanted) if wanted else ():
+                    if not isinstance(data, bytes) or not isinstance(
+                        logged, int
+                    ):  # a database holds anything
+                        raise ValueError(f"a message of {connection.topic} is no message")
                     yield Message(connection.topic, logged, data)
         except InputError:
             raise
@@ -173,4 +177,5 @@ class RosBag:
 
     def _unreadable(self, error: Exception) -> InputError:
         """rosbags is written for honest bags: whatever it meets is told as the bag's fault."""
-        return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {error or type(error).__name__}")
+        told = plain(str(error), 200) or type(error).__name__
+        return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {told}")

@@ -10,7 +10,7 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.bag import Bag, Channel, Message, choose
 from probedesign.live.mcap.messages import WRENCH, read_stamped
-from probedesign.live.recording_table import shown
+from probedesign.live.recording_table import plain, shown
 
 AT_ONCE = 256
 """Readings to a block: few enough to be soon there, enough to be cheap."""
@@ -62,7 +62,7 @@ def find_wrenches(bag: Bag, topic: str = "") -> Published:
     first = next(iter(bag.messages({channel.topic})), None)
     if first is None:
         raise InputError(
-            f"{bag.path}: topic {channel.topic} holds no messages" + (bag.damage and f"; {bag.damage}")
+            f"{bag.path}: topic {plain(channel.topic)} holds no messages" + (bag.damage and f"; {bag.damage}")
         )
     stamp, frame_id, _ = _read(bag, first)
     return Published(bag, channel, frame_id, stamp == 0)

@@ -54,7 +54,8 @@ class Behind:
         """
         self._file, self._name, self._say, self._most, self._every = file, name, say, most, every
         self._queue: SimpleQueue[tuple[int, Callable[[], None]] | None] = SimpleQueue()
-        self._put = self._done = 0  # each counted by one thread alone, so that no lock is needed
+        self._put = self._done = 0
+        self._counting = threading.Lock()  # lines are told by several threads
         self._missing = [0, 0]
         self.readings = self.lost = 0
         self._failed = False
@@ -93,14 +94,15 @@ class Behind:
         """Have the job done, unless too much waits already."""
         if self._failed:
             return True  # it was told that nothing is recorded any more
-        waiting = self._put - self._done
-        if waiting and waiting + weight > self._most:
-            return False
-        if any(self._missing):
-            self._queue.put((0, partial(self._file.left_out, *self._missing)))
-            self._missing = [0, 0]
-        self._put += weight
-        self._queue.put((weight, job))
+        with self._counting:
+            waiting = self._put - self._done
+            if waiting and waiting + weight > self._most:
+                return False
+            if any(self._missing):
+                self._queue.put((0, partial(self._file.left_out, *self._missing)))
+                self._missing = [0, 0]
+            self._put += weight
+            self._queue.put((weight, job))
         return True
 
     def _leave_out(self, kind: int, count: int) -> None:

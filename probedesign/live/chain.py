@@ -30,6 +30,8 @@ from probedesign.live.watch import Say, Seen, Watch
 
 FEWEST = 8
 """Samples from which the source's rate is told, before anything else."""
+RECENT = 1000
+"""Batches of a tare's window that the test for touches learns from, at most: the last."""
 MANY = 500.0
 """Means a second beyond which somebody forgot to average."""
 
@@ -54,6 +56,7 @@ class Chain:
         self._estimator, self._plan, self._poses, self._say = estimator, plan, poses, say
         self._batches, self._waiting = Batches(plan.samples), deque[Batch]()
         self._taring = Taring(plan.window, estimator) if plan.window is not None else None
+        self._free = deque[Batch](maxlen=RECENT)
         self._contacts = Contacts()
         self._watch: Watch | None = None
         self._low_pass: LowPass | None = None
@@ -143,7 +146,7 @@ class Chain:
         if reading.stretch != self._stretch:
             self._interrupted(reading.stretch)
         smooth = self._filtered(batch.block, whole)
-        self._gather(reading)
+        self._gather(Batch(batch.block, reading))
         if self._taring is not None and not self._taring.asked:
             return
         self._seen = self._see(Batch(batch.block, reading))
@@ -209,14 +212,16 @@ class Chain:
         wrench = self._low_pass.run(block.wrench_sensor).mean(axis=0)
         return replace(reading, time=reading.time - self._low_pass.delay, wrench_sensor=wrench)
 
-    def _gather(self, reading: Reading) -> None:
+    def _gather(self, batch: Batch) -> None:
         """Let the tare that is being taken, if one is, have a reading; take it when its window is over."""
-        taring = self._taring
+        taring, reading = self._taring, batch.reading
         if taring is None or (taring.asked and self._refused()):
             return
         if not taring.over(reading, reading.time - self._first):
+            self._free.append(batch)
             return
-        self._taring = None
+        free, self._taring = tuple(self._free), None
+        self._free.clear()
         try:
             self.tare = taring.tare()
         except InputError as error:
@@ -227,6 +232,8 @@ class Chain:
         self._contacts.follow(reading.time, "", None)
         if self._watch is not None:
             self._anew()
+            since = self._first + taring.window.start
+            self._watch.learn([b for b in free if b.reading.time >= since], self.tare)
 
     def _refused(self) -> bool:
         """Whether a tare that is asked for is refused, since the probe is not free; that is told. Before the first
@@ -235,6 +242,7 @@ class Chain:
         if self.tare is None or phase in ("", "free"):
             return False
         self._taring = None
+        self._free.clear()
         self._say(f"tare refused: the probe is {phase}; the tare from before is kept")
         return True
 

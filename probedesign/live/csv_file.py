@@ -26,7 +26,11 @@ class CsvFile:
         """
         self._pieces = Pieces(path, force)
         self._pieces.write(f"# frame: sensor\n{HEADER},{GRAVITY_HEADER}\n".encode())
-        self._pieces.flush()
+        try:
+            self._pieces.flush()
+        except OSError:
+            self._pieces.abandon()
+            raise
 
     def read(self, block: Block) -> None:
         """A line a reading."""

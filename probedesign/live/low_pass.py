@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.signal import sosfilt
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
@@ -43,6 +42,8 @@ class LowPass:
 
     def run(self, samples: Array) -> Array:
         """The samples that come next (n, k), filtered."""
+        from scipy.signal import sosfilt  # half a second that only who filters waits for
+
         if self._state is None:  # each pole holds pole × value where it has rested at a value
             pole = -self._sections[0, 4]
             self._state = np.zeros((2, 2, samples.shape[1]))

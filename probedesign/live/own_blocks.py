@@ -12,6 +12,7 @@ from probedesign.live.bag import Bag
 from probedesign.live.block import Block
 from probedesign.live.mcap.messages import read_text, read_wrenches
 from probedesign.live.mcap.topics import BLOCK, RAW
+from probedesign.live.recording_table import plain
 
 LONGEST = 1_000_000
 """No source gives more readings at once: it is two minutes of the fastest."""
@@ -69,7 +70,7 @@ def _block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
     if len(time) != len(raw):
         raise ValueError(f"it tells of {len(time)} readings, {len(raw)} wrenches stand before it")
     wrench = read_wrenches(raw)
-    return first, Block(time, wrench, gravity, np.full(len(time), np.nan), fault[:200], stretch)
+    return first, Block(time, wrench, gravity, np.full(len(time), np.nan), plain(fault, 200), stretch)
 
 
 def _numbers(values: Any) -> Array:

@@ -27,6 +27,7 @@ class Pieces:
             raise InputError(f"{path}: exists; say --force to replace it, or name another file") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._path = path
         self._waiting: list[bytes] = []
         self._held = self._written = 0
 
@@ -59,3 +60,8 @@ class Pieces:
     def close(self) -> None:
         """Close the file; what was not flushed is not in it."""
         os.close(self._file)
+
+    def abandon(self) -> None:
+        """Close the file and take it away: nothing of it is any good."""
+        self.close()
+        self._path.unlink(missing_ok=True)

@@ -11,13 +11,14 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
+from probedesign.live.ati_demo import is_ati_demo, read_ati_demo
 from probedesign.live.bag import Attached, Bag, is_bag, open_bag
 from probedesign.live.bag_wrenches import Published, find_wrenches
 from probedesign.live.block import Block
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.recording import Recording, read_recording
 from probedesign.live.recording_columns import CEILING
-from probedesign.live.recording_table import Frame, shown
+from probedesign.live.recording_table import Frame, plain, shown
 from probedesign.units import MM
 
 MomentUnit = Literal["Nm", "Nmm"]
@@ -89,7 +90,7 @@ def open_recording(path: Path, model: ProbeModel, choice: Choice | None = None) 
 def _table(path: Path, model: ProbeModel, choice: Choice) -> Recorded:
     if choice.topic:
         raise InputError(f"{path}: has no topic {choice.topic!r}: it is no ROS 2 bag")
-    recording = read_recording(path)
+    recording = read_ati_demo(path) if is_ati_demo(path) else read_recording(path)
     hurt = recording.notes if recording.gaps or recording.dropped_lines else ()
     return Recorded(path, f"{len(recording.time)} readings", recording.frame, recording.notes,
                     lambda: _rows(recording, model), lambda: hurt)  # fmt: skip
@@ -125,7 +126,7 @@ def _own(bag: Attached, model: ProbeModel, choice: Choice) -> Recorded:
         return tuple(told)
 
     about = bag.metadata[OURS]
-    what = f"recorded {about.get('started', '')[:30]} from {about.get('source', '')[:100]}"
+    what = f"recorded {plain(about.get('started', ''))} from {plain(about.get('source', ''))}"
     return Recorded(bag.path, what, "sensor", notes, lambda: _checked(bag.path, blocks), lacking)
 
 
@@ -155,7 +156,9 @@ def _foreign(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
     published = find_wrenches(bag, choice.topic)
     named: Frame = "base" if published.frame_id == "base" else "sensor"
     frame = choice.frame or named
-    notes = [f"topic {published.channel.topic}, frame {shown(published.frame_id)}, taken for the {frame}'s"]
+    notes = [
+        f"topic {plain(published.channel.topic)}, frame {shown(published.frame_id)}, taken for the {frame}'s"
+    ]
     if published.unstamped:
         notes.append("its headers hold no time: the time of recording counts")
     notes += _check_unit(published, model, choice)
@@ -169,7 +172,7 @@ def _foreign(bag: Bag, model: ProbeModel, choice: Choice) -> Recorded:
                 wrench = model.to_sensor(wrench, model.gravity_base)
             yield Block(time, wrench, model.gravity_base, unread[: len(time)])
 
-    return Recorded(bag.path, f"topic {published.channel.topic}", frame, tuple(notes),
+    return Recorded(bag.path, f"topic {plain(published.channel.topic)}", frame, tuple(notes),
                     lambda: _checked(bag.path, blocks()),
                     lambda: (f"not whole: {bag.damage}",) if bag.damage else ())  # fmt: skip
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
-from probedesign.live.recording_columns import HEADER, NUMBER, Column, columns_of
+from probedesign.live.recording_columns import CEILING, HEADER, NUMBER, WRENCH, Column, columns_of
 from probedesign.live.recording_table import Frame, Table, read_table, shown
 
 GAP = 1.5
@@ -152,6 +152,22 @@ def _check(table: Table, columns: list[Column], values: Array) -> None:
         i = int(np.argmax(backward)) + 1
         times = f"from {values[i - 1, 0]:.9g} s to {values[i, 0]:.9g} s"
         table.fail(table.numbers[i], f"time runs backward, {times}; sort the rows or split the recording")
+
+
+def check_values(path: Path, recording: Recording) -> None:
+    """Refuse a recording with values that no sensor reads.
+
+    Raises:
+        InputError: a force or a moment is absurd; the line tells its time.
+    """
+    ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
+    absurd = np.argwhere(~(np.abs(recording.wrench) <= ceiling))
+    if len(absurd):
+        i, j = absurd[0]
+        value = f"{WRENCH[j].capitalize()} = {recording.wrench[i, j]:g} {'N' if j < 3 else 'N·m'}"
+        raise InputError(
+            f"{path}: {value} at {recording.time[i]:.9g} s is no reading; raw counts or a wrong unit?"
+        )
 
 
 def gaps_in(time: Array) -> tuple[int, int]:

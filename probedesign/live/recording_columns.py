@@ -84,18 +84,23 @@ def columns_of(table: Table) -> list[Column]:
 def _column(table: Table, index: int, name: str) -> Column | None:
     """What a column of that name holds; None if it is nothing of ours.
 
-    The name's stem may end at anything but a letter, so that `Fx`, `Fx (N)` and `Fx[N]` are recognised and
-    refused for saying their unit in no way or in another.
+    The name's stem may end at anything but a letter, and the unit may be spelt as one likes: `Fx_N`, `Fx (N)`,
+    `Mx [N·mm]`. `Fx` alone is recognised too, and refused for saying no unit.
     """
     stem = re.match(r"[a-z]*", name.lower()).group()  # type: ignore[union-attr]  # matches everything
     quantity = ALIASES.get(stem, stem)
     if quantity not in KIND:
         return None
     units = UNITS[KIND[quantity]]
-    unit = name[len(stem) :]
-    factor = {f"_{known}".lower(): factor for known, factor in units.items()}.get(unit.lower())
+    unit = name[len(stem) :].strip(" _()[]")
+    factor = {_letters(known): factor for known, factor in units.items()}.get(_letters(unit))
     if factor is None:
-        says = f"unit {shown(unit[1:])} is not known" if unit.startswith("_") else "names no unit"
+        says = f"unit {shown(unit)} is not known" if unit else "names no unit"
         endings = ", ".join(f"_{known}" for known in units)
         table.fail(table.header_number, f"column {shown(name)}: {says}; end its name in one of {endings}")
     return Column(quantity, index, factor, name)
+
+
+def _letters(unit: str) -> str:
+    """What a unit's spellings have in common: N·mm, N-mm, N mm and Nmm."""
+    return re.sub(r"[\W_]", "", unit.lower().replace("µ", "u"))

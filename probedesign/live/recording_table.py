@@ -47,7 +47,7 @@ def read_table(path: Path, like: str) -> Table:
     Raises:
         InputError: the file cannot be read, is no text, is empty or names no known frame.
     """
-    text = _text(path)
+    text = read_text(path)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     held = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
     comments = [(i, line) for i, line in held if line.lstrip().startswith("#")]
@@ -68,7 +68,17 @@ def shown(text: str) -> str:
     return quoted if len(quoted) <= 40 else quoted[:37] + "..."
 
 
-def _text(path: Path) -> str:
+def plain(text: str, most: int = 100) -> str:
+    """A piece of a file as it may stand in a sentence: nothing that a terminal obeys, never long."""
+    return "".join(c for c in text[:most] if c.isprintable())
+
+
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: it cannot be read, or is no text in UTF-8.
+    """
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:

@@ -1,7 +1,10 @@
 """Watches the probe while readings come: touching or not, the phase, the fusion, the contacts so far."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from probedesign.estimator.detector import Detector, Touching
 from probedesign.estimator.estimator import Estimator
@@ -65,6 +68,7 @@ class Watch:
             of_means = Estimator(replace(model, averaging_samples=1))
             self._tracker = Tracker(of_means, gravity_world=poses.gravity_world, rate=rate / samples)
         self._seen = self._unknown
+        self._each, self._last = samples / rate, math.nan
 
     @property
     def _unknown(self) -> Seen:
@@ -78,12 +82,12 @@ class Watch:
             tare: of the bias.
             T_world_base: of the base, (4, 4), if poses are known.
         """
-        model, gravity = self._estimator.model, batch.reading.gravity_base
+        gravity = batch.reading.gravity_base
         free = self._estimator.free(gravity)
         if not free.ok:
             return self._unknown
-        bias = 0.0 if tare is None else tare.bias_sensor
-        beyond = model.to_base(batch.block.wrench_sensor - bias, gravity) - free.wrench_base
+        self._missed(batch.reading.time)
+        beyond = self._beyond(batch, tare)
         mean, said = beyond.mean(axis=0), self._detector.run(beyond)
         phase = self._phases.next("lost" if "lost" in said else said[-1], mean, T_world_base)
         fused = self._fused(said, mean + free.wrench_base, T_world_base, batch.reading.time)
@@ -91,6 +95,25 @@ class Watch:
         self._check(batch.reading.time, phase, mean, T_world_base)
         self._seen = Seen(phase, fused)
         return self._seen
+
+    def learn(self, batches: list[Batch], tare: Tare) -> None:
+        """See batches of a probe that is known to be free, as those of the tare are: how it sways, and how the bias
+        has walked since their mean."""
+        if batches:
+            self._detector.calibrate(np.concatenate([self._beyond(batch, tare) for batch in batches]))
+
+    def _beyond(self, batch: Batch, tare: Tare | None) -> Array:
+        """Its samples at the base, less the free probe's, (n, 6)."""
+        gravity, bias = batch.reading.gravity_base, 0.0 if tare is None else tare.bias_sensor
+        samples = self._estimator.model.to_base(batch.block.wrench_sensor - bias, gravity)
+        return samples - self._estimator.free(gravity).wrench_base
+
+    def _missed(self, time: float) -> None:
+        """Let the test know of samples that never came."""
+        gap = time - self._last - self._each
+        if gap > self._each:
+            self._detector.rest(gap)
+        self._last = time
 
     def interrupted(self) -> None:
         """Readings are missing between the last and the next."""
@@ -118,11 +141,11 @@ class Watch:
         if phase not in ("touching", "settled"):
             return self._timing.forget()
         if phase == "settled" and self._seen.phase == "touching":
-            late = self._timing.late()
-            if abs(late) > TOLD:
+            late = 1e3 * self._timing.late()
+            if abs(late) > 1e3 * TOLD:
                 stated = 1e3 * self._poses.latency
                 self._say(
-                    f"poses: in this touch they came {1e3 * late:.0f} ms later than stated, by the wrench; "
-                    f"is it --pose-latency-ms {stated + 1e3 * late:.0f} rather than {stated:g}?",
+                    f"poses: in this touch they came {abs(late):.0f} ms {'later' if late > 0 else 'earlier'} than "
+                    f"stated, by the wrench; is it --pose-latency-ms {stated + late:.0f} rather than {stated:g}?"
                 )
         self._timing.see(time, T[:3, 3], beyond)

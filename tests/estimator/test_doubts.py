@@ -4,6 +4,8 @@ Limits on counts and means are quantiles with 1e-4 on either side of the statist
 program fails once in thousands of seeds; the seeds are kept.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -49,14 +51,19 @@ def test_the_ellipsoid_holds_the_truth_as_it_says(drawn):
     assert stats.binom(len(off), 0.95).ppf(RARE) - 0.03 * len(off) <= inside
 
 
-def test_no_tolerances_are_the_exact_probe(large, touched):
+def test_tolerances_of_next_to_nothing_are_the_exact_probe(large, touched):
     estimator = large.estimator()
     wrench = touched(0.09, 0.03)
-    exact, none = estimator.estimate(wrench), estimator.with_tolerances(Tolerances.none()).estimate(wrench)
+    least = replace(Tolerances.none(), density=1e-9)
+    exact, none = estimator.estimate(wrench), estimator.with_tolerances(least).estimate(wrench)
     assert none.result == exact.result == "ok"
     # The fit ends within a hundredth of a standard deviation, from another start.
     assert abs(none.s_contact - exact.s_contact) < 0.02 * exact.std_s
     assert np.allclose(none.cov_contact_base, exact.cov_contact_base, rtol=0.02, atol=1e-3 * exact.std_s**2)
+
+
+def test_no_tolerances_are_no_doubt(large):
+    assert large.estimator().with_tolerances(Tolerances.none()).tolerances is None
 
 
 def test_doubt_only_widens_what_noise_leaves(large, touched):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.design import check_design
-from probedesign.estimator.likelihood import _Fitter
+from probedesign.estimator.likelihood import Fitter
 from probedesign.estimator.locate import starts
 from probedesign.estimator.observation import Observation
 from probedesign.probe import build_probe
@@ -32,7 +32,7 @@ SHAPES = {
 def fitter_of(model, gravity, wrench):
     free = model.rod.solve(gravity).wrench_base
     seen = Observation.of(model, wrench[None], gravity, free)
-    return _Fitter(model.rod, seen)
+    return Fitter(model.rod, seen)
 
 
 def noisy(model, gravity, count, rng):

@@ -15,7 +15,7 @@ from probedesign.cli.main import run
 from probedesign.live.block import readings_in
 from probedesign.live.recorder import Recorder
 from probedesign.live.recording import read_recording
-from probedesign.live.row import COLUMNS, TRUE_COLUMNS
+from probedesign.live.row import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
 from probedesign.live.simulate import Simulation
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
@@ -166,6 +166,21 @@ def test_live_prints_lines_of_json(call, bundle):
     assert_positions_only_with_ok(rows, None)
 
 
+def test_live_with_poses_tells_the_world(call, bundle, tmp_path):
+    """The base stands at one pose, x and z exchanged, told twice, 20 s apart."""
+    path = tmp_path / "poses.csv"
+    names, pose = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", "100,0,0,0,0.7071,0,0.7071"
+    path.write_text(f"{names}\n-1,{pose}\n21,{pose}\n")
+    options = ("--pose", f"{path}?limit_ms=30000", "--gravity-world", "0,0,-9.81", "--seconds", 8, "--json")
+    status, out, err = call("live", bundle, "--source", "sim:?speed=max&rate_hz=10", *options)
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert status == 0 and "2 poses of" in err
+    assert tuple(rows[0]) == (*COLUMNS, *WORLD_COLUMNS, *TRUE_COLUMNS)
+    assert {row["stale"] for row in rows} == {""}
+    assert {row["fused_result"] for row in rows if row["phase"] == "free"} == {"no_contact"}
+    assert "touching" in {row["phase"] for row in rows}
+
+
 def test_live_stops_where_it_is_told(call, bundle):
     assert len(call("live", bundle, "--source", SIM, "--count", 3)[1].splitlines()) == 3
     assert len(call("live", bundle, "--source", SIM, "--seconds", 2)[1].splitlines()) == 6
@@ -194,13 +209,17 @@ def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--source", "netfd://host"], "there are netft://HOST, replay:FILE and sim:"),
+        (["--source", "netfd://host"], "replay:FILE and sim:"),
         (["--source", "sim:?force=1"], "did you mean force_mN?"),
         (["--source", SIM, "--rate-hz", "nan"], "--rate-hz nan must be positive"),
         (["--source", SIM, "--seconds", "0"], "--seconds 0.0 must be positive"),
         (["--source", SIM, "--count", "0"], "--count 0 must be positive"),
         (["--source", SIM, "--average", "-1"], "--average -1 must be positive"),
         (["--source", SIM, "--tare-s", "1"], "START:END"),
+        (["--source", SIM, "--filter-hz", "0"], "--filter-hz 0.0 must be positive"),
+        (["--source", SIM, "--filter-hz", "2"], "--filter-hz 2 must be positive and below half of 3"),
+        (["--source", SIM, "--pose", "none.csv"], "none.csv: no such file of poses"),
+        (["--source", SIM, "--pose", "udp://:99999"], "write udp://:PORT"),
         ([], "--source"),
     ],
 )

@@ -34,7 +34,7 @@ def stream(estimator: Estimator, tmp_path_factory):
 
 def started(bundle, stream, record) -> "subprocess.Popen[str]":
     """`live` as a process of its own at the sensor's pace, with the signals that a shell gives a foreground job."""
-    command = [*PROGRAM, "live", str(bundle), "--source", f"replay:{stream}", "--json", "--average", "35"]
+    command = [*PROGRAM, "live", str(bundle), "--source", f"replay:{stream}", "--json", "--average", "350"]
 
     def heard() -> None:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -76,7 +76,7 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
         counts = {c.topic: c.msgcount for c in reader.connections}
     assert counts["/probedesign/wrench_raw"] == len(time)
     assert (
-        run(["live", str(bundle), "--source", f"replay:{saved}?speed=max", "--json", "--average", "35"]) == 0
+        run(["live", str(bundle), "--source", f"replay:{saved}?speed=max", "--json", "--average", "350"]) == 0
     )
     again = capsys.readouterr().out.splitlines(keepends=True)
     assert len(again) >= 10 and again[: len(lines)] == lines[: len(again)]

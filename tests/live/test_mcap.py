@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from probedesign.errors import InputError
+from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimator.estimate import Estimate
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
@@ -325,3 +325,11 @@ def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_pat
     if "time" not in change:
         faulty = replace(block(0, 2), fault="saturated", **change)
         assert same(read(write(tmp_path / "faulty.mcap", model, [faulty]), model)[1][0], faulty)
+
+
+def test_without_the_package_one_line_says_what_to_install(whole, model, tmp_path, monkeypatch):
+    monkeypatch.setattr("probedesign.live.mcap.find_spec", lambda name: None)
+    for attempt in (lambda: read(whole, model), lambda: McapFile(tmp_path / "new.mcap", model)):
+        with pytest.raises(MissingDependencyError, match=r'pip install "probedesign\[live\]"'):
+            attempt()
+    assert not (tmp_path / "new.mcap").exists()

@@ -232,15 +232,17 @@ def test_hostile_datagrams_are_left_out_and_counted(listener, robot):
 
 
 def test_a_flood_costs_no_more_than_its_share(listener, robot):
-    """Ten thousand at once: taken are the first of a tick and those that the system's buffer held for the next."""
-    for i in range(10_000):
-        robot.send(json.dumps(GOOD | {"time_s": 1.0 + 1e-5 * i}).encode())
-    heard(listener, 20)
-    time.sleep(0.05)
-    robot.send(json.dumps(GOOD | {"time_s": 1.5}).encode())
-    assert listener.counts["bursts"] >= 1
-    assert listener.counts["taken"] < 10_000
-    assert any("more than 2000 datagrams a second" in line for line in listener.said())
+    """As many as it takes to be told, faster than is read: taken is no more than the ticks allow."""
+    start, lines, i = time.monotonic(), [], 0
+    while not any("more than 2000 datagrams a second" in line for line in lines):
+        assert time.monotonic() - start < 30.0
+        for _ in range(100):
+            i += 1
+            robot.send(json.dumps(GOOD | {"time_s": 1.0 + 1e-5 * i}).encode())
+        lines += listener.said()
+        time.sleep(0.001)
+    ticks = (time.monotonic() - start) / 0.010 + 2.0
+    assert listener.counts["taken"] <= 20.0 * ticks < i
 
 
 def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):

@@ -115,6 +115,7 @@ def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
     recordings = Recordings(tmp_path / "full.mcap", model, lambda line: None)
     with pytest.raises(InputError, match="cannot be written: No space left on device"):
         recordings.start()
+    assert not list(tmp_path.iterdir())
 
 
 def test_each_start_is_a_new_file(model, tmp_path):

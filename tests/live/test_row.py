@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.estimator.estimate import Estimate
+from probedesign.estimator.fused import Fused
+from probedesign.live.answer import Answer
+from probedesign.live.contacts import Contact
 from probedesign.live.reading import FREE, Reading, Truth
-from probedesign.live.row import COLUMNS, csv_line, json_line, readable_line, row
+from probedesign.live.row import COLUMNS, WORLD_COLUMNS, csv_line, json_line, readable_line, row, world_row
 
 P, SURFACE, FORCE = (
     np.array([0.001, 0.002, 0.003]),
@@ -60,3 +63,25 @@ def test_the_readable_line():
         "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   1.0,    2.0,    3.0) mm  F   500.0 mN"
         "  true s   80.1 mm"
     )
+
+
+def test_the_world_in_its_units():
+    fused = Fused("ok", 2.0 * P, SURFACE, COV, rms=1e-3)
+    contacts = (Contact(7, 1.0),)
+    told = world_row(Answer(TRUE, FOUND, "settled", fused, contacts=contacts))
+    assert tuple(told) == WORLD_COLUMNS
+    values = list(told.values())
+    assert values[:2] == ["settled", "ok"] and values[-2:] == [7, ""]
+    expected = [2.0, 4.0, 6.0, 4.0, 5.0, 6.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert values[2:-2] == pytest.approx(expected, rel=1e-15)
+
+
+def test_without_a_pose_the_world_is_empty():
+    answer = Answer(
+        TRUE, FOUND, "", Fused("out_of_range"), stale="pose", contacts=(Contact(1, 0.0, end=0.5),)
+    )
+    told = json.loads(json_line(world_row(answer)))
+    assert {name: value for name, value in told.items() if value is not None} == {
+        "phase": "", "fused_result": "out_of_range", "stale": "pose"
+    }  # fmt: skip
+    assert "world: no pose" in readable_line(0.0, TRUE, FOUND, answer)

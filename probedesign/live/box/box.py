@@ -99,6 +99,11 @@ class Box:
         host, port = self.address
         return f"netft://{host}:{port}?http={self.http_port}"
 
+    @property
+    def gone(self) -> float:
+        """How long the base has been on its way [s]: since the first request."""
+        return monotonic() - self._moving if self._moving is not None else 0.0
+
     def __enter__(self) -> "Box":
         self._threads = [
             threading.Thread(target=self._serve, name="box-rdt", daemon=True),

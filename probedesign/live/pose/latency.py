@@ -22,8 +22,12 @@ TOLD = 0.010
 """Less than this is not told [s]: at 10 mm/s it is a tenth of a millimetre, what a tracker's node may hold."""
 SURE = 25.0
 """By so much χ² must the shift explain the readings better than none: five standard deviations."""
+LEAST = 0.2
+"""Of what is told, which the shift must be known to."""
 WAY = 0.5e-3
 """A base that went less far [m] tells nothing."""
+GAP = 0.1
+"""Between readings of a touch that is looked at [s]."""
 FEWEST = 20
 """Readings within the reach of all shifts."""
 SPAN = 4.0
@@ -44,7 +48,9 @@ class Timing:
     _seen: deque[tuple[float, Array, Array]] = field(default_factory=lambda: deque(maxlen=MOST))
 
     def see(self, time: float, p_world_base: Array, wrench: Array) -> None:
-        """Take in a reading of the touch [s, m, N and N·m]."""
+        """Take in a reading of the touch [s, m, N and N·m]; before a gap there may have been another."""
+        if self._seen and time - self._seen[-1][0] > GAP:
+            self.forget()
         self._seen.append((time, p_world_base, self.whiten @ wrench))
         while time - self._seen[0][0] > SPAN:
             self._seen.popleft()
@@ -73,7 +79,10 @@ class Timing:
         if i in (0, len(shifts) - 1):
             return math.nan
         before, here, after = left[i - 1 : i + 2]
-        return float(shifts[i] + 0.5 * STEP * (before - after) / (before - 2.0 * here + after))
+        bend = before - 2.0 * here + after
+        late = float(shifts[i] + 0.5 * STEP * (before - after) / bend)
+        std = STEP * math.sqrt(2.0 * noise / bend)  # where χ² is up by one
+        return late if std < LEAST * TOLD else math.nan
 
 
 def _along(rows: Array) -> Array:

@@ -65,6 +65,7 @@ class Poses:
             self.track = Track.of((self._later(pose, -latency) for pose in poses), limit)
         self._wrench, self._robot = Offset(), Offset()
         self._session = 0
+        self._last: tuple[float, Array | None] = (math.nan, None)
 
     def refresh(self, block: Block) -> None:
         """Take in what was heard since the last call, and how the wrench's clock goes."""
@@ -83,7 +84,9 @@ class Poses:
 
     def at(self, time: float) -> Array | None:
         """T_world_base (4, 4) at a time [s]; None where there is no pose that may be trusted."""
-        return self.track.at(time)
+        if time != self._last[0] or self._last[1] is None:  # one batch asks several times
+            self._last = (time, self.track.at(time))
+        return self._last[1]
 
     def awaits(self, time: float, newest: float) -> bool:
         """Whether the pose after a time may come yet, the newest reading being from `newest` [s]."""
