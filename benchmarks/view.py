@@ -106,10 +106,10 @@ def screenshot(tab: Any) -> bytes:
 
 
 def _write(shot: bytes, picture: Path) -> None:
-    """With 200 colours, which takes less than half the room."""
+    """With 256 colours, which takes less than half the room."""
     from PIL import Image
 
-    Image.open(io.BytesIO(shot)).convert("RGB").quantize(200, dither=Image.Dither.NONE).save(
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(
         picture, optimize=True
     )
 

@@ -3,6 +3,7 @@
 import json
 import math
 from collections import Counter
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -253,6 +254,15 @@ def test_each_touch_is_kept_once_at_its_surest(estimator):
         # the simulated touch is told best near its far end, where a force bends the probe most; it moves by
         # 2.8 mm between two readings
         assert place.s == pytest.approx(0.95 * estimator.model.rod.length, abs=6e-3)
+
+
+def test_a_settled_place_is_kept_over_surer_ones_that_move(estimator):
+    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._answer.estimate
+    surer, keeper = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), Keeper()
+    for estimate, phase in ((found, "settled"), (surer, "touching"), (Estimate("no_contact"), "released")):
+        keeper.answered(answer(estimator, estimate, phase=phase))
+    (place,) = keeper.moment().touches
+    assert (place.s, place.std_s) == (found.s_contact, found.std_s)
 
 
 def test_a_known_pose_puts_the_contact_into_the_world(estimator):

@@ -48,6 +48,7 @@ class Keeper:
         self._last_said = {"tare": "", "recording": ""}
         self._touches: deque[Place] = deque(maxlen=TOUCHES)
         self._touching: Place | None = None
+        self._settled = False
         self._number = 1
 
     def read(self, block: Block) -> None:
@@ -113,17 +114,18 @@ class Keeper:
         return answer.contacts[-1].number if answer.contacts else self._number
 
     def _follow(self, answer: Answer) -> None:
-        """Keep the surest place of a touch: the last one where somebody says that the touch has settled, else
-        that of least deviation."""
+        """Keep the surest place of a touch: the last one that it was settled at, else that of least deviation."""
         place = place_of(answer, self._counted(answer))
         if place is not None and answer.phase in ("", "touching", "settled"):
+            settled = answer.phase == "settled"
             surer = self._touching is None or place.std_s <= self._touching.std_s
-            if surer or answer.phase == "settled":
+            if settled or (surer and not self._settled):
                 self._touching = place
+            self._settled |= settled
         free = answer.phase in ENDED if answer.phase else answer.estimate.result == "no_contact"
         if free and self._touching is not None:
             self._touches.append(self._touching)
-            self._touching, self._number = None, self._number + 1
+            self._touching, self._settled, self._number = None, False, self._number + 1
 
 
 def place_of(answer: Answer, number: int) -> Place | None:
