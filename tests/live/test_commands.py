@@ -63,7 +63,8 @@ def assert_positions_only_with_ok(rows: list[dict], nothing) -> None:
 def test_estimate_prints_csv(call, bundle, recording):
     status, out, err = call("estimate", bundle, recording)
     rows = list(csv.DictReader(out.splitlines()))
-    assert (status, err) == (0, "")
+    # Nothing is noted but that kernels compile, where they have to.
+    assert (status, [line for line in err.splitlines() if "compiling" not in line]) == (0, [])
     assert tuple(rows[0]) == COLUMNS
     assert [float(row["time_s"]) for row in rows] == read_recording(recording).time.tolist()
     assert_positions_only_with_ok(rows, "")
