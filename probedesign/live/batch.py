@@ -1,6 +1,6 @@
 """Samples that make one averaged reading, cut from blocks of any size."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +43,14 @@ class Batches:
         if start < len(block):
             self._held.append(block[start:])
             self._count += len(block) - start
+
+
+def averaged(blocks: Iterable[Block], samples: int) -> Iterator[Reading]:
+    """Means of `samples` readings one after the other."""
+    batches = Batches(samples)
+    for block in blocks:
+        for batch in batches.cut(block):
+            yield batch.reading
 
 
 def _batch(parts: list[Block]) -> Batch:

@@ -6,28 +6,8 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.live.block import Block, readings_in
+from probedesign.live.block import Block
 from probedesign.live.reading import Reading, Truth
-
-
-def averaged(blocks: Iterable[Block], samples: int) -> Iterator[Reading]:
-    """Means of `samples` readings one after the other; what is left at the end of a stretch and fills no mean is
-    dropped."""
-    if samples == 1:
-        yield from readings_in(blocks)
-        return
-    held: list[Block] = []
-    count = 0
-    for block in blocks:
-        if held and held[0].stretch != block.stretch:
-            held, count = [], 0
-        while count + len(block) >= samples:
-            missing = samples - count
-            yield mean([*held, block[:missing]])
-            block, held, count = block[missing:], [], 0
-        if len(block):
-            held.append(block)
-            count += len(block)
 
 
 def mean(blocks: list[Block]) -> Reading:

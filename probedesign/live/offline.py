@@ -9,7 +9,7 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
-from probedesign.live.flow import averaged
+from probedesign.live.batch import averaged
 from probedesign.live.locate import locate
 from probedesign.live.reading import Reading
 from probedesign.live.recorded import Choice, Recorded, open_recording

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from probedesign.errors import MissingDependencyError
+from probedesign.live.batch import averaged
 from probedesign.live.block import Block
 from probedesign.live.box.faults import Faults
 from probedesign.live.box.transducer import OFFSET
-from probedesign.live.flow import averaged
 from probedesign.live.netft import wire
 from probedesign.live.netft.clock import SensorClock
 from probedesign.live.netft.session import STALE

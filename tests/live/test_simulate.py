@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
+from probedesign.live.batch import averaged
 from probedesign.live.block import readings_in
-from probedesign.live.flow import averaged
 from probedesign.live.reading import Reading
 from probedesign.live.run import locate
 from probedesign.live.simulate import Simulation

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
+from probedesign.live.batch import averaged
 from probedesign.live.block import Block, blocks_of, silence
-from probedesign.live.flow import averaged, paced, until
+from probedesign.live.flow import paced, until
 from probedesign.live.reading import Reading
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.source import open_source
