@@ -79,7 +79,7 @@ def live(
     from probedesign.deployment import load_estimator
     from probedesign.live.pose.spec import open_poses
     from probedesign.live.publish import Publisher
-    from probedesign.live.recordings import Recordings, check_name
+    from probedesign.live.recordings import Recordings
     from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream
     from probedesign.live.sinks import Sinks, Spoken
@@ -89,17 +89,12 @@ def live(
     from probedesign.live.view.view import View
     from probedesign.live.warm_up import warm_up
 
-    replayed = Path(source.partition("?")[0].removeprefix("replay:"))
-    if record is not None and record.exists() and replayed.exists() and record.samefile(replayed):
-        raise InputError(f"--record {record} is the recording that is replayed; name another file")
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
     estimator = estimator if exact_model else estimator.with_tolerances()
     if record is not None:
-        check_name(record)
-    if record is not None and record.exists() and not force:
-        raise InputError(f"{record}: exists already; --force replaces it, or name another file")
+        _check_record(record, source, force)
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
              "exact_model": str(exact_model).lower()}  # fmt: skip
     with closing(Sinks(Spoken())) as sinks, ending_well():
@@ -127,6 +122,18 @@ def live(
         by_itself = _print(answers, sinks.say, as_json, drawn)
         if view and by_itself and _on_terminal():
             _stay(sinks.say)
+
+
+def _check_record(record: Path, source: str, force: bool) -> None:
+    """Refuse to replace a file unasked, and the recording that is replayed at all."""
+    from probedesign.live.recordings import check_name
+
+    check_name(record)
+    replayed = Path(source.partition("?")[0].removeprefix("replay:"))
+    if record.exists() and replayed.exists() and record.samefile(replayed):
+        raise InputError(f"--record {record} is the recording that is replayed; name another file")
+    if record.exists() and not force:
+        raise InputError(f"{record}: exists already; --force replaces it, or name another file")
 
 
 def _print(
