@@ -231,13 +231,16 @@ def optimize(
     if trials:
         check_installed()
     best = optimum(search, path.stem, tell)
-    confirmed = None
-    if draws:
-        confirmed = (confirm(search.start, best.task, draws, seed, tell),
-                     confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
-    shown = front(search, trials, seed, tell) if trials else None
-    write_design(design_text(search, best), path, force)
-    files = [path]
+    write_design(design_text(search, best), path, force)  # before what may be interrupted or find nothing
+    files, confirmed = [path], None
+    try:
+        if draws:
+            start_gives_way = best.before.error_mm is None
+            confirmed = (None if start_gives_way else confirm(search.start, best.task, draws, seed, tell),
+                         confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
+        shown = front(search, trials, seed, tell) if trials else None
+    except InputError as error:
+        raise InputError(f"{path} is written, but {error}") from None
     if shown is not None:
         files.append(path.with_name(f"{path.stem}-front.csv"))
         write_atomically(files[1], shown.csv())

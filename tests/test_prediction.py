@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from probedesign.design import load_design
+from probedesign.cli.prediction_tables import print_all
+from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
 from probedesign.prediction.predict import DIRECTIONS, Condition, predict, predict_touch
 from probedesign.prediction.quantile import radius_95
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
+from probedesign.search.grid import tables_of
 from probedesign.sensor import Noise
 
 DESIGNS = Path(__file__).parents[1] / "designs"
@@ -136,6 +138,30 @@ def test_a_touch_that_the_probe_cannot_hold_has_no_numbers(large):
     found = predict_touch(large.estimator(), 1.0, 5.0, "+y")
     assert found.result in ("gives_way", "not_converged")
     assert found == Condition(1.0, 5.0, "+y", found.result)
+
+
+def made_of(youngs_mpa):
+    """The large probe of another material."""
+    tables = tables_of(load_design(DESIGNS / "large.toml"))
+    tables["material"] |= {"youngs_modulus_mpa": youngs_mpa, "shear_modulus_mpa": youngs_mpa / 3.0}
+    return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))
+
+
+def test_a_force_that_is_not_borne_is_not_felt():
+    """So soft a tip hangs and gives way under less than the sensor tells."""
+    soft = made_of(0.02)
+    borne = {(r.contact_fraction, r.direction): r.greatest_force_N for r in soft.reach}
+    felt = {(d.contact_fraction, d.direction): d.detectable_force_mN for d in soft.detection}
+    assert felt[1.0, "+x"] is None or felt[1.0, "-x"] is None
+    assert all(force is None or force <= 1e3 * borne[line] for line, force in felt.items())
+    assert felt[0.5, "+x"] is not None
+
+
+def test_what_is_not_located_has_no_budget_in_the_tables(capsys):
+    """Moments alone of a probe that does not bend tell no place, whatever a linear formula makes of it."""
+    print_all(made_of(20000.0))
+    fused = capsys.readouterr().out.split("Error budget")[2]
+    assert "none, for no place is located" in fused and "e+" not in fused.split("What it takes")[0]
 
 
 def test_mirror_sides_err_alike(large):

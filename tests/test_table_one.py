@@ -62,7 +62,9 @@ def test_the_command_tells_the_same(table, capsys):
     assert len(document["by_diameter"]) == 8
 
 
-@pytest.mark.parametrize("arguments", [["predict"], ["predict", "designs/large.toml", "--table1"]])
+@pytest.mark.parametrize("arguments", [["predict"], ["predict", "designs/large.toml", "--table1"],
+                                       ["predict", "--table1", "--out", "elsewhere"],
+                                       ["predict", "--table1", "--monte-carlo", "50"]])  # fmt: skip
 def test_either_a_design_or_the_table(arguments, capsys):
     assert run(arguments) == 2
     assert "--table1" in capsys.readouterr().err

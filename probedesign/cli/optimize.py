@@ -75,7 +75,9 @@ def optimize(
         print("wrote", ", ".join(map(str, found.files)))
 
 
-def _print(found: "Optimum", confirmed: "tuple[Confirmed, Confirmed] | None", front: "Front | None") -> None:
+def _print(
+    found: "Optimum", confirmed: "tuple[Confirmed | None, Confirmed] | None", front: "Front | None"
+) -> None:
     print(f"{found.design.name}: {found.task.text}")
     print(f"  {'':<16}{'start':>12}{'best':>12}")
     before, after = found.before.as_dict(), found.after.as_dict()
@@ -83,6 +85,9 @@ def _print(found: "Optimum", confirmed: "tuple[Confirmed, Confirmed] | None", fr
         print(f"  {name:<16}{_cell(before[name]):>12}{_cell(after[name]):>12}")
     if confirmed is not None:
         for name, one in zip(("start", "best"), confirmed, strict=True):
+            if one is None:
+                print(f"  {name}: gives way, so nothing was drawn")
+                continue
             print(f"  {name}, drawn and fused: {one.rms_mm:.3g} mm RMS, {one.expected_mm:.3g} mm but for the luck of "
                   f"the draws, bound {one.bound_mm:.3g} mm, {one.located} of {one.drawn} located")  # fmt: skip
     print(f"  held back by: {', '.join(found.binding) or 'nothing: it is a free optimum'}")

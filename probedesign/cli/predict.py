@@ -49,6 +49,8 @@ def predict(
             "predict needs a design file, or --table1 and none: probedesign predict designs/NAME.toml"
         )
     if design is None:
+        if (out, monte_carlo, seed, touches, forces_too, plots) != (None, None, 0, 5, False, None):
+            raise InputError("--table1 takes --json alone: it writes no files and fuses nothing")
         with working("predicting the paper's table"):
             table = pipeline.predict_table_one()
         if as_json:

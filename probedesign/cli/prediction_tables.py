@@ -21,11 +21,17 @@ LIMITS = {"gives_way": "gives way", "sensor": "sensor", "slips_off": "slips off"
 def print_all(prediction: "Prediction") -> None:
     """The tables, one after another."""
     single, fused = _worst(prediction.conditions, BUDGET_FORCE_N), _worst(prediction.fused, SHOWN_N)
+    places = {c.contact_fraction for c in prediction.conditions}
     for rows, what in ((single, "one reading of"), (fused, f"{prediction.pressing.text}, up to")):
         if rows:
             force = 1e3 * next(iter(rows.values())).force_N
             print(f"\nError budget [mm], RMS of {what} {force:g} mN by cause, worst of the directions")
             print(_budget(rows))
+            left = ", ".join(f"{place:g}" for place in sorted(places - set(rows)))
+            if left:
+                print(f"  Not located at that force, and so not shown: {left}")
+        else:
+            print(f"\nError budget of {what} its force: none, for no place is located")
     print(
         "  The spreads behind it are assumed unless the design says otherwise: prediction.json, [tolerances]."
     )
@@ -34,6 +40,11 @@ def print_all(prediction: "Prediction") -> None:
         print(_monte_carlo(prediction))
     print("\nWhat it takes and what it stands, all causes counted, worst of the directions")
     print(_reach(prediction))
+    lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)
+    if any(f.force_mN_for_2_mm == lightest for f in prediction.fused_reach):
+        print(
+            f"  Of fused touches {lightest:g} mN is the lightest force looked at: where it stands, less may do."
+        )
     print_workspace(prediction.workspace)
 
 
@@ -55,11 +66,11 @@ def print_workspace(workspace: "Workspace") -> None:
 
 
 def _worst(conditions: "Sequence[Cell]", wanted_N: float) -> "dict[float, Cell]":
-    """Of each place the direction with the greatest error, at the force of the grid nearest to that."""
+    """Of each place that is located the direction with the greatest error, at the force of the grid nearest to that."""
     force = min((c.force_N for c in conditions), key=lambda f: abs(f - wanted_N), default=0.0)
     worst: dict[float, Cell] = {}
     for c in conditions:
-        if c.force_N == force and c.budget_mm is not None:
+        if c.force_N == force and c.result == "ok" and c.budget_mm is not None:
             before = worst.get(c.contact_fraction)
             if before is None or (c.total_error_mm or 0.0) > (before.total_error_mm or 0.0):
                 worst[c.contact_fraction] = c

@@ -70,13 +70,14 @@ def _print(swept: "Swept", keys: list[str], task: str) -> None:
     good = sorted((r for r in swept.records if r["result"] == "ok"), key=lambda r: r["error_mm"])
     if good:
         print("\nbest by error_mm")
-        print("".join(f"{key.rpartition('.')[2]:>16}" for key in [*keys, *_SHOWN]))
+        wide = {key: max(16, len(key.rpartition(".")[2]) + 2) for key in [*keys, *_SHOWN]}
+        print("".join(f"{key.rpartition('.')[2]:>{width}}" for key, width in wide.items()))
         for record in good[:8]:
-            print("".join(f"{_cell(record[key]):>16}" for key in [*keys, *_SHOWN]))
+            print("".join(f"{_cell(record[key]):>{width}}" for key, width in wide.items()))
     for record in failed[:5]:
         print(f"  point {record['point']}: {record['result']}: {record['reason']}")
     if len(failed) > 5:
-        print(f"  and {len(failed) - 5} more without figures; their reasons are in the tables")
+        print(f"  and {len(failed) - 5} more that are not ok; their reasons are in the tables")
     print("wrote", ", ".join(map(str, swept.files)))
 
 

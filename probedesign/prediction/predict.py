@@ -78,7 +78,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Detection:
-    """Smallest force that is told from no contact, at one place from one side."""
+    """Smallest force that is told from no contact, at one place from one side; None where so much is not borne."""
 
     contact_fraction: float
     direction: str
@@ -170,7 +170,9 @@ def predict(
         pressed = forces_of(pressing, forces_N)
         touches = touches_of(estimator, known, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
         reach = reach_of(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
-        detection = tuple(_detection(touches[_WEAK_N], i, line) for i, line in enumerate(lines))
+        detection = tuple(
+            _detection(touches[_WEAK_N], i, line, reach[i].greatest_force_N) for i, line in enumerate(lines)
+        )
         told = {force: conditions_of(touches[force], lines) for force in forces_N}
         conditions = {(*line, force): told[force][i] for i, line in enumerate(lines) for force in forces_N}
         fused = fused_conditions(lines, touches, forces_N, pressing)
@@ -253,10 +255,12 @@ def tip_sag_mm(estimator: Estimator) -> float | None:
     return float(np.linalg.norm(free.p_at(length) - [0.0, 0.0, length]) / MM) if free.ok else None
 
 
-def _detection(touches: Touches, i: int, line: tuple[float, str]) -> Detection:
-    felt = touches.contacts.ok[i]
-    per_N = touches.contacts.d_wrench_by_touch[i, :, 2]
-    return Detection(*line, 1e3 * touches.estimator.detectable(per_N) if felt else None)
+def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | None) -> Detection:
+    """In proportion to a weak push; none where the probe gives way before."""
+    if not touches.contacts.ok[i] or most is None:
+        return Detection(*line, None)
+    felt = touches.estimator.detectable(touches.contacts.d_wrench_by_touch[i, :, 2])
+    return Detection(*line, 1e3 * felt if felt <= most else None)
 
 
 def _nothing(lines: Sequence[tuple[float, str]]) -> tuple[Reach, ...]:

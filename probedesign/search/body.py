@@ -41,7 +41,7 @@ class Body:
 
     Attributes:
         start: the design that it is about.
-        controls: how many diameters; 2 is a cone.
+        controls: how many diameters; 2 is a cone, 0 where they stay as they are.
         free: what varies.
     """
 
@@ -66,7 +66,7 @@ class Body:
             )
         if "taper" in free and start.probe.tip == "rounded":
             raise InputError('--over taper: is of blunt tips; start from tip = "blunt"')
-        return cls(start, CONTROLS if "taper" in free else 2, free)
+        return cls(start, CONTROLS if "taper" in free else 2 if "cone" in free else 0, free)
 
     @property
     def size(self) -> int:
@@ -111,6 +111,9 @@ class Body:
 
     def knots_mm(self, x: Array) -> tuple[Array, Array]:
         """Arclengths and diameters [mm], (knots,) each."""
+        if not self.controls:
+            s, d = np.array(self.start.probe.blunt_mm).T
+            return s * (self.length_mm(x) / s[-1]), d
         d = self.spline @ x[: self.controls]
         return np.linspace(0.0, self.length_mm(x), len(d)), d
 
@@ -149,16 +152,19 @@ class Body:
 
     def tables(self, x: Array, digits: int) -> dict[str, Any]:
         """The tables of its design file, dimensions rounded to so many digits of a millimetre."""
-        s, d = (np.round(values, digits).tolist() for values in self.knots_mm(x))
+        s, d = self.knots_mm(x)
+        s, d = np.round(s, digits).tolist(), (np.round(d, digits) if self.controls else d).tolist()
         data = tables_of(self.start)
         probe: dict[str, Any] = data["probe"]
-        for key in ("profile_mm", "tip_d_mm", "assumed"):
+        profile = [list(pair) for pair in zip(s, d, strict=True)]
+        for key in ("profile_mm", "tip_d_mm", "assumed") if self.controls else ():
             probe.pop(key, None)
-        probe |= {"length_mm": s[-1], "base_d_mm": d[0], "tip_d_mm": d[-1]}
-        if self.controls == 2:
-            probe["shape"] = "cone"
+        if not self.controls:
+            probe |= {"length_mm": s[-1]} | ({"profile_mm": profile} if "profile_mm" in probe else {})
         else:
-            probe |= {"shape": "profile", "profile_mm": [list(pair) for pair in zip(s, d, strict=True)]}
+            probe |= {"length_mm": s[-1], "base_d_mm": d[0], "tip_d_mm": d[-1], "shape": "cone"}
+        if self.controls > 2:
+            probe |= {"shape": "profile", "profile_mm": profile}
         if "section" in self.free:
             probe[self.ratio_key] = round(float(self.ratio(x) or 0.0), 4)
         return data

@@ -18,14 +18,14 @@ class Found:
     Attributes:
         search: what was sought.
         optimum: the best body.
-        confirmed: start and best by drawn touches; None if not asked for.
+        confirmed: start and best by drawn touches; None if not asked for, or of a start that gives way.
         front: None if not asked for.
         files: written.
     """
 
     search: Search
     optimum: Optimum
-    confirmed: tuple[Confirmed, Confirmed] | None
+    confirmed: tuple[Confirmed | None, Confirmed] | None
     front: Front | None
     files: tuple[Path, ...] = ()
 
@@ -45,7 +45,7 @@ class Found:
             "confirmed": None
             if confirmed is None
             else {
-                name: asdict(one) | {"expected_mm": one.expected_mm}
+                name: None if one is None else asdict(one) | {"expected_mm": one.expected_mm}
                 for name, one in zip(("start", "best"), confirmed, strict=True)
             },
             "front": None if self.front is None else self.front.rows,

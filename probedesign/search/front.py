@@ -76,7 +76,7 @@ def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | N
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     problem = Problem(Trial(Body.of(search.start, ("cone", "length")), search.task, True), search.kept)
-    sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, trials), seed=seed)
+    sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
     study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
     study.enqueue_trial(_start(problem))
     study.optimize(lambda drawn: _look(problem, drawn), n_trials=trials,

@@ -113,7 +113,9 @@ def _records(content: bytes, path: Path) -> tuple[list[Record], int]:
             record = json.loads(line)
         except ValueError:
             break
-        if not line.endswith(b"\n") or not isinstance(record, dict) or (found and "point" not in record):
+        if not line.endswith(b"\n") or not isinstance(record, dict):
+            break
+        if found and not isinstance(record.get("point"), int):
             break
         found.append(record)
         whole += len(line)

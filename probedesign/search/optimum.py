@@ -135,7 +135,7 @@ def _best(problem: Problem, designs: list[Design], tell: Tell) -> tuple[Array, t
     """The best point from the designs given and from a thinner one, with what each led to."""
     starts, reached, values = _starts(problem, designs), list[Array](), list[float | None]()
     for n, x0 in enumerate(starts, 1):
-        tell(f"{problem.trial.body.controls} diameters, start {n} of {len(starts)}", None)
+        tell(f"{problem.trial.body.size} dimensions, start {n} of {len(starts)}", None)
         x = problem.solve(x0)
         good = problem.keeps(x)
         values.append(float(np.exp(problem.objective(x))) if good else None)
@@ -146,13 +146,13 @@ def _best(problem: Problem, designs: list[Design], tell: Tell) -> tuple[Array, t
 
 
 def _starts(problem: Problem, designs: list[Design]) -> list[Array]:
-    """The designs, and the first of them thinner."""
+    """The designs, and the first of them thinner, or shorter where its diameters stay."""
     body, found = problem.trial.body, list[Array]()
     for design, factor in [(designs[0], factor) for factor in STARTS] + [
         (design, 1.0) for design in designs[1:]
     ]:
         x = body.x_of(design)
-        x[: body.controls] *= factor
+        x[: body.controls or None] *= factor
         force = [float(np.log(FORCES[1]) / 2.0)] if problem.trial.with_force else []
         found.append(_standing(problem, problem.clipped(np.append(x, force))))
     return found

@@ -104,6 +104,9 @@ def judged(base: dict[str, Any], number: int, point: dict[str, Any], task: Task)
         return record | {"result": "failed", "reason": reason} | dict.fromkeys(FIGURES)
     if found.error_mm is None:
         record |= {"result": "gives_way", "reason": "the probe cannot push back so hard everywhere"}
+    elif found.sensor_use is not None and found.sensor_use > 1.0:
+        reason = f"the readings take {found.sensor_use:.3g} of the sensor's range"
+        record |= {"result": "out_of_range", "reason": reason}
     return record | found.as_dict()
 
 
@@ -211,7 +214,7 @@ def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(records)
-    rows = {name: [_cell(record[name]) for record in records] for name in columns}
+    rows = {name: _column([record[name] for record in records]) for name in columns}
     kinds = {name: pa.float64() for name in FIGURES} | {"point": pa.int64()}
     table = pa.table({name: pa.array(values, kinds.get(name)) for name, values in rows.items()})
     packed = io.BytesIO()
@@ -222,5 +225,9 @@ def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[
     return [*files, folder / PROGRESS]
 
 
-def _cell(value: Any) -> Any:
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+def _column(values: list[Any]) -> list[Any]:
+    """Of one kind, as Parquet has it: numbers, names or truths; text where they are mixed."""
+    plain = [float(value) if type(value) is int else value for value in values]
+    if len({type(value) for value in plain if value is not None}) > 1:
+        return [None if value is None else str(value) for value in values]
+    return plain

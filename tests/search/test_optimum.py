@@ -8,6 +8,7 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
+from probedesign.design_file import render_design
 from probedesign.errors import InputError
 from probedesign.estimator.unknowns import Unknowns
 from probedesign.printing.check import check_print
@@ -198,6 +199,46 @@ def test_a_hollow_body_prints_as_it_is_written(large):
     search = Search(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
     found = optimum(search, "best", quiet)
     assert "print rule wall" in found.binding and found.after.print_errors == 0
+
+
+def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys):
+    """The start, the one cone looked at, sags too much; the search finds one that does not."""
+    pytest.importorskip("optuna")
+    out = tmp_path / "best.toml"
+    arguments = ["--subject-to", "sag_mm<=12", "--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
+    assert run(["optimize", str(LARGE), *arguments]) == 2
+    err = capsys.readouterr().err
+    assert "best.toml is written, but none of 1 bodies" in err and load_design(out).name == "best"
+
+
+def test_a_start_that_gives_way_is_not_drawn(large, tmp_path, capsys):
+    limp, out = tmp_path / "limp.toml", tmp_path / "best.toml"
+    limp.write_text(render_design(check_design(Body.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3))))
+    assert run(["optimize", str(limp), "--places", "0.9:0.9:1", "--confirm", "2", "--out", str(out)]) == 0
+    assert "start: gives way, so nothing was drawn" in capsys.readouterr().out and out.exists()
+
+
+@pytest.mark.parametrize("shape", ["cone", "cylinder", "profile"])
+def test_with_the_length_alone_the_diameters_stay(large, shape):
+    tables = tables_of(large)
+    tables["probe"] |= {"shape": shape}
+    if shape == "cylinder":
+        tables["probe"]["tip_d_mm"] = 12.0
+    if shape == "profile":
+        tables["probe"]["profile_mm"] = [[0.0, 12.0], [60.0, 5.0], [150.0, 2.0]]
+    start = check_design(tables)
+    body = Body.of(start, ("length",))
+    assert body.design(body.x_of(start)).probe == start.probe
+    longer = body.design(np.array([18.0])).probe  # centimetres
+    assert longer.length_mm == 180.0 and longer.shape == shape
+    np.testing.assert_allclose(longer.blunt_mm, np.array(start.probe.blunt_mm) * [1.2, 1.0], rtol=1e-12)
+
+
+def test_with_the_length_alone_the_longest_that_may_be_reached_is_found(large):
+    limits = (Limit("reach_mm", True, 140.0), Limit("reach_mm", False, 120.0))
+    found = optimum(Search(large, ("length",), replace(TASK, fractions=(0.7,)), limits=limits), "best", quiet)
+    assert 120.0 <= found.after.reach_mm <= 140.0 and found.after.thinnest_mm == 2.0
+    assert len(found.binding) == 1 and "reach_mm" in found.binding[0]
 
 
 @pytest.mark.slow

@@ -12,8 +12,9 @@ from probedesign.errors import InputError
 from probedesign.probe import build_probe
 from probedesign.search.grid import parse_axis, points, tables_of, varied
 from probedesign.search.journal import Journal
-from probedesign.search.sweep import judged
+from probedesign.search.sweep import _write_tables, judged
 from probedesign.search.task import Task
+from probedesign.search.worth import FIGURES
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 ASKED = {"schema": 1, "vary": {"a": [1, 2]}}
@@ -62,6 +63,24 @@ def test_a_design_that_cannot_be_says_why_and_one_that_gives_way_too():
     assert limp["result"] == "gives_way" and limp["error_mm"] is None and limp["mass_g"] > 0.0
 
 
+def test_what_the_sensor_cannot_read_is_not_ok():
+    """20 N near the base: the probe bears it, the range of 12 N does not."""
+    found = judged(tables_of(load_design(LARGE)), 0, {}, Task(20.0, fractions=(0.1,)))
+    assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
+
+
+def test_values_of_several_kinds_become_a_table(tmp_path):
+    """A name where a number belongs is a refused design, and costs the others nothing."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for values in ([2, "abc"], [True, 2.5], [2, 3]):
+        records = [{"point": i, "probe.tip_d_mm": value, "result": "refused", "reason": "so"}
+                   | dict.fromkeys(FIGURES) for i, value in enumerate(values)]  # fmt: skip
+        _write_tables(records, ["probe.tip_d_mm"], tmp_path)
+        rows = parquet.read_table(tmp_path / "sweep.parquet").to_pylist()
+        kept = values if values == [2, 3] else list(map(str, values))
+        assert [row["probe.tip_d_mm"] for row in rows] == kept
+
+
 def test_the_error_of_one_touch_is_the_prediction():
     design = load_design(LARGE)
     probe = build_probe(design)
@@ -97,11 +116,12 @@ def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
     with pytest.raises(InputError, match="another sweep"):
         Journal.open(path, ASKED | {"vary": {"b": [1]}})
     lines = content.splitlines(keepends=True)
-    broken = b"".join([lines[0], b"rubbish\n", *lines[2:]])
-    path.write_bytes(broken)
-    with pytest.raises(InputError, match="line 2 is no record"):
-        Journal.open(path, ASKED)
-    assert path.read_bytes() == broken
+    for rubbish in (b"rubbish\n", b'{"point": "one"}\n'):
+        broken = b"".join([lines[0], rubbish, *lines[2:]])
+        path.write_bytes(broken)
+        with pytest.raises(InputError, match="line 2 is no record"):
+            Journal.open(path, ASKED)
+        assert path.read_bytes() == broken
 
 
 def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
