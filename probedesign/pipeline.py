@@ -238,7 +238,7 @@ def optimize(
             start_gives_way = best.before.error_mm is None
             confirmed = (None if start_gives_way else confirm(search.start, best.task, draws, seed, tell),
                          confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
-        shown = front(search, trials, seed, tell) if trials else None
+        shown = front(search, trials, seed, tell, best) if trials else None
     except InputError as error:
         raise InputError(f"{path} is written, but {error}") from None
     if shown is not None:

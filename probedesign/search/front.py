@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.frames import Array
 from probedesign.search.body import Body
-from probedesign.search.optimum import Search
+from probedesign.search.optimum import Optimum, Search
 from probedesign.search.problem import FORCES, Problem
 from probedesign.search.trial import Trial
 
@@ -24,6 +25,8 @@ POPULATION = 40
 WIDEST_MM = 25.0
 """Diameters beyond it are not tried: wider than the sensor, and no softer for it."""
 LENGTHS_MM = (60.0, 200.0)
+ROUNDING = 1e-9
+"""What a limit may be missed by: a tip is told as a share of its base."""
 _VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "reach_mm", "sag_mm")
 
 
@@ -58,7 +61,13 @@ def check_installed() -> None:
         raise MissingDependencyError("--pareto needs optuna: pip install 'probedesign[optimize]'")
 
 
-def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | None], None]) -> Front:
+def front(
+    search: Search,
+    trials: int,
+    seed: int,
+    tell: Callable[[str, float | None], None],
+    best: Optimum | None = None,
+) -> Front:
     """Cones of any length that keep the limits: least error, least force, most reach.
 
     Args:
@@ -66,6 +75,7 @@ def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | N
         trials: bodies to look at.
         seed: of the search.
         tell: told how much is done.
+        best: a body that was found already; looked at first if it is a cone.
 
     Raises:
         MissingDependencyError: optuna is not installed.
@@ -78,20 +88,24 @@ def front(search: Search, trials: int, seed: int, tell: Callable[[str, float | N
     problem = Problem(Trial(Body.of(search.start, ("cone", "length")), search.task, True), search.kept)
     sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
     study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
-    study.enqueue_trial(_start(problem))
+    if best is not None and best.design.probe.shape == "cone":
+        study.enqueue_trial(_known(best.design, best.task.force_N / search.task.force_N))
+    study.enqueue_trial(_known(search.start, 1.0))
     study.optimize(lambda drawn: _look(problem, drawn), n_trials=trials,
                    callbacks=[lambda _, t: tell("Pareto front", (t.number + 1) / trials)])  # fmt: skip
-    best = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["keeps"]}
-    if not best:
+    kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["keeps"]}
+    if not kept:
         raise InputError(f"none of {trials} bodies keeps every limit; try more, or widen --subject-to")
-    return Front(sorted((_row(trial) for trial in best.values()), key=lambda row: row["error_mm"]), trials)
+    return Front(sorted((_row(trial) for trial in kept.values()), key=lambda row: row["error_mm"]), trials)
 
 
-def _start(problem: Problem) -> dict[str, float]:
-    start = problem.trial.body.start.probe
-    tip = start.blunt_mm[-1][1]
-    return {"base_d_mm": start.base_d_mm, "taper": min(tip / start.base_d_mm, 1.0), "length_mm": start.length_mm,
-            "force": 1.0}  # fmt: skip
+def _known(design: Design, force: float) -> dict[str, float]:
+    """A body to begin with, at so many times the task's force."""
+    probe = design.probe
+    tip = probe.blunt_mm[-1][1]
+    low, high = FORCES
+    return {"base_d_mm": probe.base_d_mm, "taper": min(tip / probe.base_d_mm, 1.0), "length_mm": probe.length_mm,
+            "force": min(max(force, low), high)}  # fmt: skip
 
 
 def _look(problem: Problem, drawn: "Drawn") -> tuple[float, float, float]:
@@ -101,7 +115,7 @@ def _look(problem: Problem, drawn: "Drawn") -> tuple[float, float, float]:
     force = drawn.suggest_float("force", *FORCES, log=True)
     x: Array = np.array([base, tip, length / 10.0, np.log(force)])
     figures = problem.trial.figures(x)
-    broken = {c.text: -c.least(x) for c in problem.constraints}
+    broken = {c.text: -c.least(x) - ROUNDING for c in problem.constraints}
     broken["stands"] = 0.0 if problem.trial.stands(x) else 1.0
     for text, by in broken.items():
         drawn.set_constraint(text, by)

@@ -104,6 +104,11 @@ def judged(base: dict[str, Any], number: int, point: dict[str, Any], task: Task)
         return record | {"result": "failed", "reason": reason} | dict.fromkeys(FIGURES)
     if found.error_mm is None:
         record |= {"result": "gives_way", "reason": "the probe cannot push back so hard everywhere"}
+    elif not found.locates:
+        reason = (
+            f"at a place the error, {found.worst_error_mm:.3g} mm, is no less than with no reading at all"
+        )
+        record |= {"result": "unobservable", "reason": reason}
     elif found.sensor_use is not None and found.sensor_use > 1.0:
         reason = f"the readings take {found.sensor_use:.3g} of the sensor's range"
         record |= {"result": "out_of_range", "reason": reason}

@@ -71,6 +71,11 @@ class Worth:
     print_errors: int
     print_warnings: int
 
+    @property
+    def locates(self) -> bool:
+        """Whether every place is told at all: better than anywhere along the probe alike, L/√12."""
+        return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm / math.sqrt(12.0)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain data; every key ends in its unit."""
         return asdict(self)

@@ -1,5 +1,6 @@
 """The search for a body: derivatives, printability, optima that can be told beforehand, limits that cannot be kept."""
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -201,11 +202,24 @@ def test_a_hollow_body_prints_as_it_is_written(large):
     assert "print rule wall" in found.binding and found.after.print_errors == 0
 
 
-def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys):
-    """The start, the one cone looked at, sags too much; the search finds one that does not."""
+def test_the_front_begins_with_the_best_cone(large, tmp_path):
+    """The start sags too much; the one body looked at is the best that the search has found."""
     pytest.importorskip("optuna")
     out = tmp_path / "best.toml"
     arguments = ["--subject-to", "sag_mm<=12", "--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
+    assert run(["optimize", str(LARGE), *arguments]) == 0
+    (row,) = csv.DictReader((tmp_path / "best-front.csv").open())
+    assert float(row["base_d_mm"]) == pytest.approx(load_design(out).probe.base_d_mm, abs=1e-6)
+
+
+def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys, monkeypatch):
+    def none(*_):
+        raise InputError("none of 1 bodies keeps every limit")
+
+    pytest.importorskip("optuna")
+    monkeypatch.setattr("probedesign.search.front.front", none)
+    out = tmp_path / "best.toml"
+    arguments = ["--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
     assert run(["optimize", str(LARGE), *arguments]) == 2
     err = capsys.readouterr().err
     assert "best.toml is written, but none of 1 bodies" in err and load_design(out).name == "best"
