@@ -52,8 +52,8 @@ def live(
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
-        source: netft://HOST (a Net F/T box), replay:FILE (a recording) or sim: (a simulated contact that moves
-            along the probe).
+        source: netft://HOST (a Net F/T box), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card), replay:FILE (a
+            recording) or sim: (a simulated contact that moves along the probe).
         record: write everything to NAME.mcap, or raw readings to NAME.csv.
         force: replace the file that --record names.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
@@ -96,7 +96,8 @@ def live(
     if record is not None:
         _check_record(record, source, force)
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
-             "exact_model": str(exact_model).lower()}  # fmt: skip
+             "exact_model": str(exact_model).lower(), "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
+             "pose": pose, "pose_latency_ms": f"{pose_latency_ms:g}", "gravity_world": gravity_world or ""}  # fmt: skip
     with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
         counts = partial(getattr, opened, "counts", {})
@@ -109,6 +110,8 @@ def live(
         requests.does("start recording", lambda _: recordings.asked_to_start())
         requests.does("stop recording", lambda _: recordings.stop())
         sinks.add(recordings)
+        if poses is not None:
+            poses.tell = recordings.posed
         if record is not None:
             recordings.start()
         if publish is not None:

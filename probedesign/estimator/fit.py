@@ -272,7 +272,7 @@ def fit_contact(
             off = normality(state[PUSH:PLACE], slope_at(body, state[PLACE]), derivatives, gradient)
             out, square = made_normal(J, r, gradient, off)
             merit = square + (off * whiten[0, 0]) ** 2 * SIDE
-        if not merit <= least * (1.0 + 1e-4) + JITTER:
+        if not (math.isfinite(merit) and merit <= least * (1.0 + 1e-4) + JITTER):
             if not math.isfinite(least) or share < _SMALLEST:
                 return (STALLED if math.isfinite(least) else LOST), least, iteration
             share *= 0.25

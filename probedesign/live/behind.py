@@ -9,6 +9,7 @@ from typing import Protocol
 
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
+from probedesign.live.pose.timed import TimedPose
 from probedesign.live.sink import Sink
 
 MOST = 65_536
@@ -25,6 +26,10 @@ class File(Sink, Protocol):
 
     def flush(self) -> None:
         """Hand everything to the operating system: from now on it survives this program."""
+        ...
+
+    def posed(self, pose: TimedPose) -> None:
+        """Where the base was."""
         ...
 
     def left_out(self, readings: int, others: int) -> None:
@@ -72,6 +77,11 @@ class Behind:
     def answered(self, answer: Answer) -> None:
         """See `Sink`."""
         if not self._asked(1, partial(self._file.answered, answer)):
+            self._leave_out(1, 1)
+
+    def posed(self, pose: TimedPose) -> None:
+        """See `File`."""
+        if not self._asked(1, partial(self._file.posed, pose)):
             self._leave_out(1, 1)
 
     def told(self, time: float, line: str) -> None:

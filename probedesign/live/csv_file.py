@@ -5,6 +5,7 @@ from pathlib import Path
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.pieces import Pieces
+from probedesign.live.pose.timed import TimedPose
 from probedesign.live.recording_columns import GRAVITY_HEADER, HEADER
 
 
@@ -43,6 +44,9 @@ class CsvFile:
         self._pieces.flush()  # so little that it need not wait for more
 
     def answered(self, answer: Answer) -> None:
+        """Only what is raw stands in CSV."""
+
+    def posed(self, pose: TimedPose) -> None:
         """Only what is raw stands in CSV."""
 
     def told(self, time: float, line: str) -> None:

@@ -9,6 +9,7 @@ from probedesign.estimator.model import ProbeModel
 from probedesign.live.answer import Answer
 from probedesign.live.behind import Behind, File
 from probedesign.live.block import Block
+from probedesign.live.pose.timed import TimedPose
 
 KINDS = (".mcap", ".csv")
 FOLDER = Path("recordings")
@@ -114,6 +115,11 @@ class Recordings:
         """See `Sink`."""
         if self._now is not None:
             self._now[1].answered(answer)
+
+    def posed(self, pose: TimedPose) -> None:
+        """Where the base was, by the source's clock."""
+        if self._now is not None:
+            self._now[1].posed(pose)
 
     def told(self, time: float, line: str) -> None:
         """See `Sink`."""

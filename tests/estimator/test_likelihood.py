@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from probedesign.errors import InputError
+from probedesign.estimator.likelihood import Fitter
 from probedesign.rod.contact import solve_frictionless
 
 
@@ -104,3 +105,22 @@ def test_friction_is_told(friction, way, large, gravity):
 def test_a_method_that_is_none_is_refused(large):
     with pytest.raises(InputError, match="method"):
         large.estimator().estimate(np.zeros(6), method="guess")
+
+
+def test_what_stood_in_its_memory_before_does_not_count(probes, gravity, monkeypatch):
+    """A faint reading: the fit begins where the sweep fails, and has no equations yet."""
+    estimator = probes["large"].estimator().with_tolerances()
+    wrench = np.array([6.55227547e-02, 7.96323486e-04, -1.56354361e-03,
+                       -6.34392281e-06, 2.98214533e-03, 3.07885268e-06])  # fmt: skip
+    made, rng = Fitter.__post_init__, np.random.default_rng(1)
+
+    def forces(scale):
+        def begun(self):
+            made(self)
+            self._work[:] = scale * rng.standard_normal(len(self._work))
+
+        monkeypatch.setattr(Fitter, "__post_init__", begun)
+        return estimator.estimate(wrench, gravity).force_base.tolist()
+
+    clean = forces(0.0)
+    assert all(forces(scale) == clean for scale in (1e-5, 1e-4, 1e-3, 1e-2, 1.0) for _ in range(3))

@@ -1,5 +1,7 @@
 """The chain on a probe that a moving base presses against an edge of the world, the rod solved in reference mode."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,17 @@ from probedesign.live.box import scene
 from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
 from probedesign.live.box.robot import Robot
 from probedesign.live.chain import Chain
+from probedesign.live.mcap.file import McapFile
 from probedesign.live.phases import SPAN
 from probedesign.live.plan import Plan
+from probedesign.live.pose.listener import Listener
 from probedesign.live.pose.poses import Poses
+from probedesign.live.pose.spec import open_poses
 from probedesign.live.pose.timed import TimedPose, of_matrix
 from probedesign.live.pose.words import pose_of_json
+from probedesign.live.replay import Replay
+from probedesign.live.row import json_line, row, world_row
+from probedesign.live.run import estimate_stream
 from probedesign.live.tare import Window
 
 RATE, SAMPLES = 500.0, 5
@@ -293,3 +301,52 @@ def test_the_robot_of_the_simulated_box_is_heard_in_an_upright_world(motion):
 def test_a_robot_needs_an_address(to, motion):
     with pytest.raises(InputError, match="--pose-to"):
         Robot(motion, float, to)
+
+
+class Heard(Listener):
+    """Poses as a robot tells them, 7 s ahead of the wrench's clock, each heard 4 ms after its stamp."""
+
+    def __init__(self, motion):
+        told = np.arange(-0.2, motion.round + 1.2, 1.0 / 125.0)
+        at = motion.p_world_base(np.maximum(told, 0.0))
+        self._waiting = [
+            TimedPose(t + 7.0, tuple(p), UPRIGHT) for t, p in zip(told, at.tolist(), strict=True)
+        ]
+        self.now = 0.0
+
+    summary = "all"
+
+    def said(self):
+        return []
+
+    def taken(self):
+        while self._waiting and self._waiting[0].time - 7.0 + 0.004 <= self.now:
+            pose = self._waiting.pop(0)
+            yield pose.time - 7.0 + 0.004, pose, 0
+
+    def close(self):
+        pass
+
+
+def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(estimator, motion, tmp_path):
+    """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""
+    path, heard = tmp_path / "touch.mcap", Heard(motion)
+    down = ",".join(map(repr, motion.model.gravity_base.tolist()))
+    poses = Poses("heard", heard, latency=0.004, gravity_world=motion.model.gravity_base)
+    file, plan = McapFile(path, estimator.model), Plan(Window(0.0, 2.0), SAMPLES, 25.0)
+    poses.tell = file.posed
+
+    def stream():
+        for block in touch(motion):
+            heard.now = float(block.time[-1])
+            yield replace(block, received=block.time)
+
+    def told(source, poses, sink=None):
+        answers = estimate_stream(estimator, source, plan, print, sink, None, poses)
+        return [json_line(row(a.reading, a.estimate) | world_row(a)) for a in answers]
+
+    live = told(stream(), poses, file)
+    file.close()
+    replay = Replay(estimator.model, path, "speed=max")
+    assert told(replay, open_poses(str(path), gravity_world=down)) == live
+    assert sum('"fused_result": "ok"' in line for line in live) > 25

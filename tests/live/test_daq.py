@@ -167,7 +167,7 @@ def test_no_nidaqmx_is_one_line_with_its_remedy(estimator, cal, monkeypatch):
     ("spec", "told"),
     [
         ("daq:Dev1/ai0:5?cal={cal}", "write daq://Dev1/ai0:5?cal=FILE"),
-        ("daq://Dev1/ai0:5", "needs its sensor's calibration"),
+        ("daq://Dev1/ai0:5", "needs its sensor's calibration; write daq://Dev1/ai0:5?cal="),
         ("daq://Dev1/ai0:5?cal=", "needs its sensor's calibration"),
         ("daq://Dev1/ai0:5?cal=none.cal", "none.cal: cannot be read as a calibration"),
         ("daq://Dev1/ai0:5?cal={cal}&cal={cal}", "cal is said twice"),

@@ -22,6 +22,7 @@ from probedesign.live.mcap import messages, topics
 from probedesign.live.mcap.file import McapFile
 from probedesign.live.mcap.recover import recover
 from probedesign.live.offline import estimate_recording
+from probedesign.live.pose.timed import of_matrix
 from probedesign.live.reading import Reading
 from probedesign.live.recorded import Choice
 from probedesign.live.replay import Replay
@@ -128,6 +129,7 @@ def test_rosbags_reads_it(model, tmp_path):
             Reading(1.0 / 3.0, np.zeros(6), GRAVITY), estimate, T_world_base=pose, wrench_base=np.arange(6.0)
         )
     )
+    file.posed(of_matrix(0.25, pose))
     file.told(0.5, "mark: here")
     file.close()
     with AnyReader([tmp_path / "told.mcap"]) as reader:

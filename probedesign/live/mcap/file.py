@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from probedesign.deployment import freeze
 from probedesign.estimator.model import ProbeModel
@@ -20,6 +19,7 @@ from probedesign.live.mcap import messages, require, topics
 from probedesign.live.mcap.messages import Nanoseconds
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.pieces import Pieces
+from probedesign.live.pose.timed import TimedPose
 from probedesign.live.row import json_line, row, world_row
 
 PROFILE = "ros2"
@@ -113,8 +113,6 @@ class McapFile:
         if np.isfinite(answer.wrench_base).all():
             wrench = messages.stamped("base", stamp, [answer.wrench_base])
             self._add(topics.WITHOUT_BIAS, stamp, wrench)
-        if np.isfinite(pose).all():
-            self._add(topics.BASE, stamp, messages.stamped("world", stamp, [_pose(pose)]))
         if answer.estimate.ok:
             place = _place(answer.estimate.p_contact_base, answer.estimate.cov_contact_base)
             self._add(topics.CONTACT, stamp, messages.stamped("base", stamp, [place]))
@@ -122,6 +120,11 @@ class McapFile:
             place = _place(answer.fused.p_contact_world, answer.fused.cov_contact_world)
             self._add(topics.CONTACT_WORLD, stamp, messages.stamped("world", stamp, [place]))
         self._add(topics.ESTIMATE, stamp, messages.text(_with_pose(json_line(said), pose)))
+
+    def posed(self, pose: TimedPose) -> None:
+        """Where the base was, as it was told."""
+        stamp = messages.nanoseconds([pose.time])
+        self._add(topics.BASE, stamp, messages.stamped("world", stamp, [[*pose.p, *pose.q]]))
 
     def told(self, time: float, line: str) -> None:
         """An event."""
@@ -180,11 +183,6 @@ def _joined(blocks: list[Block]) -> Block:
         for name in ("time", "wrench_sensor", "received")
     )
     return replace(blocks[0], time=time, wrench_sensor=wrench, received=received, truths=())
-
-
-def _pose(T: Array) -> list[float]:
-    """Position and quaternion x, y, z, w."""
-    return [*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat().tolist()]
 
 
 def _place(p: Array, cov: Array) -> list[float]:

@@ -64,7 +64,7 @@ CONTACT = Topic("/probedesign/contact", UNCERTAIN_POSE, {})
 CONTACT_WORLD = Topic("/probedesign/contact_world", UNCERTAIN_POSE, {})
 """The fused contact, with each result `ok`."""
 BASE = Topic("/probedesign/base", POSE, {})
-"""Pose of the base in the world, where it is known."""
+"""Each pose of the base in the world that counts, by the source's clock."""
 ESTIMATE = Topic(
     "/probedesign/estimate",
     TEXT,

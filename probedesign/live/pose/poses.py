@@ -31,6 +31,7 @@ class Poses:
         gravity_world: [m/s²], (3,).
         latency: by which a pose arrives later, or is stamped later, than a reading of the same moment [s].
         track: all poses that are kept, by the wrench's clock, latency taken off.
+        tell: takes each of them once, in order, as the readings come to it: what a recording needs to replay them.
     """
 
     def __init__(
@@ -66,17 +67,32 @@ class Poses:
         self._wrench, self._robot = Offset(), Offset()
         self._session = 0
         self._last: tuple[float, Array | None] = (math.nan, None)
+        self._told, self._since = -math.inf, math.nan
+        self.tell: Callable[[TimedPose], None] = lambda pose: None
 
     def refresh(self, block: Block) -> None:
-        """Take in what was heard since the last call, and how the wrench's clock goes."""
-        if self._listener is None:
+        """Take in what was heard since the last call, and how the wrench's clock goes; tell the poses that count."""
+        if len(block) == 0:
             return
-        for line in self._listener.said():
+        if math.isnan(self._since):
+            self._since = float(block.time[0])
+        if self._listener is not None:
+            self._hear(self._listener, block)
+        self._tell_up_to(float(block.time[-1]) if self._listener is None else math.inf)
+
+    def _tell_up_to(self, time: float) -> None:
+        for pose in self.track.around(self._since, time):
+            if pose.time > self._told:
+                self._told, self._since = pose.time, max(pose.time, self._since)
+                self.tell(pose)
+
+    def _hear(self, listener: Listener, block: Block) -> None:
+        for line in listener.said():
             self._say(line)
         now = monotonic()
         for time, received in zip(block.time.tolist(), block.received.tolist(), strict=True):
             self._wrench.add(time, received if math.isfinite(received) else now)
-        for arrival, pose, session in self._listener.taken():
+        for arrival, pose, session in listener.taken():
             if session != self._session:
                 self._session, self._robot = session, Offset()
             ahead = self._robot.add(pose.time, arrival) - self._wrench.value

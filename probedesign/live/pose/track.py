@@ -1,7 +1,7 @@
 """Poses one after the other, and the pose at any moment between them; never one beyond."""
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -49,6 +49,11 @@ class Track:
 
     def __len__(self) -> int:
         return len(self._times)
+
+    def around(self, start: float, end: float) -> list[TimedPose]:
+        """Poses from the last that is not after `start` to the first that is not before `end` [s]."""
+        first = max(bisect_right(self._times, start) - 1, 0)
+        return self._poses[first : bisect_left(self._times, end) + 1]
 
     @property
     def times(self) -> list[float]:
