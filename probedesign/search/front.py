@@ -14,7 +14,7 @@ from probedesign.errors import InputError, MissingDependencyError
 from probedesign.frames import Array
 from probedesign.search.body import Body
 from probedesign.search.optimum import Optimum, Search
-from probedesign.search.problem import FORCES, Problem
+from probedesign.search.problem import FORCES, SPARE, Problem
 from probedesign.search.trial import Trial
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ POPULATION = 40
 WIDEST_MM = 25.0
 """Diameters beyond it are not tried: wider than the sensor, and no softer for it."""
 LENGTHS_MM = (60.0, 200.0)
-ROUNDING = 1e-9
-"""What a limit may be missed by: a tip is told as a share of its base."""
 _VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "reach_mm", "sag_mm")
 
 
@@ -115,7 +113,8 @@ def _look(problem: Problem, drawn: "Drawn") -> tuple[float, float, float]:
     force = drawn.suggest_float("force", *FORCES, log=True)
     x: Array = np.array([base, tip, length / 10.0, np.log(force)])
     figures = problem.trial.figures(x)
-    broken = {c.text: -c.least(x) - ROUNDING for c in problem.constraints}
+    # What a search spares for rounding, the body that it found may have taken.
+    broken = {c.text: -c.least(x) - SPARE for c in problem.constraints}
     broken["stands"] = 0.0 if problem.trial.stands(x) else 1.0
     for text, by in broken.items():
         drawn.set_constraint(text, by)
