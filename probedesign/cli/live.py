@@ -112,8 +112,6 @@ def live(
         sinks.add(recordings)
         if poses is not None:
             poses.tell = recordings.posed
-        if record is not None:
-            recordings.start()
         if publish is not None:
             sinks.add(Publisher(publish, sinks.say))
         if view:
@@ -121,6 +119,8 @@ def live(
         drawn = not (lines or as_json) and _on_terminal()
         if drawn:
             sinks.add(Terminal(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+        if record is not None:  # after the views, which tell from the events whether it is recorded
+            recordings.start()
         answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
         by_itself = _print(answers, sinks.say, as_json, drawn)
         if view and by_itself and _on_terminal():

@@ -50,7 +50,9 @@ class DAQ:
         zero, query = taken_text("daq:", query, "zero_V")
         rate = parse_parameters("daq:", query, PARAMETERS)["rate_hz"]
         if not cal:
-            raise InputError(f"daq:{place}: needs its sensor's calibration; write daq:{place}?cal=FT12345.cal")
+            raise InputError(
+                f"daq:{place}: needs its sensor's calibration; write daq:{place}?cal=FT12345.cal"
+            )
         self.calibration: Calibration = read_calibration(Path(cal))
         self._zero = _zero(zero)
         self._card = Card(place.removeprefix("//"), rate)
