@@ -102,6 +102,7 @@ def live(
         opened = open_source(source, estimator.model, sinks.say)
         counts = partial(getattr, opened, "counts", {})
         poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
+        publisher = None if publish is None else Publisher(publish, sinks.say)
         warm_up(estimator, sinks.say, fusing=True)
         sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
@@ -112,8 +113,8 @@ def live(
         sinks.add(recordings)
         if poses is not None:
             poses.tell = recordings.posed
-        if publish is not None:
-            sinks.add(Publisher(publish, sinks.say))
+        if publisher is not None:
+            sinks.add(publisher)
         if view:
             sinks.add(View(estimator, bundle.parent, requests, sinks.say, view_host, view_port, counts))
         drawn = not (lines or as_json) and _on_terminal()

@@ -111,7 +111,8 @@ def _opened(path: Path) -> Iterator["AnyReader"]:
         reader.open()
     except Exception as error:  # rosbags raises what its files happen to break in
         why = " ".join(str(error).split())[:120] or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a ROS 2 bag: {why}") from None
+        mend = "; if it was cut off: probedesign recover" if path.suffix == ".mcap" else ""
+        raise InputError(f"{path}: cannot be read as a ROS 2 bag: {why}{mend}") from None
     try:
         yield reader
     finally:
