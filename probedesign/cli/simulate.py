@@ -76,7 +76,9 @@ def simulate(
         records=float(records),
         ranges=ranges,
     )
-    print(f"solving the presses of --scene {scene}; the first time the rod compiles, a minute or so", flush=True)
+    print(
+        f"solving the presses of --scene {scene}; the first time the rod compiles, a minute or so", flush=True
+    )
     things = press_scene(model, scene)
     motion = Motion(model, things)
     transducer = Transducer(model, motion.wrench_sensor, seed)

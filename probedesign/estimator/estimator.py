@@ -229,8 +229,14 @@ class Estimator:
         """
         return bool(
             std_s < self.model.rod.length / math.sqrt(12.0)
-            and math.sqrt(force @ force) > LEAST_FORCE * self.model.noise.force / math.sqrt(readings)
+            and math.sqrt(force @ force) > LEAST_FORCE * self._std_force(readings)
         )
+
+    def _std_force(self, readings: int) -> float:
+        """Of each axis of the force [N], by the noise of so many readings and by the drift they share."""
+        steps = 0.0 if self.tolerances is None else self.tolerances.drift_steps
+        share = 1.0 / readings + steps**2 * self.model.averaging_samples
+        return self.model.noise.force * math.sqrt(share)
 
     @staticmethod
     def _exceeds(chi2: float) -> bool:

@@ -85,7 +85,12 @@ class Touches:
         if not self.estimator.detects(self.contacts.batch.wrench_base[i]):
             return "no_contact"
         std_s = math.sqrt(self.budget.cov_touch[i, 0, 0])
-        return "ok" if self.estimator.locates(std_s, self.contacts.force[i]) else "too_light"
+        return "ok" if self._judge.locates(std_s, self.contacts.force[i]) else "too_light"
+
+    @cached_property
+    def _judge(self) -> Estimator:
+        """The estimator that the readings are for."""
+        return self.estimator.with_tolerances(self.tolerances) if self.weighed else self.estimator
 
 
 def touches_of(

@@ -96,3 +96,12 @@ def test_columns_of_doubt_are_differences_of_probes(large, gravity):
 def test_noise_keeps_the_tolerances(large):
     estimator = large.estimator().with_tolerances()
     assert estimator.with_noise(1e-3, 1e-5).tolerances == estimator.tolerances
+
+
+def test_a_force_that_drift_may_be_tells_no_place(large, touched):
+    """A bias that has walked since the tare reads as a force: a place is told from five deviations of both on."""
+    noise, tolerances = large.model.noise.force, large.tolerances
+    both = noise * np.sqrt(1.0 + tolerances.drift_steps**2 * large.model.averaging_samples)
+    wrench = touched(0.12, 0.5 * (5.0 * noise + 5.0 * both))
+    assert large.estimator().estimate(wrench).ok
+    assert large.estimator().with_tolerances(tolerances).estimate(wrench).result == "too_light"
