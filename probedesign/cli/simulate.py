@@ -48,6 +48,7 @@ def simulate(
     from contextlib import ExitStack
     from dataclasses import replace
 
+    from probedesign.cli.output import working
     from probedesign.deployment import load_estimator
     from probedesign.errors import InputError
     from probedesign.live.box.box import NATIVE, Box
@@ -76,10 +77,8 @@ def simulate(
         records=float(records),
         ranges=ranges,
     )
-    print(
-        f"solving the presses of --scene {scene}; the first time the rod compiles, a minute or so", flush=True
-    )
-    things = press_scene(model, scene)
+    with working(f"solving the presses of --scene {scene}"):
+        things = press_scene(model, scene)
     motion = Motion(model, things)
     transducer = Transducer(model, motion.wrench_sensor, seed)
     with ExitStack() as on:
