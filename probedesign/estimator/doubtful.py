@@ -1,5 +1,6 @@
 """The touch that explains a reading best where the probe itself is known only to its tolerances."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +21,8 @@ ROUNDS = 3
 def locate(causes: Causes, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
     """The contacts of greatest likelihood, weighed by the reading's noise and the probe's tolerances together.
 
-    What the tolerances do to a reading depends on where it is touched, so they are weighed as at the place that the
-    noise alone makes likeliest, and once more where that leads elsewhere.
+    What the tolerances do to a reading depends on where it is touched, so they are weighed as at the place that noise
+    and drift alone make likeliest, and once more where that leads elsewhere.
 
     Args:
         causes: of doubt, under the reading's gravity.
@@ -29,19 +30,32 @@ def locate(causes: Causes, seen: Observation, near: Candidate | None = None) -> 
         near: a neighbouring reading's place, as for `likelihood.locate`.
     """
     rod = causes.model.rod
-    fitter, weighing = Fitter(rod, seen), Weighing(causes, seen)
+    fitter, weighing = Fitter(rod, _drifted(seen, causes)), Weighing(causes, seen)
     place = fitter.likeliest() if near is None else _unknowns(near)
+    if place is None:
+        near = _likeliest(fitter.scanned())
+        place = None if near is None else _unknowns(near)
     found: list[Candidate] = []
     for _ in range(ROUNDS):
         if place is None or not weighing.at(place):
-            return found or Fitter(rod, seen).locate(near)
+            return found or fitter.locate(near)
         fitter.known_to(weighing.whiten)
         found = fitter.locate(near)
-        best = min(found, key=lambda candidate: candidate.chi2, default=None)
+        best = _likeliest(found)
         if best is None or abs(best.s_contact - place[PLACE]) <= NEAR * rod.length:
             break
         place = _unknowns(best)
     return [_told(weighing, candidate) for candidate in found]
+
+
+def _drifted(seen: Observation, causes: Causes) -> Observation:
+    """With the bias' drift in it, which has the shape of the noise."""
+    share = float(causes.drift[0, 0] * seen.whiten[0, 0] ** 2)
+    return replace(seen, whiten=seen.whiten / math.sqrt(1.0 + share))
+
+
+def _likeliest(places: list[Candidate]) -> Candidate | None:
+    return min(places, key=lambda candidate: candidate.chi2, default=None)
 
 
 def _unknowns(place: Candidate) -> Array:

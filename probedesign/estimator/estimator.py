@@ -1,7 +1,7 @@
 """The estimator's door: gravity, detection, one of the methods, and what the answer is worth."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -30,6 +30,9 @@ ALARM_CHI2 = float(chdtri(6, FALSE_ALARM))
 LEAST_FORCE = 5.0
 """Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
 normal where F is known to less than a fifth (tests/estimator/test_statistics.py)."""
+SETTLED = 16.0
+"""Age of a tare [s] for which the tolerance of drift is meant. Assumed: the detector's walk of 0.05 steps a root of a
+second makes the default 0.2 steps of it."""
 INCONSISTENT = 1e-3
 """Chance that a true single contact is called inconsistent."""
 MOST_CHI2 = {dof: float(chdtri(dof, INCONSISTENT)) for dof in (paper.DOF, likelihood.DOF)}
@@ -56,6 +59,7 @@ class Estimator:
     tolerances: Tolerances | None = None
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
     _last_causes: dict[bytes, Causes] = field(default_factory=dict, compare=False, repr=False)
+    _last_aged: dict[int, "Estimator"] = field(default_factory=dict, compare=False, repr=False)
 
     def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
         """The same estimator for readings with these standard deviations of each channel.
@@ -124,9 +128,10 @@ class Estimator:
             return Estimate("out_of_range")
         if not free.ok:
             return Estimate("not_converged")
-        if not self._exceeds(seen.chi2):
-            return Estimate("no_contact", detection_chi2=seen.chi2, solve_shape=lambda: free)
-        chi2, readings = seen.chi2, len(window)
+        readings = len(window)
+        chi2 = seen.chi2 / self._scatter(readings)
+        if not self._exceeds(chi2):
+            return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
         if method == "paper":
             return self._decide(paper.locate(self.model.rod, seen), chi2, readings)
         start = near.candidates[0] if near is not None and near.candidates else None
@@ -217,7 +222,7 @@ class Estimator:
         return free
 
     def detects(self, wrench_base: Array, gravity_base: ArrayLike | None = None) -> bool:
-        """Whether a reading (6,) is told from the free probe's (equation 4 with the sensor's noise)."""
+        """Whether a reading (6,) is told from the free probe's (equation 4 with the sensor's noise and drift)."""
         free = self.free(gravity_base)
         return free.ok and self._exceeds(self._detection_chi2(wrench_base, free))
 
@@ -232,11 +237,31 @@ class Estimator:
             and math.sqrt(force @ force) > LEAST_FORCE * self._std_force(readings)
         )
 
+    def since_tare(self, seconds: float) -> "Estimator":
+        """The same estimator for readings so long after the tare [s]: a bias walks as the root of time.
+
+        A tolerance `drift_steps` is taken for the bias after `SETTLED` seconds, which gives the detector's walk. The
+        age is rounded up to that, or twice, four times, ... as long; the last such estimator is kept.
+        """
+        if self.tolerances is None or not seconds > SETTLED:
+            return self
+        doublings = math.ceil(math.log2(seconds / SETTLED))
+        aged = self._last_aged.get(doublings)
+        if aged is None:
+            steps = self.tolerances.drift_steps * math.sqrt(2.0**doublings)
+            aged = Estimator(self.model, replace(self.tolerances, drift_steps=steps), self._last_free)
+            self._last_aged.clear()
+            self._last_aged[doublings] = aged
+        return aged
+
     def _std_force(self, readings: int) -> float:
         """Of each axis of the force [N], by the noise of so many readings and by the drift they share."""
+        return self.model.noise.force * math.sqrt(self._scatter(readings) / readings)
+
+    def _scatter(self, readings: int = 1) -> float:
+        """Variance of the mean of so many readings, over that of their noise alone: they share the drift."""
         steps = 0.0 if self.tolerances is None else self.tolerances.drift_steps
-        share = 1.0 / readings + steps**2 * self.model.averaging_samples
-        return self.model.noise.force * math.sqrt(share)
+        return 1.0 + readings * steps**2 * self.model.averaging_samples
 
     @staticmethod
     def _exceeds(chi2: float) -> bool:
@@ -248,7 +273,8 @@ class Estimator:
         Args:
             wrench_by_force: change of the base wrench per newton of contact, (6,).
         """
-        return math.sqrt(ALARM_CHI2) / float(np.linalg.norm(self.model.whiten @ wrench_by_force))
+        least = math.sqrt(ALARM_CHI2 * self._scatter())
+        return least / float(np.linalg.norm(self.model.whiten @ wrench_by_force))
 
     @cached_property
     def cov_wrench(self) -> Array:
@@ -257,7 +283,7 @@ class Estimator:
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
         off = self.model.whiten @ (wrench - free.wrench_base)
-        return float(off @ off)
+        return float(off @ off) / self._scatter()
 
     def _decide(self, found: list[Candidate], detection_chi2: float, readings: int) -> Estimate:
         """Turn the candidates into one answer with its code."""

@@ -33,7 +33,8 @@ class Tolerances:
     """Standard deviations of what a model says of its probe, each normal and independent of the others.
 
     Attributes:
-        drift_steps: of the sensor's bias since the tare, on each channel, in steps of its resolution.
+        drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
+            resolution; `Estimator.since_tare` lets it grow with the root of time.
         youngs_modulus, shear_modulus, density: relative, each by itself.
         diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
         diameter_scatter_mm: of each knot's diameter for itself.

@@ -22,6 +22,7 @@ from probedesign.live.block import Block
 from probedesign.live.contacts import Contact, Contacts
 from probedesign.live.locate import locate
 from probedesign.live.low_pass import LowPass
+from probedesign.live.pace import Pace
 from probedesign.live.plan import Plan
 from probedesign.live.pose.poses import Poses
 from probedesign.live.reading import Reading
@@ -61,7 +62,8 @@ class Chain:
         self._watch: Watch | None = None
         self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
-        self._now = self._due = -math.inf
+        self._now = -math.inf
+        self._pace = Pace(plan.rate, say)
         self._stretch = 0
         self._seen = Seen("", None)
         self._lacks_pose = False
@@ -150,7 +152,7 @@ class Chain:
         if self._taring is not None and not self._taring.asked:
             return
         self._seen = self._see(Batch(batch.block, reading))
-        if self._is_due(reading.time):
+        if self._pace.wants(reading):
             yield self._answer(reading if smooth is None else self._placed(smooth))
 
     def _answer(self, reading: Reading) -> Answer:
@@ -252,15 +254,6 @@ class Chain:
             return Seen("", None if self._poses is None else Fused("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)
         return self._watch.see(batch, self.tare, T)
-
-    def _is_due(self, time: float) -> bool:
-        """Whether an estimate is due; a hundredth of a period early will do, so that a source that keeps the very
-        rate loses none to rounding."""
-        period = 1.0 / self._plan.rate
-        if time < self._due - 0.01 * period:
-            return False
-        self._due = self._due + period if self._due + period > time else time + period
-        return True
 
     def _awaits_pose(self, time: float) -> bool:
         return self._poses is not None and self._poses.awaits(time, self._now)

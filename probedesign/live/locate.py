@@ -7,9 +7,14 @@ from probedesign.live.tare import Tare, without_bias
 
 
 def locate(estimator: Estimator, read: Reading, tare: Tare | None = None) -> Estimate:
-    """The estimate of one reading; a channel at its limit counts as read, before the bias is taken off."""
+    """The estimate of one reading; a channel at its limit counts as read, before the bias is taken off.
+
+    With tolerances the bias is trusted the less the older the tare is.
+    """
     if read.fault or not estimator.model.reads(read.wrench_sensor):
         return Estimate("out_of_range")
     reading = without_bias(read, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
+    if tare is not None:
+        estimator = estimator.since_tare(read.time - tare.time)
     return estimator.estimate(wrench_base, reading.gravity_base)

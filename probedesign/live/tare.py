@@ -45,12 +45,14 @@ class Tare:
         std_sensor: scatter of the window's readings [N, N·m], (6,).
         readings: how many there were.
         window: when.
+        time: of the last of them, by the source's clock [s].
     """
 
     bias_sensor: Array
     std_sensor: Array
     readings: int
     window: Window
+    time: float
 
 
 class Taring:
@@ -129,7 +131,7 @@ def take_tare(readings: list[Reading], window: Window, estimator: Estimator) -> 
     noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
     if (std > STEADY * noise).any():
         raise InputError(f"{told} is not steady: {_worst(std, noise)}; touched, moving or not averaged?")
-    return Tare(bias, std, len(readings), window)
+    return Tare(bias, std, len(readings), window, readings[-1].time)
 
 
 def _free(reading: Reading, estimator: Estimator) -> Array:

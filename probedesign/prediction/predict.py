@@ -78,7 +78,8 @@ class Condition:
 
 @dataclass(frozen=True)
 class Detection:
-    """Smallest force that is told from no contact, at one place from one side; None where so much is not borne."""
+    """Smallest force that one reading tells from no contact, at one place from one side; None where so much is not
+    borne. It stands out of the noise and, where tolerances are weighed, of the drift."""
 
     contact_fraction: float
     direction: str
@@ -259,7 +260,7 @@ def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | 
     """In proportion to a weak push; none where the probe gives way before."""
     if not touches.contacts.ok[i] or most is None:
         return Detection(*line, None)
-    felt = touches.estimator.detectable(touches.contacts.d_wrench_by_touch[i, :, 2])
+    felt = touches.judge.detectable(touches.contacts.d_wrench_by_touch[i, :, 2])
     return Detection(*line, 1e3 * felt if felt <= most else None)
 
 

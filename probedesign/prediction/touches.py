@@ -82,13 +82,13 @@ class Touches:
             return "gives_way"
         if self.sensor_use[i] > 1.0:
             return "out_of_range"
-        if not self.estimator.detects(self.contacts.batch.wrench_base[i]):
+        if not self.judge.detects(self.contacts.batch.wrench_base[i]):
             return "no_contact"
         std_s = math.sqrt(self.budget.cov_touch[i, 0, 0])
-        return "ok" if self._judge.locates(std_s, self.contacts.force[i]) else "too_light"
+        return "ok" if self.judge.locates(std_s, self.contacts.force[i]) else "too_light"
 
     @cached_property
-    def _judge(self) -> Estimator:
+    def judge(self) -> Estimator:
         """The estimator that the readings are for."""
         return self.estimator.with_tolerances(self.tolerances) if self.weighed else self.estimator
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from probedesign.estimator.detector import DRIFT_STEPS
 from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.prediction.worlds import Worlds
@@ -105,3 +106,37 @@ def test_a_force_that_drift_may_be_tells_no_place(large, touched):
     wrench = touched(0.12, 0.5 * (5.0 * noise + 5.0 * both))
     assert large.estimator().estimate(wrench).ok
     assert large.estimator().with_tolerances(tolerances).estimate(wrench).result == "too_light"
+
+
+@pytest.mark.parametrize("age", [10.0, 100.0, 1000.0, 10_000.0])
+def test_an_old_tare_is_trusted_less(large, touched, age):
+    """The bias has walked by the detector's 0.05 steps a root of a second: a free probe is free still, and a touch that
+    is much heavier than the walk is where the ellipsoid says."""
+    estimator = large.estimator().with_tolerances().since_tare(age)
+    noise = np.linalg.cholesky(estimator.cov_wrench)
+    step = noise * np.sqrt(estimator.model.averaging_samples)
+    rng = np.random.default_rng(int(age))
+
+    def read(wrench):
+        walked = DRIFT_STEPS * np.sqrt(age) * step @ rng.standard_normal(6)
+        return estimator.estimate(wrench + noise @ rng.standard_normal(6) + walked)
+
+    free = estimator.free().wrench_base
+    assert all(read(free).result == "no_contact" for _ in range(DRAWS))  # one in a million is a false alarm
+
+    force = 12.0 * estimator.model.noise.force * np.sqrt(1.0 + (DRIFT_STEPS**2 * age) * 36)
+    told = [read(touched(0.075, force)) for _ in range(DRAWS)]
+    assert sum(not c.ok for c in told) <= stats.binom(DRAWS, 5e-3).ppf(1.0 - RARE)
+    point = large.estimator().estimate(touched(0.075, force)).p_contact_base
+    off = [(c.p_contact_base - point, c.cov_contact_base) for c in told if c.ok]
+    squares = np.array([d @ np.linalg.solve(cov, d) for d, cov in off])
+    inside = int((squares < stats.chi2(3).ppf(0.95)).sum())
+    assert inside >= stats.binom(len(off), 0.95).ppf(RARE) - 0.03 * len(off)  # the bow, as above
+
+
+def test_without_tolerances_a_tare_does_not_age(large):
+    estimator = large.estimator()
+    assert estimator.since_tare(1e6) is estimator
+    weighed = estimator.with_tolerances()
+    assert weighed.since_tare(-1.0) is weighed and weighed.since_tare(float("nan")) is weighed
+    assert weighed.since_tare(100.0) is weighed.since_tare(120.0)

@@ -328,9 +328,12 @@ class Heard(Listener):
         pass
 
 
-def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(estimator, motion, tmp_path):
+def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(
+    estimator, motion, tmp_path, monkeypatch
+):
     """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""
     path, heard = tmp_path / "touch.mcap", Heard(motion)
+    monkeypatch.setattr("probedesign.live.pace.monotonic", lambda: heard.now)  # the clock of `received`
     down = ",".join(map(repr, motion.model.gravity_base.tolist()))
     poses = Poses("heard", heard, latency=0.004, gravity_world=motion.model.gravity_base)
     file, plan = McapFile(path, estimator.model), Plan(Window(0.0, 2.0), SAMPLES, 25.0)
