@@ -3,7 +3,6 @@
 import os
 import sys
 from contextlib import closing, suppress
-from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.ending import ending_well
-from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -77,67 +75,40 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.deployment import load_estimator
+    from probedesign.live.outlets import Outlets
     from probedesign.live.pose.spec import open_poses
-    from probedesign.live.publish import Publisher
-    from probedesign.live.recordings import Recordings
     from probedesign.live.requests import Requests
     from probedesign.live.run import Plan, estimate_stream
     from probedesign.live.sinks import Sinks, Spoken
     from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
-    from probedesign.live.view.terminal import Terminal
-    from probedesign.live.view.view import View
     from probedesign.live.warm_up import warm_up
 
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
     estimator = load_estimator(bundle, manifest)
     estimator = estimator if exact_model else estimator.with_tolerances()
-    if record is not None:
-        _check_record(record, source, force)
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
              "exact_model": str(exact_model).lower(), "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
              "pose": pose, "pose_latency_ms": f"{pose_latency_ms:g}", "gravity_world": gravity_world or ""}  # fmt: skip
+    drawn = not (lines or as_json) and _on_terminal()
+    page = (view_host, view_port) if view else None
+    outlets = Outlets(record, force, publish, page, drawn, bundle.parent, about)
+    outlets.check(source)
     with closing(Sinks(Spoken())) as sinks, ending_well():
         opened = open_source(source, estimator.model, sinks.say)
-        counts = partial(getattr, opened, "counts", {})
         poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
-        publisher = None if publish is None else Publisher(publish, sinks.say)
+        publisher = outlets.publisher(sinks.say)
         warm_up(estimator, sinks.say, fusing=True)
         sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
             sinks.say(note)
-        requests, recordings = Requests(), Recordings(record, estimator.model, sinks.say, force, about)
-        requests.does("start recording", lambda _: recordings.asked_to_start())
-        requests.does("stop recording", lambda _: recordings.stop())
-        sinks.add(recordings)
-        if poses is not None:
-            poses.tell = recordings.posed
-        if publisher is not None:
-            sinks.add(publisher)
-        if view:
-            sinks.add(View(estimator, bundle.parent, requests, sinks.say, view_host, view_port, counts))
-        drawn = not (lines or as_json) and _on_terminal()
-        if drawn:
-            sinks.add(Terminal(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
-        if record is not None:  # after the views, which tell from the events whether it is recorded
-            recordings.start()
+        requests = Requests()
+        outlets.connect(sinks, requests, estimator, opened, poses, publisher)
         answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
         by_itself = _print(answers, sinks.say, as_json, drawn)
         if view and by_itself and _on_terminal():
             _stay(sinks.say)
-
-
-def _check_record(record: Path, source: str, force: bool) -> None:
-    """Refuse to replace a file unasked, and the recording that is replayed at all."""
-    from probedesign.live.recordings import check_name
-
-    check_name(record)
-    replayed = Path(source.partition("?")[0].removeprefix("replay:"))
-    if record.exists() and replayed.exists() and record.samefile(replayed):
-        raise InputError(f"--record {record} is the recording that is replayed; name another file")
-    if record.exists() and not force:
-        raise InputError(f"{record}: exists already; --force replaces it, or name another file")
 
 
 def _print(

@@ -1,8 +1,16 @@
 """`probedesign simulate`: a Net F/T box that is not there."""
 
+import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from probedesign.estimator.model import ProbeModel
+    from probedesign.live.box.scene import Pressed
+    from probedesign.live.netft.configuration import Configuration
 
 FOREVER = 1e8
 """Three years [s]."""
@@ -46,39 +54,17 @@ def simulate(
         pose_to: HOST:PORT to send the base's poses to, as live --pose udp:// hears them.
     """
     from contextlib import ExitStack
-    from dataclasses import replace
 
-    from probedesign.cli.output import working
     from probedesign.deployment import load_estimator
-    from probedesign.errors import InputError
-    from probedesign.live.box.box import NATIVE, Box
+    from probedesign.live.box.box import Box
     from probedesign.live.box.faults import parse_faults
     from probedesign.live.box.motion import Motion
     from probedesign.live.box.robot import Robot
-    from probedesign.live.box.scene import press_scene
     from probedesign.live.box.transducer import Transducer
-    from probedesign.live.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
 
-    parts = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0
-    if not parts >= 1.0 or abs(parts - round(parts)) > 1e-3 * parts:
-        raise InputError(f"--rate-hz {rate_hz:g} must be {SAMPLES_PER_SECOND} over a whole number")
-    if not 1 <= records <= MOST_RECORDS:
-        raise InputError(f"--records {records} must be 1 ... {MOST_RECORDS}")
-    if seconds is not None and not seconds > 0.0:
-        raise InputError(f"--seconds {seconds} must be positive")
-    faults = parse_faults(fault or [], seed)
-    model = load_estimator(bundle).model
-    force, moment = model.wrench_range[0], model.wrench_range[3]
-    ranges = (force, force, model.wrench_range[2], *[moment * (1.0 if torque_unit == "N-m" else 1e3)] * 3)
-    configuration = replace(
-        NATIVE,
-        torque_unit=torque_unit,
-        rate=SAMPLES_PER_SECOND / round(parts),
-        records=float(records),
-        ranges=ranges,
-    )
-    with working(f"solving the presses of --scene {scene}"):
-        things = press_scene(model, scene)
+    faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
+    configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
+    things = _pressed(model, scene)
     motion = Motion(model, things)
     transducer = Transducer(model, motion.wrench_sensor, seed)
     with ExitStack() as on:
@@ -91,6 +77,43 @@ def simulate(
             print(line, flush=True)
         with suppress(KeyboardInterrupt):
             time.sleep(seconds if seconds is not None else FOREVER)
+
+
+def _configuration(
+    model: "ProbeModel", torque_unit: str, rate_hz: float, records: int, seconds: float | None
+) -> "Configuration":
+    """Of the box, as the options say.
+
+    Raises:
+        InputError: one makes no sense.
+    """
+    from probedesign.errors import InputError
+    from probedesign.live.box.box import NATIVE
+    from probedesign.live.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
+
+    parts = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0
+    if not parts >= 1.0 or abs(parts - round(parts)) > 1e-3 * parts:
+        raise InputError(f"--rate-hz {rate_hz:g} must be {SAMPLES_PER_SECOND} over a whole number")
+    if not 1 <= records <= MOST_RECORDS:
+        raise InputError(f"--records {records} must be 1 ... {MOST_RECORDS}")
+    if seconds is not None and not seconds > 0.0:
+        raise InputError(f"--seconds {seconds} must be positive")
+    force, moment = model.wrench_range[0], model.wrench_range[3]
+    ranges = (force, force, model.wrench_range[2], *[moment * (1.0 if torque_unit == "N-m" else 1e3)] * 3)
+    rate = SAMPLES_PER_SECOND / round(parts)
+    return replace(NATIVE, torque_unit=torque_unit, rate=rate, records=float(records), ranges=ranges)
+
+
+def _pressed(model: "ProbeModel", scene: str) -> "tuple[Pressed, ...]":
+    """The scene's objects, with what the probe reads of each; whoever waits is told for what."""
+    from probedesign.cli.output import working
+    from probedesign.live.box.scene import press_scene
+
+    what = f"solving the presses of --scene {scene}"
+    if not sys.stderr.isatty():
+        print(f"{what} ...", file=sys.stderr, flush=True)
+    with working(what):
+        return press_scene(model, scene)
 
 
 def _listening(host: str, source: str, bundle: Path) -> list[str]:

@@ -46,10 +46,10 @@ class Contact:
             x, y, z = (1e3 * float(value) for value in self.fused.p_contact_world)
             return f"{told}: ({x:.2f}, {y:.2f}, {z:.2f}) mm in the world, ± {1e3 * self.fused.rms:.2f} mm"
         if self.fused is not None:
-            told += f": in the world {self.fused.result}"
+            told += f": as one point of the world {self.fused.result}"
         if self.estimate is not None:
             s, std = 1e3 * self.estimate.s_contact, 1e3 * self.estimate.std_s
-            return f"{told}: s {s:.1f} ± {std:.1f} mm by one reading"
+            return f"{told}{'; ' if self.fused is not None else ': '}one reading alone says s {s:.1f} ± {std:.1f} mm"
         return f"{told}: not located"
 
 

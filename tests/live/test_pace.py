@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.live import pace
-from probedesign.live.pace import LATE, Pace
+from probedesign.live.pace import CALM, LATE, Pace
 from probedesign.live.reading import Reading
 
 READING = Reading(0.0, np.zeros(6), np.zeros(3))
@@ -28,9 +28,10 @@ def test_estimates_keep_the_rate_that_was_asked_for(monkeypatch):
 
 
 def test_a_reading_that_waited_too_long_is_left_out_and_that_is_told_once(monkeypatch):
-    at = [0.0, LATE + 0.01, LATE + 0.5, 0.1, 0.0]
-    found, said = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
-    assert found == [True, False, False, True, True]
+    at = [0.0, LATE + 0.01, 0.0, LATE + 0.5, 0.1, 0.0, 0.0]
+    times = [0.0, 0.01, 0.02, 0.03, 0.04, 0.03 + 1.1 * CALM, 1.0 + CALM]
+    found, said = wanted(at, times, 7.0, monkeypatch)
+    assert found == [True, False, True, False, True, True, True]
     assert len(said) == 2 and "late" in said[0] and "2 were left out" in said[1]
 
 
