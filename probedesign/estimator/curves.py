@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from probedesign.estimator.pressed import Push
 from probedesign.frames import Array
-from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.rod import Rod
 
 STATIONS = 24
@@ -20,6 +20,8 @@ NEAREST = 0.04
 MOST_BENT = 6.0
 """F s² r(0)/(E I(0) r(s)) of a push beyond which no probe holds it; looking for its equilibrium would take long."""
 _ITERATIONS = 3
+X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)
+"""Of the section at the contact, in `Batch.frame`."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Curve:
 
 
 def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:
-    """For each station the force across the probe that makes the measured moment there.
+    """For each station the force across the probe whose base moment comes nearest to the one read, all at once.
 
     Args:
         rod: of the probe.
@@ -45,32 +47,44 @@ def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve
         T_world_base: pose of the base, (4, 4).
     """
     stations = np.linspace(NEAREST, 1.0, STATIONS) * rod.flank_end
-    points, pushes = np.full((STATIONS, 3), np.nan), []
-    for j, s in enumerate(stations):
-        eq = _under_moment(rod, gravity, moment, float(s))
-        pushes.append(Push.under(rod, eq) if eq is not None else None)
-        if eq is not None:
-            points[j] = T_world_base[:3, :3] @ eq.p_contact_base + T_world_base[:3, 3]
+    points, pushes = np.full((STATIONS, 3), np.nan), list[Push | None]([None] * STATIONS)
+    force, going = np.zeros((STATIONS, 3)), np.arange(STATIONS)
+    for _ in range(_ITERATIONS):
+        bearable = np.linalg.norm(force[going], axis=1) <= _most_force(rod, stations[going])
+        for j in going[~bearable]:
+            points[j], pushes[j] = np.nan, None
+        going = going[bearable]
+        if len(going) == 0:
+            break
+        batch = solve_batch(rod, gravity, force[going], stations[going], columns="load")
+        going, batch = going[batch.ok], batch.rows(batch.ok)
+        for j, case in zip(going, range(len(going)), strict=True):
+            pushes[j] = _push(float(stations[j]), force[j].copy(), batch.frame[case], batch.tip[case])
+        points[going] = batch.p_contact_base @ T_world_base[:3, :3].T + T_world_base[:3, 3]
+        force[going] = _across(batch, force[going], moment)
     return Curve(points, tuple(pushes))
 
 
-def _under_moment(rod: Rod, gravity: Array, moment: Array, s: float) -> Equilibrium | None:
-    """The equilibrium under the force across the section at s whose base moment comes nearest to the one read."""
-    force, best = np.zeros(3), None
-    radius = float(np.interp(s, rod.s, rod.radius))
-    most = MOST_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
-    for _ in range(_ITERATIONS):
-        if math.sqrt(force @ force) > most:
-            return None
-        eq = rod.solve(gravity, force, s, columns="load")
-        if not eq.ok or eq.sensitivity is None:
-            break
-        best = eq
-        across = eq.R_at(s)[:, :2]
-        by_force = eq.sensitivity.d_moment[:, :3]
-        misfit = moment - eq.wrench_base[3:6] + by_force @ force
-        force = across @ np.linalg.lstsq(by_force @ across, misfit, rcond=None)[0]
-    return best
+def _most_force(rod: Rod, s: Array) -> Array:
+    """Pushes beyond which no probe holds them [N], (j,)."""
+    radius = np.interp(s, rod.s, rod.radius)
+    most: Array = MOST_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
+    return most
+
+
+def _across(batch: Batch, force: Array, moment: Array) -> Array:
+    """The forces across the sections whose base moments come nearest to the one read, to first order, (j, 3)."""
+    across = np.stack([batch.frame[:, X_AXIS], batch.frame[:, Y_AXIS]], axis=2)
+    by_force = batch.d_moment[:, :, :3]
+    misfit = moment - batch.wrench_base[:, 3:6] + np.einsum("jik,jk->ji", by_force, force)
+    found: Array = np.einsum("jik,jkl,jl->ji", across, np.linalg.pinv(by_force @ across), misfit)
+    return found
+
+
+def _push(s: float, force: Array, frame: Array, tip: Array) -> Push:
+    """As a force pushes."""
+    angle = math.atan2(force @ frame[Y_AXIS], force @ frame[X_AXIS])
+    return Push(s, angle, float(np.linalg.norm(force)), force, tip.copy())
 
 
 def meetings(curves: list[Curve]) -> list[tuple[int, ...]]:
