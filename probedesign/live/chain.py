@@ -20,9 +20,9 @@ from probedesign.live.answer import Answer
 from probedesign.live.batch import Batch, Batches
 from probedesign.live.block import Block
 from probedesign.live.contacts import Contact, Contacts
+from probedesign.live.due import Due
 from probedesign.live.locate import locate
 from probedesign.live.low_pass import LowPass
-from probedesign.live.pace import Pace
 from probedesign.live.plan import Plan
 from probedesign.live.pose.poses import Poses
 from probedesign.live.reading import Reading
@@ -63,7 +63,7 @@ class Chain:
         self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
         self._now = -math.inf
-        self._pace = Pace(plan.rate, say)
+        self._due = Due(plan.rate, say)
         self._stretch = 0
         self._seen = Seen("", None)
         self._lacks_pose = False
@@ -152,7 +152,7 @@ class Chain:
         if self._taring is not None and not self._taring.asked:
             return
         self._seen = self._see(Batch(batch.block, reading))
-        if self._pace.wants(reading):
+        if self._due.wants(reading):
             yield self._answer(reading if smooth is None else self._placed(smooth))
 
     def _answer(self, reading: Reading) -> Answer:

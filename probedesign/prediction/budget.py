@@ -21,7 +21,28 @@ from probedesign.rod.contacts import Contacts
 
 
 @dataclass(frozen=True)
-class Budget:
+class ByCause:
+    """Errors of n points by what causes them.
+
+    Attributes:
+        cov: of each point [m²] by cause, (n, causes, 3, 3).
+    """
+
+    cov: Array
+
+    @property
+    def total(self) -> Array:
+        """Covariance by all causes [m²], (n, 3, 3)."""
+        return np.asarray(self.cov.sum(axis=1))
+
+    @property
+    def rms(self) -> Array:
+        """Of each cause [m], (n, causes)."""
+        return np.asarray(np.sqrt(np.trace(self.cov, axis1=2, axis2=3)))
+
+
+@dataclass(frozen=True)
+class Budget(ByCause):
     """Errors of n touches; NaN where there is no touch, infinite where a reading leaves the place open.
 
     Attributes:
@@ -31,19 +52,8 @@ class Budget:
         cov_touch: of (s_contact, angle, magnitude), likewise, (n, 3, 3).
     """
 
-    cov: Array
     cov_noise: Array
     cov_touch: Array
-
-    @property
-    def total(self) -> Array:
-        """Covariance of the contact point by all causes [m²], (n, 3, 3)."""
-        return np.asarray(self.cov.sum(axis=1))
-
-    @property
-    def rms(self) -> Array:
-        """Of each cause [m], (n, causes)."""
-        return np.asarray(np.sqrt(np.trace(self.cov, axis1=2, axis2=3)))
 
 
 def budget_of(

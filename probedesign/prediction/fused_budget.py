@@ -17,6 +17,7 @@ from probedesign.estimator.equations import OFFSET, POINT, STIFFNESS, UNKNOWNS, 
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
+from probedesign.prediction.budget import ByCause
 from probedesign.prediction.pressing import Pressing, unknowns_of
 from probedesign.prediction.standing import Standing
 from probedesign.rod.contacts import Indices
@@ -26,7 +27,7 @@ FUSED_CAUSES = (*CAUSES, "robot")
 
 
 @dataclass(frozen=True)
-class FusedBudget:
+class FusedBudget(ByCause):
     """Errors of n points, each touched several times.
 
     Attributes:
@@ -35,19 +36,8 @@ class FusedBudget:
         cov_fixed: likewise of the point of the surface that stands still [m²], (n, 3, 3).
     """
 
-    cov: Array
     cov_told: Array
     cov_fixed: Array
-
-    @property
-    def total(self) -> Array:
-        """By all causes [m²], (n, 3, 3)."""
-        return np.asarray(self.cov.sum(axis=1))
-
-    @property
-    def rms(self) -> Array:
-        """Of each cause [m], (n, causes)."""
-        return np.asarray(np.sqrt(np.trace(self.cov, axis1=2, axis2=3)))
 
 
 @dataclass(frozen=True)

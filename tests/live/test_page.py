@@ -186,7 +186,7 @@ def tab(view):
 
 
 def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
-    words = {said.name: said.text for said in view._keeper.moment().words}
+    words = {said.name: said.text for said in view.moment().words}
     for name in ("contact", "force", "point"):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
     tab.get_by_text("stale: nothing read for", exact=False).first.wait_for(timeout=PATIENCE)

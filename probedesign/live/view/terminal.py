@@ -2,8 +2,6 @@
 
 from typing import TYPE_CHECKING
 
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
 from probedesign.live.view.keeper import Counts, Keeper
 from probedesign.live.view.moment import Moment, Mood
 
@@ -15,7 +13,7 @@ A_SECOND = 8
 STYLES: dict[Mood, str] = {"good": "bold green", "fair": "yellow", "bad": "bold red", "plain": ""}
 
 
-class Terminal:
+class Terminal(Keeper):
     """A sink that draws what it is given at the bottom of a terminal until it is closed."""
 
     def __init__(self, title: str, counts: Counts = dict, console: "Console | None" = None) -> None:
@@ -28,28 +26,17 @@ class Terminal:
         """
         from rich.live import Live
 
-        self._title, self._keeper = title, Keeper(counts)
+        super().__init__(counts)
+        self._title = title
         self._live = Live(console=console, get_renderable=self._table, refresh_per_second=A_SECOND)
         self._live.start()
-
-    def read(self, block: Block) -> None:
-        """Readings have come."""
-        self._keeper.read(block)
-
-    def answered(self, answer: Answer) -> None:
-        """An answer has come."""
-        self._keeper.answered(answer)
-
-    def told(self, time: float, line: str) -> None:
-        """An event; its line scrolls by as it is said."""
-        self._keeper.told(time, line)
 
     def close(self) -> None:
         """Leave the last words standing, and the cursor as it was."""
         self._live.stop()
 
     def _table(self) -> "Table":
-        return table_of(self._title, self._keeper.moment(shaped=False))
+        return table_of(self._title, self.moment(shaped=False))
 
 
 def table_of(title: str, moment: Moment) -> "Table":

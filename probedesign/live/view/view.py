@@ -14,8 +14,6 @@ from typing import IO, Any, get_args
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimator.estimator import Estimator
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
 from probedesign.live.requests import Requests, Wish
 from probedesign.live.sinks import Say
 from probedesign.live.view.keeper import Counts, Keeper
@@ -31,7 +29,7 @@ LONGEST_NOTE = 200
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
-class View:
+class View(Keeper):
     """The page of a run, from when it listens to `close`.
 
     Nothing here waits for it: a thread sends what there is to see, at most 30 times a second, and if the page does not
@@ -70,7 +68,7 @@ class View:
             raise MissingDependencyError("--view needs viser; install probedesign[view]")
         _check(host, port)
         self._requests, self._say = requests, say
-        self._keeper = Keeper(counts)
+        super().__init__(counts)
         self._ended = threading.Event()
         self._process = process = _start()
         assert process.stdin is not None and process.stdout is not None
@@ -88,18 +86,6 @@ class View:
         self._writer.start()
         self._reader.start()
 
-    def read(self, block: Block) -> None:
-        """Readings have come."""
-        self._keeper.read(block)
-
-    def answered(self, answer: Answer) -> None:
-        """An answer has come."""
-        self._keeper.answered(answer)
-
-    def told(self, time: float, line: str) -> None:
-        """An event."""
-        self._keeper.told(time, line)
-
     def close(self) -> None:
         """The page is gone a moment later."""
         self._ended.set()
@@ -110,7 +96,7 @@ class View:
     def _write(self, page: IO[bytes]) -> None:
         while not self._ended.wait(PERIOD):
             try:
-                self._send(page, self._keeper.moment())
+                self._send(page, self.moment())
             except OSError:
                 return  # the reader has heard why
 

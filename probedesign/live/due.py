@@ -14,7 +14,7 @@ CALM = 5.0
 """How long none is left out [s] before that is told."""
 
 
-class Pace:
+class Due:
     """At most so many estimates a second of the source's clock, and none of a reading that has waited too long."""
 
     def __init__(self, rate: float, say: Callable[[str], None]) -> None:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.live import pace
-from probedesign.live.pace import CALM, LATE, Pace
+from probedesign.live import due
+from probedesign.live.due import CALM, LATE, Due
 from probedesign.live.reading import Reading
 
 READING = Reading(0.0, np.zeros(6), np.zeros(3))
@@ -14,10 +14,10 @@ READING = Reading(0.0, np.zeros(6), np.zeros(3))
 def wanted(at, times, received, monkeypatch):
     """Whether each reading is wanted, taken in when the clock shows `received` and as much more as `at` says."""
     said: list[str] = []
-    kept = Pace(100.0, said.append)
+    kept = Due(100.0, said.append)
     found = []
     for time, late in zip(times, at, strict=True):
-        monkeypatch.setattr(pace, "monotonic", lambda late=late: 7.0 + late)
+        monkeypatch.setattr(due, "monotonic", lambda late=late: 7.0 + late)
         found.append(kept.wants(replace(READING, time=time, received=received)))
     return found, said
 
