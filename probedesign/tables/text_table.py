@@ -83,8 +83,8 @@ def plain(text: str, most: int = 100) -> str:
     return "".join(c for c in text[:most] if c.isprintable())
 
 
-def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
-    """The text of a file; for the arguments see `read_table`.
+def read_text(path: Path, what: str, most_bytes: int | None = None, kind: str = "CSV") -> str:
+    """The text of a file; for the arguments see `read_table`, `kind` is what it should be.
 
     Raises:
         InputError: it cannot be read, is no text in UTF-8, or too large.
@@ -96,13 +96,13 @@ def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
     except FileNotFoundError:
         raise InputError(f"{path}: no such {what}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file in UTF-8; a {what} is CSV") from None
+        raise InputError(f"{path}: is not a text file in UTF-8; a {what} is {kind}") from None
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
     if "\0" in text:
-        raise InputError(f"{path}: is a binary file; a {what} is CSV")
+        raise InputError(f"{path}: is a binary file; a {what} is {kind}")
     return text
 
 
