@@ -109,7 +109,9 @@ class Camera:
         """
         bent = np.asarray(np.linalg.solve(self.K, _homogeneous(pixels)[..., None])[..., :2, 0], dtype=float)
         seen = bent.copy()
-        for _ in range(20):  # a step gains a factor |2 k1 r²|, a tenth or less of any lens used for measuring
+        for _ in range(
+            20 if len(self.distortion) else 0
+        ):  # a step gains a factor |2 k1 r²|, a tenth or less of any lens used for measuring
             seen = bent / self._stretch(seen)[..., None]
         directions = _homogeneous(seen) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
