@@ -39,7 +39,7 @@ class State:
         equilibrium: of the true probe in its true base.
         p_surface_base: the touched point [m], (3,); None where nothing touches or a weight hangs.
         direction: of a touch.
-        weight: known force in the world [N], (3,); zero for a free probe, None for a touch.
+        weight: force in the world as it is known, straight down [N], (3,); zero for a free probe, None for a touch.
         wrench_sensor: what a perfect sensor reads [N, N·m], (6,).
     """
 
@@ -128,14 +128,12 @@ class World:
         """A weight on a thread around the probe: a dead force on its axis, that of the greatest size that it bears."""
         down = self.gravity_world / np.linalg.norm(self.gravity_world)
         for _ in range(LEAST_HALVINGS):
-            force = newtons * down
-            eq = self.rod.solve(
-                self.gravity_base, self.T_world_true[:3, :3].T @ force, fraction * self.rod.length
-            )
+            force_base = self.T_world_true[:3, :3].T @ (newtons * down)
+            eq = self.rod.solve(self.gravity_base, force_base, fraction * self.rod.length)
             if eq.ok:
                 break
             newtons /= 2.0
-        return self._state(name, eq, None, "", force)
+        return self._state(name, eq, None, "", np.array([0.0, 0.0, -newtons]))
 
     def _touched(self, name: str, fraction: float, newtons: float, direction: str) -> State:
         """A touch without friction, as hard as planned or as the probe bears."""
@@ -152,7 +150,9 @@ class World:
         self, name: str, eq: Equilibrium, surface: Array | None, direction: str, weight: Array | None
     ) -> State:
         if not eq.ok:
-            raise InputError(f"test {name}: the probe cannot stand so ({eq.result}); a campaign needs one that can")
+            raise InputError(
+                f"test {name}: the probe cannot stand so ({eq.result}); a campaign needs one that can"
+            )
         mount_true = np.linalg.inv(self.T_world_mount) @ self.T_world_true
         R, shift = mount_true[:3, :3], mount_true[:3, 3]
         force, moment = R @ eq.wrench_base[:3], R @ eq.wrench_base[3:]
