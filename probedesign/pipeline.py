@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from probedesign.search.optimum import Search
     from probedesign.search.sweep import Swept
     from probedesign.search.task import Task
+    from probedesign.synthetic.folder import Made
+    from probedesign.synthetic.plan import Plan
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -252,6 +254,15 @@ def optimize(
         compared = side_by_side([search.start, best.design], best.task)
         write_atomically(files[-1], comparison_page(compared, best.task))
     return Found(search, best, confirmed, shown, tuple(files))
+
+
+def campaign(
+    design_path: Path, out: Path, plan: "Plan", force: bool, tell: Callable[[str, float | None], None]
+) -> "Made":
+    """Design → a print of it, drawn → what a laboratory would measure of that → a data folder."""
+    from probedesign.synthetic.folder import make_campaign
+
+    return make_campaign(probe_of(design_path).model, out, plan, force, tell)
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:
