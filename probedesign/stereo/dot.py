@@ -77,7 +77,14 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
         return np.asarray(_model(values, offsets) - levels)
 
     found = least_squares(
-        misfit, start, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1, max_nfev=60
+        misfit,
+        start,
+        loss="soft_l1",
+        f_scale=ROBUST,
+        x_scale=np.abs(start) + 0.1,
+        xtol=1e-5,
+        ftol=1e-6,
+        max_nfev=60,
     )
     values, radius = found.x, float(1 / np.sqrt(np.linalg.det(shape)))
     fitted = np.array([[values[2], values[3]], [values[3], values[4]]])
@@ -86,7 +93,7 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
     if not 0.5 < radius * np.sqrt(np.linalg.det(fitted)) < 2:
         return None
     rms = np.sqrt(np.mean(misfit(values) ** 2) * len(levels) / (len(levels) - len(values)))
-    by_centre = np.linalg.pinv(found.jac)[:2]
+    by_centre = np.linalg.pinv(np.asarray(found.jac, dtype=float))[:2]
     std = float(rms * np.sqrt(np.sum(by_centre**2) / 2))
     contrast = float(abs(values[6] - values[7]))
     return Dot(pixel + values[:2], float(np.hypot(std, FLOOR_PX)), fitted, contrast)

@@ -31,7 +31,7 @@ class Found:
     dark: bool
 
 
-def find_markers(path: Path, s: ArrayLike, base: ArrayLike | Side, dark: bool | None = None) -> Found:
+def find_markers(path: Path, s: ArrayLike, base: Array | Side, dark: bool | None = None) -> Found:
     """Find the dots of a probe in a photograph.
 
     Args:
@@ -49,7 +49,7 @@ def find_markers(path: Path, s: ArrayLike, base: ArrayLike | Side, dark: bool | 
             f"{path}: a row has three dots at least, from base to tip; the markers' s_mm name {len(places)}"
         )
     grey = read_grey(path)
-    end = Base(base if isinstance(base, str) else np.asarray(base, dtype=float))
+    end = Base(base)
     tried = [_tried(grey, shade, places, end) for shade in ((True, False) if dark is None else (dark,))]
     whole = [(rows, row) for rows, row in tried if len(row.chosen) == len(places)]
     if not whole:
