@@ -246,7 +246,10 @@ def _markers(sight: Sight, states: list[State], rng: np.random.Generator) -> dic
             pixels += [
                 f"{state.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)
             ]
-    return {"control_points.csv": "\n".join(control) + "\n", "pixels.csv": "\n".join(pixels) + "\n"}
+    calibrated = {"control_points.csv": "\n".join(control) + "\n"}
+    if plan.images:  # the markers are to be found in them
+        return calibrated
+    return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}
 
 
 def _check_in_picture(pixels: Array, test: str) -> None:
