@@ -1,7 +1,7 @@
 """How far an estimated contact is from the reference's, beside what both state."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -9,9 +9,10 @@ from scipy.special import chdtri
 from probedesign.campaign.campaign import Campaign, Test
 from probedesign.estimator.estimate import Estimate
 from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.units import MM
-from probedesign.validation.taring import cov_of_pose
+from probedesign.validation.taring import Reading, cov_of_pose
 
 CONFIDENCE = 0.05
 """Share that a 95 % ellipsoid leaves out."""
@@ -70,7 +71,7 @@ def miss_of(
     estimator: Estimator,
     estimate: Estimate | None,
     contact: Array | None,
-    readings: int,
+    reading: Reading,
 ) -> Miss | None:
     """Of the touched point where the reference saw it, else of the arclength where that is known.
 
@@ -80,13 +81,13 @@ def miss_of(
         estimator: that estimated it.
         estimate: of it.
         contact: touched point in the base frame [m], (3,).
-        readings: that it was estimated from.
+        reading: that it was estimated from.
     """
     if estimate is None or not estimate.ok:
         return None
     if contact is not None:
         own = cov_of_pose(campaign, contact) + max(test.std_contact, LEAST_REFERENCE) ** 2 * np.eye(3)
-        stated = estimate.cov_contact_base + _cov_of_surface(estimator, estimate, readings)
+        stated = _cov_of_surface(estimator, estimate, reading)
         return Miss(estimate.p_surface_base - contact, stated + own, own)
     if not math.isnan(test.s_contact):
         reference = np.array([[max(test.std_s, LEAST_REFERENCE) ** 2]])
@@ -95,23 +96,39 @@ def miss_of(
     return None
 
 
-def _cov_of_surface(estimator: Estimator, estimate: Estimate, readings: int) -> Array:
-    """What the way from the axis to the touched point adds [m²], (3, 3).
+def _cov_of_surface(estimator: Estimator, estimate: Estimate, reading: Reading) -> Array:
+    """Covariance of the touched point [m²], (3, 3): that of the axis, which the estimate states, and what the way from
+    there to the surface adds.
 
-    The estimate states the error of the point on the axis. The surface lies a radius off, of which the diameter's
-    tolerance is one error and the direction of the force, told by its two components across, the other.
+    The way turns with the force, whose components across are each as uncertain as the sensor. It is a radius long, and
+    a thicker probe is stiffer too: so what a diameter's tolerance moves the axis by is replaced by what it moves the
+    touched point by, found by estimating once more with a thicker probe.
     """
-    model, known = estimator.model, estimator.tolerances
+    known, model, shape = estimator.tolerances, estimator.model, estimate.shape
     way = estimate.p_surface_base - estimate.p_contact_base
-    radius = float(np.linalg.norm(way))
-    shape = estimate.shape
-    if radius == 0.0 or shape is None:
-        return np.zeros((3, 3))
-    out = way / radius
-    tangent = shape.R_at(estimate.s_contact)[:, 2]
-    round_it = np.cross(tangent, out)  # a unit vector, but for the lean of the surface
+    if shape is None or not way.any():
+        return estimate.cov_contact_base
     drift = 0.0 if known is None else known.drift_steps**2 * model.averaging_samples
-    std_force = model.noise.force * math.sqrt(1.0 / readings + drift)
-    turn = std_force / max(float(np.linalg.norm(estimate.force_base)), 1e-12)
-    wide = 0.0 if known is None else max(known.diameter_mm * MM, 2.0 * known.diameter_share * radius) / 2.0
-    return np.asarray(wide**2 * np.outer(out, out) + (turn * radius) ** 2 * np.outer(round_it, round_it))
+    std_force = model.noise.force * math.sqrt(1.0 / len(reading.wrenches_base) + drift)
+    turn = std_force / float(np.linalg.norm(estimate.force_base))
+    aside = turn * np.cross(shape.R_at(estimate.s_contact)[:, 2], way)
+    cov = estimate.cov_contact_base + np.outer(aside, aside)
+    thicker = None if known is None else _thicker(estimator, known, estimate, reading)
+    if thicker is None:
+        return np.asarray(cov)
+    axis, surface = (getattr(thicker, p) - getattr(estimate, p) for p in ("p_contact_base", "p_surface_base"))
+    return np.asarray(cov + np.outer(surface, surface) - np.outer(axis, axis))
+
+
+def _thicker(
+    estimator: Estimator, known: Tolerances, estimate: Estimate, reading: Reading
+) -> Estimate | None:
+    """The same reading, estimated with a probe thicker by a standard deviation; None where that tells no place."""
+    model, gravity = estimator.model, reading.gravity_base
+    radius = model.rod.radius + np.maximum(
+        known.diameter_mm * MM / 2.0, known.diameter_share * model.rod.radius
+    )
+    other = Estimator(replace(model, rod=replace(model.rod, radius=radius)), known)
+    retared = other.free(gravity).wrench_base - estimator.free(gravity).wrench_base if reading.tares else 0.0
+    found = other.estimate(reading.wrenches_base + retared, gravity, near=estimate)
+    return found if found.ok else None

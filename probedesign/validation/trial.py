@@ -100,7 +100,7 @@ def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) 
         shape_rms=math.sqrt(float(np.mean(np.sum((hat - seen) ** 2, axis=1)))) if len(hat) else math.nan,
         reference_rms=math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(seen) else math.nan,
         contact_base=contact,
-        miss=miss_of(campaign, test, used, estimate, contact, len(reading.wrenches_base)),
+        miss=miss_of(campaign, test, used, estimate, contact, reading),
         readings=len(reading.wrenches_base),
         tares=reading.tares,
     )  # fmt: skip
