@@ -155,7 +155,8 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("wrenches.csv", "hang,1,", "hang,0,", "wrenches.csv:4: test hang at 0 s stands twice, first in line 3"),
     ("wrenches.csv", "sensor", "tool", "frame 'tool' is not known; say sensor or base"),
     ("wrenches.csv", "68,0", "68,", "Fy_mN is empty; write the number"),
-    ("wrenches.csv", "68", "9999999", "Fx_mN = 1e+07 is more than any sensor reads"),
+    ("wrenches.csv", "68", "9999999", "Fx_mN = 1e+07 is more than can be; raw counts or a wrong unit?"),
+    ("markers.csv", "30.2", "1e300", "markers.csv:4: x_world_mm = 1e+300 is more than can be"),
     ("wrenches.csv", ",Mz_Nmm", "", "columns are missing: Mz_Nm"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(folder, file, old, new, says):
