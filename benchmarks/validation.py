@@ -17,7 +17,7 @@ from probedesign.units import MM
 from probedesign.validation.trial import Trial
 from probedesign.validation.validate import validate
 
-CAMPAIGNS = 60
+CAMPAIGNS = 150
 KINDS: tuple[Kind, ...] = ("cameras", "stage")
 
 
