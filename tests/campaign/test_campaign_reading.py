@@ -149,7 +149,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("markers.csv", "_mm", "_m", "z_world_m = 250 is more than can be; raw counts or a wrong unit?"),
     ("markers.csv", "10,0,250\nhang,2,20,0,250\nhang,3,30.2,0,249.5",
      "0.01,0,0.25\nhang,2,0.02,0,0.25\nhang,3,0.0302,0,0.2495",
-     "markers lie 0.0101 mm apart, on the probe 10; metres in a column of millimetres"),
+     "markers lie 0.01011 mm apart, on the probe 10; metres in a column of millimetres"),
     ("markers.csv", "30.2,", "36,", "marker 2 and marker 3 lie 16.01 mm apart, on the probe 10; markers out of order"),
     ("markers.csv", "hang,1,10,0,250\nhang,2,20,0,250", "hang,2,10,0,250\nhang,1,20,0,250", "markers out of order"),
     ("markers.csv", "hang,1,10,0,250\nhang,2,20,0,250\nhang,3,30.2", "hang,3,10,0,250\nhang,2,20,0,250\nhang,1,30.2",
