@@ -85,9 +85,7 @@ def _words(
     if share[1] < SHARE:
         told.append("that is too few: the probe, its mount or the reference is worse known than stated")
     elif n < FEW:
-        told.append(
-            f"{n} of them {'is' if n == 1 else 'are'} too few to tell a good statement from a fair one; {FEW} or more would"
-        )
+        told.append(f"so few do not tell a good statement from a fair one; {FEW} or more would")
     square = (
         f"errors squared are {ratio:.2g} times what was stated, {span[0]:.2g} to {span[1]:.2g} if all is true"
     )

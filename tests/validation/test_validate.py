@@ -147,10 +147,29 @@ def test_a_probe_known_worse_than_stated_is_told(large, tmp_path):
     found = validate(Estimator(large), read_campaign(folder), exact=True)
     assert found.honesty.nees_ratio > found.honesty.nees_high or len(found.astray) > 4
     assert any("too much was promised" in line or "too few" in line for line in found.honesty.words)
+    lost = sum(trial.kind == "touch" and not trial.counts for trial in found.trials)
+    assert lost == 0 or any(line.startswith(f"{lost} more were not located") for line in found.honesty.words)
+
+
+def test_stated_errors_come_true_over_prints(tmp_path):
+    """A dozen drawn prints of the small probe on a stage, whose reference hides nothing.
+
+    Touches of one print err together: counted as 36 squares for 12 prints, their mean errs by √(2/36) = 0.24, four of
+    those; of 84 touches 80 lie within, and 72 where one print of twelve misses with all its seven.
+    """
+    model = build_probe(paper_design("small")).model
+    misses = []
+    for seed in range(12):
+        folder = make_campaign(model, tmp_path / "data", Plan("stage", seed), force=True).folder
+        found = validate(Estimator(model), read_campaign(folder))
+        misses += [trial.miss for trial in found.trials if trial.counts]
+    assert len(misses) == 84
+    assert np.mean([miss.nees / 3 for miss in misses]) == pytest.approx(1.0, abs=0.96)
+    assert sum(miss.within_95 for miss in misses) >= 72
 
 
 def test_few_touches_prove_nothing_and_none_say_so(found):
-    assert "too few to tell" in " ".join(found.honesty.words)
+    assert "so few do not tell" in " ".join(found.honesty.words)
     none = honesty_of([], False)
     assert none.touches == 0 and none.words == ("no touch was located that the reference saw too",)
 
