@@ -22,6 +22,9 @@ SHADED_PX = 8.0
 """Diameter from which on the light across a dot is told apart from where it lies."""
 STRAY = 0.25
 """A centre farther from where the spot was seen, in diameters and half a pixel more, is not that spot's."""
+SMALL_PX, SMALL_STD_PX = 7.0, 0.4
+"""A smaller dot has no outline to fit when the lens blurs it; the middle of its dark pixels is known to less than half
+a pixel (measured on synthetic photographs)."""
 SOFT_PX = 0.8  # a usual lens' blur, to start from
 ROBUST = 3.0  # grey levels beyond which a pixel counts less: an edge, a speck
 
@@ -34,24 +37,16 @@ class Dot:
         pixel: centre [px], (2,).
         std_px: standard deviation of a coordinate [px].
         shape: matrix M with |M (x - centre)| = 1 on its outline [1/px], symmetric, (2, 2).
-        contrast: of dot and ground, grey levels of 255.
     """
 
     pixel: Array
     std_px: float
     shape: Array
-    contrast: float
 
     @property
     def diameter_px(self) -> float:
         """Its largest."""
         return float(2 / np.linalg.eigvalsh(self.shape)[0])
-
-    @property
-    def flatness(self) -> float:
-        """Smallest diameter over the largest."""
-        least, most = np.linalg.eigvalsh(self.shape)
-        return float(least / most)
 
 
 def fit_dot(grey: NDArray[np.uint8], pixel: Array, diameter_px: float) -> Dot | None:
@@ -68,8 +63,10 @@ def fit_dot(grey: NDArray[np.uint8], pixel: Array, diameter_px: float) -> Dot | 
     dot = _fitted(grey, pixel, np.eye(2) * 2 / diameter_px)
     # Again, with a window that has the shape of the dot instead of a circle.
     dot = None if dot is None else _fitted(grey, dot.pixel, dot.shape)
-    astray = dot is not None and np.linalg.norm(dot.pixel - pixel) > STRAY * diameter_px + 0.5
-    return None if astray else dot
+    if dot is None or np.linalg.norm(dot.pixel - pixel) > STRAY * diameter_px + 0.5:
+        small = diameter_px < SMALL_PX
+        return Dot(pixel, SMALL_STD_PX, np.eye(2) * 2 / diameter_px) if small else None
+    return dot
 
 
 def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
@@ -101,8 +98,7 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
     rms = np.sqrt(np.mean(misfit(values) ** 2) * len(levels) / (len(levels) - len(values)))
     by_centre = np.linalg.pinv(np.asarray(found.jac, dtype=float))[:2]
     std = float(rms * np.sqrt(np.sum(by_centre**2) / 2))
-    contrast = float(abs(values[6] - values[7]))
-    return Dot(pixel + values[:2], float(np.hypot(std, FLOOR_PX)), fitted, contrast)
+    return Dot(pixel + values[:2], float(np.hypot(std, FLOOR_PX)), fitted)
 
 
 def _window(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> tuple[Array, Array]:

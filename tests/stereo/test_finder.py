@@ -15,7 +15,7 @@ from probedesign.stereo.picture import read_grey, write_png  # noqa: E402
 from probedesign.stereo.render import Look, render  # noqa: E402
 from probedesign.stereo.tube import Dots, sunk  # noqa: E402
 
-SIGHT = camera("left", focal=1900.0, size=SIZE)
+SIGHT = camera("left", focal=2300.0, size=SIZE)
 TUBE, DOTS = probe()
 BASE = SIGHT.project(np.zeros(3))
 LIGHT_DOTS = Look(probe=0.2, dot=0.85, seed=3)
@@ -69,13 +69,13 @@ def test_dots_are_found_in_order_and_as_well_as_said(look, usual, tmp_path):
     assert found.dark == (look is not LIGHT_DOTS)
     assert np.sqrt(np.mean(error**2)) < 0.25  # 0.09 to 0.16 px are usual
     assert np.sqrt(np.mean((error / found.std_px[:, None]) ** 2)) < 1.8  # 28 numbers, some of one cause
-    assert (found.std_px < 0.4).all()
+    assert (found.std_px < 0.6).all()
 
 
 def test_the_base_side_tells_the_order(usual):
-    from_left, from_right = (find_markers(usual, DOTS.s, side) for side in ("left", "right"))
+    from_left, from_right = (find_markers(usual, DOTS.s, side, True) for side in ("left", "right"))
     assert from_left.pixels == pytest.approx(from_right.pixels[::-1])
-    assert from_left.pixels == pytest.approx(find_markers(usual, DOTS.s, BASE).pixels)
+    assert np.abs(from_left.pixels - where()).max() < 1.0  # not one dot off: they stand 20 px apart
 
 
 def test_a_dot_seems_to_lie_beneath_the_surface_by_less_than_its_sagitta():
