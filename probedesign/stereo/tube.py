@@ -165,8 +165,8 @@ def sunk(dot_diameter: ArrayLike, tube_diameter: ArrayLike) -> Array:
 
     A dot is curved as the tube is: its outline, of radius a, lies up to a²/2R deeper than its centre, and what is
     fitted to the outline lies in between, on photographs of known dots at a²/6R within a third. A dot of half the
-    tube's diameter seems a twelfth of its radius too deep. Perspective adds far less: a dot of 3 mm seen aslant from
-    half a metre seems moved by 5 µm at most.
+    tube's diameter seems a twelfth of its own radius too deep. Perspective moves a flat dot by less than a²/2Z seen
+    from distance Z: 2 µm for 3 mm at half a metre.
     """
     a, R = np.asarray(dot_diameter, dtype=float) / 2, np.asarray(tube_diameter, dtype=float) / 2
     return np.asarray(a**2 / (6 * R))
