@@ -24,6 +24,7 @@ COMMANDS = {
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
     "campaign": "Make up what a laboratory would measure of a print: a data folder as example.",
+    "validate": "Compare the frozen probe with a stereo reference, as the paper's Table I.",
     "live": "Locate contacts as the sensor reads them.",
     "recover": "Make an MCAP recording whole that was cut off.",
     "markers": "Find the dots of a probe in the photographs of a campaign.",

@@ -1,1 +1,1 @@
-"""Errors of the frozen probe against a reference, as the paper's Table I has them, and whether stated ones come true."""
+"""Errors of a frozen probe against a reference, as Table I of the paper has them, and whether stated errors hold."""
