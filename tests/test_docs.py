@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.mark.parametrize("page", ["mechanics", "estimation", "prediction"])
+@pytest.mark.parametrize("page", ["mechanics", "estimation", "prediction", "stereo"])
 def test_the_examples_print_what_they_say(page, monkeypatch):
     monkeypatch.chdir(ROOT)
     text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")

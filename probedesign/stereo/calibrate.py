@@ -20,9 +20,9 @@ LEAST_PX = 0.02
 """No picture tells a place better [px] (assumed); it keeps exact data from having outliers by rounding."""
 FALSE_ALARM = 1e-3
 """Probability that a calibration without outliers is said to have one."""
-CHOICES, CHOSEN = 500, 7
-"""Random choices of that many points that a robust start is sought among: with a third of the points wrong, one in
-seventeen choices has none of them."""
+CHOICES, CHOSEN = 200, 7
+"""Random choices of that many points that a robust start is sought among: with three of twenty points wrong, one
+choice in four has none of them."""
 MOST_LEFT_OUT = 0.15
 """Share of the points that may fit with none of the others. More are no slips of the hand but points in a wrong order,
 and a regular box shifted by a row fits itself but for that row."""

@@ -13,11 +13,18 @@ from scipy.special import erfc
 
 from probedesign.frames import Array
 
-FLOOR_PX = 0.1
+FLOOR_PX = 0.12
 """What a dot that is no ellipse, on a probe that is round and shines, adds to a centre's standard deviation [px]
 (measured on synthetic photographs)."""
 AROUND = 1.45
 """Radius of what is looked at, in radii of the dot: its ground, but not the probe's edge."""
+SHADED_PX = 8.0
+"""Diameter from which on the light across a dot is told apart from where it lies."""
+STRAY = 0.25
+"""A centre farther from where the spot was seen, in diameters and half a pixel more, is not that spot's."""
+SMALL_PX, SMALL_STD_PX = 7.0, 0.4
+"""A smaller dot has no outline to fit when the lens blurs it; the middle of its dark pixels is known to less than half
+a pixel (measured on synthetic photographs)."""
 SOFT_PX = 0.8  # a usual lens' blur, to start from
 ROBUST = 3.0  # grey levels beyond which a pixel counts less: an edge, a speck
 
@@ -30,24 +37,16 @@ class Dot:
         pixel: centre [px], (2,).
         std_px: standard deviation of a coordinate [px].
         shape: matrix M with |M (x - centre)| = 1 on its outline [1/px], symmetric, (2, 2).
-        contrast: of dot and ground, grey levels of 255.
     """
 
     pixel: Array
     std_px: float
     shape: Array
-    contrast: float
 
     @property
     def diameter_px(self) -> float:
         """Its largest."""
         return float(2 / np.linalg.eigvalsh(self.shape)[0])
-
-    @property
-    def flatness(self) -> float:
-        """Smallest diameter over the largest."""
-        least, most = np.linalg.eigvalsh(self.shape)
-        return float(least / most)
 
 
 def fit_dot(grey: NDArray[np.uint8], pixel: Array, diameter_px: float) -> Dot | None:
@@ -63,7 +62,11 @@ def fit_dot(grey: NDArray[np.uint8], pixel: Array, diameter_px: float) -> Dot | 
     """
     dot = _fitted(grey, pixel, np.eye(2) * 2 / diameter_px)
     # Again, with a window that has the shape of the dot instead of a circle.
-    return None if dot is None else _fitted(grey, dot.pixel, dot.shape)
+    dot = None if dot is None else _fitted(grey, dot.pixel, dot.shape)
+    if dot is None or np.linalg.norm(dot.pixel - pixel) > STRAY * diameter_px + 0.5:
+        small = diameter_px < SMALL_PX
+        return Dot(pixel, SMALL_STD_PX, np.eye(2) * 2 / diameter_px) if small else None
+    return dot
 
 
 def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
@@ -95,8 +98,7 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
     rms = np.sqrt(np.mean(misfit(values) ** 2) * len(levels) / (len(levels) - len(values)))
     by_centre = np.linalg.pinv(np.asarray(found.jac, dtype=float))[:2]
     std = float(rms * np.sqrt(np.sum(by_centre**2) / 2))
-    contrast = float(abs(values[6] - values[7]))
-    return Dot(pixel + values[:2], float(np.hypot(std, FLOOR_PX)), fitted, contrast)
+    return Dot(pixel + values[:2], float(np.hypot(std, FLOOR_PX)), fitted)
 
 
 def _window(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> tuple[Array, Array]:
@@ -113,13 +115,14 @@ def _window(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> tuple[Array,
 
 
 def _start(offsets: Array, levels: Array, shape: Array) -> Array | None:
-    """Values to start from: centre, shape, softness, the dot's grey, the ground's and how it varies."""
+    """Values to start from: centre, shape, softness, grey of the dot and of the ground, how the two vary."""
     away = np.linalg.norm(offsets @ shape, axis=1)
     inner, outer = levels[away < 0.5], levels[away > 1.2]
     if not len(inner) or not len(outer):
         return None
+    large = 2 / np.sqrt(np.linalg.det(shape)) >= SHADED_PX
     values = [0.0, 0.0, shape[0, 0], shape[0, 1], shape[1, 1], SOFT_PX]
-    return np.array([*values, np.median(inner), np.median(outer), *5 * [0.0]])
+    return np.array([*values, np.median(inner), np.median(outer), *(7 if large else 5) * [0.0]])
 
 
 def _model(values: Array, offsets: Array) -> Array:
@@ -139,4 +142,5 @@ def _model(values: Array, offsets: Array) -> Array:
         + values[11] * u * v
         + values[12] * v * v
     )
-    return np.asarray(ground + share * (values[6] - ground))
+    inked = values[6] + (values[13] * u + values[14] * v if len(values) > 13 else 0.0)
+    return np.asarray(ground + share * (inked - ground))

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from probedesign.frames import Array
 
-LEAST_AREA_PX = 6.0
-"""Fewer pixels tell neither shape nor centre."""
+LEAST_AREA_PX = 3.0
+"""Area within the outermost pixels' centres; a smaller spot has neither shape nor centre."""
 LARGEST_SHARE = 0.1
 """Of the picture's height; nothing larger is a dot."""
 LEAST_CONTRAST = 24.0
@@ -42,7 +42,7 @@ def spots(grey: NDArray[np.uint8], dark: bool) -> Spots:
     settings.filterByCircularity = False  # of a few pixels a perimeter is no number
     settings.filterByInertia, settings.minInertiaRatio = True, 0.15  # a dot seen at 67° from its normal
     settings.filterByConvexity, settings.minConvexity = True, 0.8
-    settings.thresholdStep, settings.minRepeatability = LEAST_CONTRAST / 3, 3
+    settings.thresholdStep, settings.minRepeatability = LEAST_CONTRAST / 4, 4
     settings.minThreshold, settings.maxThreshold = 5, 250
     settings.minDistBetweenBlobs = 3
     found = cv2.SimpleBlobDetector.create(settings).detect(grey)
