@@ -6,13 +6,12 @@ line of the file.
 """
 
 import re
-import tomllib
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from probedesign.design_problems import Inconsistent, first_problem, one_line, quoted
+from probedesign.design_problems import Inconsistent, check_toml, one_line, parse_toml, quoted
 from probedesign.design_tables import (
     MaterialTable,
     MountTable,
@@ -182,11 +181,7 @@ def parse_design(text: str, where: str = "design") -> Design:
     Raises:
         InputError: one line naming the key, the value, the remedy and the line.
     """
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
-        raise InputError(f"{where}: not valid TOML: {one_line(str(error))}") from None
-    return check_design(data, text, where)
+    return parse_toml(text, Design, where)
 
 
 def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Design:
@@ -203,9 +198,4 @@ def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Desig
     Raises:
         InputError: one line naming the key, the value and the remedy.
     """
-    try:
-        return Design.model_validate(data)
-    except ValidationError as error:
-        line, problem = first_problem(error, Design, text)
-    place = f"{where}:{line}: " if line else f"{where}: "
-    raise InputError(f"{place if where else ''}{problem}")
+    return check_toml(data, Design, text, where)

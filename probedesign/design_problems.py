@@ -1,12 +1,48 @@
-"""What is wrong with a design file, told in one line: key, value, remedy, line of the file."""
+"""What is wrong with a design file, or another in TOML, told in one line: key, value, remedy, line of the file."""
 
 import difflib
 import re
-from typing import Any, get_args
+import tomllib
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from probedesign.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def parse_toml(text: str, model: type[Model], where: str) -> Model:
+    """Check the text of a TOML file; `where` names it in errors.
+
+    Raises:
+        InputError: one line naming the key, the value, the remedy and the line.
+    """
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
+        raise InputError(f"{where}: not valid TOML: {one_line(str(error))}") from None
+    return check_toml(data, model, text, where)
+
+
+def check_toml(data: dict[str, Any], model: type[Model], text: str = "", where: str = "") -> Model:
+    """Check what a TOML file says, or would say.
+
+    Args:
+        data: its tables, with the keys and units of the file.
+        model: they must agree with.
+        text: the file's text, to name the line of a wrong value; empty if there is no file.
+        where: names the file in errors; empty if there is none.
+
+    Raises:
+        InputError: one line naming the key, the value and the remedy.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        line, problem = first_problem(error, model, text)
+    place = f"{where}:{line}: " if line else f"{where}: "
+    raise InputError(f"{place if where else ''}{problem}")
 
 
 class Inconsistent(ValueError):

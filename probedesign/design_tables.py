@@ -58,7 +58,7 @@ class ProbeTable(Table):
     @field_validator("profile_mm", "assumed", mode="before")
     @classmethod
     def _tuples(cls, value: Any) -> Any:
-        return _as_tuple(value)
+        return as_tuple(value)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -213,7 +213,7 @@ class FlangeTable(Table):
     @field_validator("bolt_azimuths_deg", "pin_slot_mm", "spigot_mm", mode="before")
     @classmethod
     def _tuples(cls, value: Any) -> Any:
-        return _as_tuple(value)
+        return as_tuple(value)
 
     @model_validator(mode="after")
     def _bolted(self) -> Self:
@@ -233,7 +233,7 @@ class MountTable(Table):
     @field_validator("gravity_base_m_s2", mode="before")
     @classmethod
     def _triple(cls, value: Any) -> Any:
-        return _as_tuple(value)
+        return as_tuple(value)
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
@@ -288,7 +288,7 @@ class TolerancesTable(Table):
     tared: bool | None = None
 
 
-def _as_tuple(value: Any) -> Any:
+def as_tuple(value: Any) -> Any:
     """A TOML array, and the arrays in it, as tuples; anything else unchanged, for pydantic to refuse."""
     if not isinstance(value, list):
         return value

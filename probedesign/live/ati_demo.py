@@ -15,7 +15,7 @@ from probedesign.live.netft.configuration import FORCE_UNITS, TORQUE_UNITS
 from probedesign.live.netft.status import fault_of
 from probedesign.live.netft.wire import SAMPLES_PER_SECOND
 from probedesign.live.recording import Recording, check_values, gaps_in
-from probedesign.live.recording_table import read_text, shown
+from probedesign.tables.text_table import read_text, shown
 
 BEGIN = "Start Time"
 HEADER = ("status(hex)", "rdtsequence", "f/tsequence", "fx", "fy", "fz", "tx", "ty", "tz", "time")
@@ -37,7 +37,7 @@ def read_ati_demo(path: Path) -> Recording:
     Raises:
         InputError: it cannot be read or says something wrong; one line with the line of the file.
     """
-    lines = read_text(path).splitlines()
+    lines = read_text(path, "recording").splitlines()
     factors, start = _head(path, lines)
     rows = [(number, fields) for number, fields in enumerate(csv.reader(lines[start:]), start + 1) if fields]
     notes = []

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.live.mcap import require
-from probedesign.live.recording_table import plain, shown
+from probedesign.tables.text_table import plain, shown
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 """How the two kinds of files begin."""

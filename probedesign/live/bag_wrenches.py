@@ -10,7 +10,7 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.bag import Bag, Channel, Message, choose
 from probedesign.live.mcap.messages import WRENCH, read_stamped
-from probedesign.live.recording_table import plain, shown
+from probedesign.tables.text_table import plain, shown
 
 AT_ONCE = 256
 """Readings to a block: few enough to be soon there, enough to be cheap."""

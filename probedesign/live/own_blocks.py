@@ -12,7 +12,7 @@ from probedesign.live.bag import Bag
 from probedesign.live.block import Block
 from probedesign.live.mcap.messages import read_text, read_wrenches
 from probedesign.live.mcap.topics import BLOCK, RAW
-from probedesign.live.recording_table import plain
+from probedesign.tables.text_table import plain
 
 LONGEST = 1_000_000
 """No source gives more readings at once: it is two minutes of the fastest."""

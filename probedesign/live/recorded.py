@@ -17,8 +17,8 @@ from probedesign.live.bag_wrenches import Published, find_wrenches
 from probedesign.live.block import Block
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.recording import Recording, read_recording
-from probedesign.live.recording_columns import CEILING
-from probedesign.live.recording_table import Frame, plain, shown
+from probedesign.tables.columns import CEILING
+from probedesign.tables.text_table import Frame, plain, shown
 from probedesign.units import MM
 
 MomentUnit = Literal["Nm", "Nmm"]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from probedesign.errors import InputError
 from probedesign.live.recording_columns import GRAVITY_HEADER, HEADER
-from probedesign.live.recording_table import Frame
+from probedesign.tables.text_table import Frame
 
 
 class Recorder:

@@ -12,8 +12,9 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
-from probedesign.live.recording_columns import CEILING, HEADER, NUMBER, WRENCH, Column, columns_of
-from probedesign.live.recording_table import Frame, Table, read_table, shown
+from probedesign.live.recording_columns import HEADER, columns_of
+from probedesign.tables.columns import CEILING, NUMBER, WRENCH, Column
+from probedesign.tables.text_table import Frame, TextTable, read_table, shown
 
 GAP = 1.5
 """A step longer than this many median steps has a sample missing."""
@@ -56,7 +57,7 @@ def read_recording(path: str | Path) -> Recording:
     Raises:
         InputError: the file cannot be read or says something wrong; one line with the line of the file.
     """
-    table = read_table(Path(path), HEADER)
+    table = read_table(Path(path), "recording", HEADER)
     columns = columns_of(table)
     rows, notes = _whole_rows(table, columns)
     if not rows:
@@ -79,7 +80,7 @@ def read_recording(path: str | Path) -> Recording:
     )
 
 
-def _whole_rows(table: Table, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
+def _whole_rows(table: TextTable, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
     """The rows with the right number of fields, without half a line at the end, and notes for the user."""
     rows, notes = table.rows, []
     ignored = [shown(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}]
@@ -99,7 +100,7 @@ def _whole_rows(table: Table, columns: list[Column]) -> tuple[list[str], tuple[s
     return rows, tuple(notes)
 
 
-def _is_cut(row: str, table: Table, columns: list[Column]) -> bool:
+def _is_cut(row: str, table: TextTable, columns: list[Column]) -> bool:
     """Whether a last line without a newline lacks fields or ends in part of a number."""
     fields = row.split(",")
     if len(fields) < len(table.header):
@@ -116,7 +117,7 @@ def _is_float(text: str) -> bool:
     return True
 
 
-def _numbers(table: Table, rows: list[str], columns: list[Column]) -> Array:
+def _numbers(table: TextTable, rows: list[str], columns: list[Column]) -> Array:
     """The columns' numbers in SI, (n, len(columns)); only if one is none is it searched for."""
     index = [column.index for column in columns]
     try:
@@ -128,7 +129,7 @@ def _numbers(table: Table, rows: list[str], columns: list[Column]) -> Array:
     return np.asarray(values * [column.factor for column in columns])
 
 
-def _name_bad_number(table: Table, rows: list[str], columns: list[Column]) -> NoReturn:
+def _name_bad_number(table: TextTable, rows: list[str], columns: list[Column]) -> NoReturn:
     """Raise the error of the first field that is no finite number."""
     for row, number in zip(rows, table.numbers, strict=False):
         fields = row.split(",")
@@ -140,7 +141,7 @@ def _name_bad_number(table: Table, rows: list[str], columns: list[Column]) -> No
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
 
 
-def _check(table: Table, columns: list[Column], values: Array) -> None:
+def _check(table: TextTable, columns: list[Column], values: Array) -> None:
     """Refuse values that no sensor reads, and time that runs backward."""
     absurd = np.abs(values) > [column.ceiling for column in columns]
     if absurd.any():

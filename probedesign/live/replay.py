@@ -11,8 +11,8 @@ from probedesign.live.block import Block, blocks_of
 from probedesign.live.flow import paced
 from probedesign.live.reading import Reading
 from probedesign.live.recorded import Choice, MomentUnit, open_recording
-from probedesign.live.recording_table import Frame
 from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
+from probedesign.tables.text_table import Frame
 
 PARAMETERS = {"speed": SPEED, "other_probe": Parameter(0, 0, 1, whole=True)}
 WORDS = {"topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}

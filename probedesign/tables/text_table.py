@@ -1,4 +1,4 @@
-"""The lines of a recording: text, header, rows and the frame a comment names. Nothing of numbers yet."""
+"""The lines of a table in a text file: header, rows and comments. Nothing of numbers yet."""
 
 import re
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ Frame = Literal["sensor", "base"]
 
 
 @dataclass(frozen=True)
-class Table:
-    """The lines of a recording that hold something.
+class TextTable:
+    """The lines of a text file that hold something.
 
     Attributes:
         path: of the file.
@@ -21,7 +21,7 @@ class Table:
         rows: the lines after it.
         numbers: line of the file of each row.
         ends_whole: whether the file ends in a newline.
-        frame: of the wrench.
+        comments: lines that begin with #, each with its line of the file.
     """
 
     path: Path
@@ -30,36 +30,46 @@ class Table:
     rows: list[str]
     numbers: list[int]
     ends_whole: bool
-    frame: Frame
+    comments: list[tuple[int, str]]
 
     def fail(self, number: int, problem: str) -> NoReturn:
         """Raise the error of one line of the file."""
         raise InputError(f"{self.path}:{number}: {problem}")
 
+    @property
+    def frame(self) -> Frame:
+        """The frame that a comment `# frame: ...` names; the sensor's own if none does.
 
-def read_table(path: Path, like: str) -> Table:
-    """Header, rows and frame of a file, without blank lines and comments.
+        Raises:
+            InputError: a comment names another, or two.
+        """
+        return _frame(self.path, self.comments)
+
+
+def read_table(path: Path, what: str, like: str, most_bytes: int | None = None) -> TextTable:
+    """Header, rows and comments of a file, without blank lines.
 
     Args:
         path: of a text file in UTF-8.
+        what: it is called in messages.
         like: the header that an empty file is told to start with.
+        most_bytes: a larger file is refused; None takes any.
 
     Raises:
-        InputError: the file cannot be read, is no text, is empty or names no known frame.
+        InputError: the file cannot be read, is no text, is empty or too large.
     """
-    text = read_text(path)
+    text = read_text(path, what, most_bytes)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     held = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
     comments = [(i, line) for i, line in held if line.lstrip().startswith("#")]
-    frame = _frame(path, comments)
     if comments:
         held = [(i, line) for i, line in held if not line.lstrip().startswith("#")]
     if not held:
-        raise InputError(f"{path}: is empty; a recording starts with the header {like}")
+        raise InputError(f"{path}: is empty; a {what} starts with the header {like}")
     header_number, header = held[0]
     names = [name.strip().strip("\"'").strip() for name in header.split(",")]
     rows, numbers = [line for _, line in held[1:]], [i for i, _ in held[1:]]
-    return Table(path, names, header_number, rows, numbers, text.endswith(("\n", "\r")), frame)
+    return TextTable(path, names, header_number, rows, numbers, text.endswith(("\n", "\r")), comments)
 
 
 def shown(text: str) -> str:
@@ -73,27 +83,30 @@ def plain(text: str, most: int = 100) -> str:
     return "".join(c for c in text[:most] if c.isprintable())
 
 
-def read_text(path: Path) -> str:
-    """The text of a file.
+def read_text(path: Path, what: str, most_bytes: int | None = None, kind: str = "CSV") -> str:
+    """The text of a file; for the arguments see `read_table`, `kind` is what it should be.
 
     Raises:
-        InputError: it cannot be read, or is no text in UTF-8.
+        InputError: it cannot be read, is no text in UTF-8, or too large.
     """
     try:
+        if most_bytes is not None and path.stat().st_size > most_bytes:
+            raise InputError(f"{path}: is larger than {most_bytes / 1e6:g} MB, far too large for a {what}")
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: no such recording") from None
+        raise InputError(f"{path}: no such {what}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file in UTF-8; a recording is CSV") from None
+        raise InputError(f"{path}: is not a text file in UTF-8; a {what} is {kind}") from None
+    except InputError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
     if "\0" in text:
-        raise InputError(f"{path}: is a binary file; a recording is CSV")
+        raise InputError(f"{path}: is a binary file; a {what} is {kind}")
     return text
 
 
 def _frame(path: Path, comments: list[tuple[int, str]]) -> Frame:
-    """The frame that a comment `# frame: ...` names; the sensor's own if none does."""
     frames: set[Frame] = set()
     for number, line in comments:
         said = re.match(r"\s*#\s*frame\s*[:=](.*)", line, re.IGNORECASE)

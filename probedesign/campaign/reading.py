@@ -1,0 +1,109 @@
+"""Reading a campaign: every table of its folder, checked against the others."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probedesign.campaign.campaign import Campaign, Test, Weighing
+from probedesign.campaign.manifest import Manifest, read_manifest
+from probedesign.campaign.markers_table import FILE as MARKERS
+from probedesign.campaign.markers_table import read_markers
+from probedesign.campaign.order import check_order
+from probedesign.campaign.tests_table import read_tests
+from probedesign.campaign.wrenches_table import read_wrenches
+from probedesign.errors import InputError
+from probedesign.frames import Array, pose
+from probedesign.units import MM
+
+
+def read_campaign(path: str | Path) -> Campaign:
+    """Read the folder that a laboratory filled; see docs/measurements.md.
+
+    Args:
+        path: of the folder.
+
+    Raises:
+        InputError: something is missing or wrong; one line that names file, line and remedy.
+    """
+    folder = Path(path)
+    manifest = read_manifest(folder)
+    rows = read_tests(folder, manifest)
+    names = {row.name: i for i, row in enumerate(rows)}
+    wrenches, frame = read_wrenches(folder, names)
+    markers = read_markers(folder, manifest, names)
+    marker_s, side = _markers_of(manifest)
+    for row, seen in zip(rows, markers, strict=True):
+        if seen is not None:
+            std = manifest.base.std_mm * MM
+            check_order(
+                f"{folder / MARKERS}: test {row.name}", seen, marker_s, side, row.T_world_base[:3, 3], std
+            )
+    tests = tuple(
+        replace(row, wrenches=read, frame=frame, markers=seen)
+        for row, read, seen in zip(rows, wrenches, markers, strict=True)
+    )
+    return _campaign(folder, manifest, marker_s, side, tests)
+
+
+def check_probe(campaign: Campaign, name: str, fingerprint: str, length: float) -> None:
+    """Refuse a campaign of another probe.
+
+    Args:
+        campaign: the data.
+        name: of the probe it is used for.
+        fingerprint: of that probe's geometry.
+        length: of it [m].
+
+    Raises:
+        InputError: the fingerprints differ; where the data say none, the names; or a place is beyond the tip.
+    """
+    where = f"{campaign.folder}: these data are of another probe"
+    if campaign.fingerprint is not None and campaign.fingerprint != fingerprint:
+        raise InputError(f"{where}: fingerprint {campaign.fingerprint}, not {fingerprint} of {name}")
+    if campaign.fingerprint is None and campaign.name != name:
+        raise InputError(
+            f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
+        )
+    for number, s in enumerate(campaign.marker_s, 1):
+        if s > length * (1.0 + 1e-9):
+            beyond = f"marker {number} at s = {s / MM:g} mm is beyond the tip of {name} at {length / MM:g} mm"
+            raise InputError(f"{campaign.folder}: {beyond}; correct markers.s_mm in campaign.toml")
+    for test in campaign.tests:
+        if test.s_contact > length * (1.0 + 1e-9):
+            beyond = (
+                f"s_contact_mm = {test.s_contact / MM:g} is beyond the tip of {name} at {length / MM:g} mm"
+            )
+            raise InputError(f"{campaign.folder}: test {test.name}: {beyond}; a wrong unit?")
+
+
+def _markers_of(manifest: Manifest) -> tuple[Array, float | None]:
+    """Arclengths [m] and side [rad] of the markers."""
+    if manifest.markers is None:
+        return np.zeros(0), None
+    side = manifest.markers.side_deg
+    return np.array(manifest.markers.s_mm) * MM, None if side is None else float(np.radians(side))
+
+
+def _campaign(
+    folder: Path, manifest: Manifest, marker_s: Array, side: float | None, tests: tuple[Test, ...]
+) -> Campaign:
+    base, weighed = manifest.base, manifest.weighing
+    R = Rotation.from_rotvec(np.radians(base.rotation_world_deg)).as_matrix()
+    return Campaign(
+        name=manifest.probe,
+        fingerprint=manifest.fingerprint,
+        T_world_base=pose(R, np.array(base.p_world_mm) * MM),
+        std_base=base.std_mm * MM,
+        std_tilt=float(np.radians(base.std_deg)),
+        gravity_world=np.array(manifest.gravity.world_m_s2),
+        marker_s=marker_s,
+        marker_side=side,
+        tests=tests,
+        weighing=None
+        if weighed is None
+        else Weighing(1e-3 * weighed.mass_g, 1e-3 * weighed.std_g, weighed.of),
+        folder=folder,
+        notes=(),
+    )

@@ -1,0 +1,133 @@
+"""`tests.csv`: a row a test, what is known of each without a sensor."""
+
+import difflib
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from probedesign.campaign.campaign import Test
+from probedesign.campaign.manifest import Manifest
+from probedesign.campaign.rows import Kind, Rows, read_rows
+from probedesign.frames import Array, pose
+from probedesign.tables.columns import CEILING
+from probedesign.units import MM
+
+FILE = "tests.csv"
+FORCE = ("force_x_world", "force_y_world", "force_z_world")
+CONTACT = ("contact_x_world", "contact_y_world", "contact_z_world")
+PLACE = ("base_x_world", "base_y_world", "base_z_world")
+TURN = ("base_rx_world", "base_ry_world", "base_rz_world")
+KIND = Kind(
+    "table of tests",
+    {"test": "name", **dict.fromkeys(FORCE, "force"), "s_contact": "length", "std_s": "length",
+     **dict.fromkeys(CONTACT, "length"), "std_contact": "length", "direction": "word", "tip_sag": "length",
+     "std_sag": "length", **dict.fromkeys(PLACE, "length"), **dict.fromkeys(TURN, "angle")},
+    ("test",),
+    "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
+    "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm,base_x_world_mm,"
+    "base_y_world_mm,base_z_world_mm,base_rx_world_deg,base_ry_world_deg,base_rz_world_deg",
+    {},
+)  # fmt: skip
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", re.ASCII)
+MOST_WORD = 40
+FAR = 100.0
+"""A place farther than that from the world's origin is in another unit [m]."""
+
+
+def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
+    """Read `tests.csv`.
+
+    Returns:
+        The tests, as yet without wrenches and markers.
+
+    Raises:
+        InputError: it is missing or says something wrong; one line.
+    """
+    rows = read_rows(folder / FILE, KIND)
+    names = _names(rows)
+    force, loaded = rows.whole(*FORCE)
+    contact, seen = rows.whole(*CONTACT)
+    poses = _poses(rows, manifest)
+    s, std_s = rows.numbers("s_contact", "std_s").T
+    sag, std_sag = rows.numbers("tip_sag", "std_sag").T
+    std_contact = rows.numbers("std_contact")[:, 0]
+    words = rows.texts("direction")
+    _check_force(rows, force)
+    _check_spread(rows, ~np.isnan(s), std_s, "s_contact", "std_s")
+    _check_spread(rows, seen, std_contact, "contact_x_world", "std_contact")
+    _check_spread(rows, ~np.isnan(sag), std_sag, "tip_sag", "std_sag")
+    _check_places(rows, s, contact)
+    for i, word in enumerate(words):
+        if len(word) > MOST_WORD or not word.isprintable():
+            rows.fail(i, f"direction is longer than {MOST_WORD} letters; a word like +y will do")
+        if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
+            rows.fail(
+                i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty"
+            )
+    return [
+        Test(name, poses[i], force[i] if loaded[i] else None, float(s[i]), float(std_s[i]),
+                contact[i] if seen[i] else None, float(std_contact[i]), words[i], float(sag[i]), float(std_sag[i]))
+        for i, name in enumerate(names)
+    ]  # fmt: skip
+
+
+def known_test(rows: Rows, names: dict[str, int]) -> list[int]:
+    """Which test each row of another table is of.
+
+    Raises:
+        InputError: a row names no test of `tests.csv`.
+    """
+    found = []
+    for row, name in enumerate(rows.texts("test")):
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1, 0.3)
+            hint = f"did you mean {near[0]!r}?" if near else "add it there"
+            rows.fail(row, f"test {name[:40]!r} is not in {FILE}; {hint}" if name else "names no test")
+        found.append(names[name])
+    return found
+
+
+def _names(rows: Rows) -> list[str]:
+    names = rows.texts("test")
+    for row, name in enumerate(names):
+        if not NAME.fullmatch(name):
+            rows.fail(row, f"test {name[:40]!r} is no name; use letters, digits, - and _, at most 64")
+    rows.once([(name,) for name in names], lambda row: f"test {names[row]}")
+    return names
+
+
+def _poses(rows: Rows, manifest: Manifest) -> list[Array]:
+    """T_world_base of each row: its own, or that of `[base]`."""
+    values, given = rows.whole(*PLACE, *TURN)
+    base = manifest.base
+    p, turn = np.array(base.p_world_mm) * MM, np.radians(base.rotation_world_deg)
+    usual = pose(Rotation.from_rotvec(turn).as_matrix(), p)
+    own = [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if yes else usual
+           for v, yes in zip(values, given, strict=True)]  # fmt: skip
+    for row in np.flatnonzero(np.abs(values[:, :3]).max(axis=1) > FAR)[:1]:
+        rows.fail(int(row), f"its base lies more than {FAR:g} m away; metres in a column of millimetres?")
+    return own
+
+
+def _check_force(rows: Rows, force: Array) -> None:
+    for row in np.flatnonzero(np.abs(force).max(axis=1) > CEILING["force"])[:1]:
+        rows.fail(int(row), f"its force is more than {CEILING['force']:g} N; a wrong unit?")
+
+
+def _check_spread(rows: Rows, given: NDArray[np.bool_], spread: Array, what: str, name: str) -> None:
+    """A place without its standard deviation is of no use; none is guessed."""
+    for row in np.flatnonzero(given & ~(spread > 0.0))[:1]:
+        remedy = f"say in {name}_mm how well it is known"
+        rows.fail(
+            int(row), f"{rows.columns[what].name} stands without a positive standard deviation; {remedy}"
+        )
+
+
+def _check_places(rows: Rows, s: Array, contact: Array) -> None:
+    for row in np.flatnonzero(s < 0.0)[:1]:
+        rows.fail(int(row), f"{rows.columns['s_contact'].name} is negative; s counts from the base")
+    for row in np.flatnonzero((s > FAR) | (np.abs(contact).max(axis=1) > FAR))[:1]:
+        rows.fail(int(row), f"its contact lies more than {FAR:g} m away; metres in a column of millimetres?")

@@ -1,0 +1,53 @@
+"""`wrenches.csv`: what the sensor read in each test, its bias removed."""
+
+from pathlib import Path
+
+import numpy as np
+
+from probedesign.campaign.rows import Kind, read_rows
+from probedesign.campaign.tests_table import known_test
+from probedesign.frames import Array
+from probedesign.tables.columns import WRENCH, WRENCH_ALIASES, WRENCH_KINDS
+from probedesign.tables.text_table import Frame
+
+FILE = "wrenches.csv"
+KIND = Kind(
+    "table of wrenches",
+    {"test": "name", "time": "time", **WRENCH_KINDS},
+    ("test", *WRENCH),
+    "test,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm",
+    {"t": "time", "timestamp": "time", **WRENCH_ALIASES},
+)
+
+
+def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame]:
+    """Read `wrenches.csv`, if there is one.
+
+    Args:
+        folder: of the data.
+        tests: place of each test by name.
+
+    Returns:
+        Readings of each test [N, N·m], (n, 6), and the frame they are told in.
+
+    Raises:
+        InputError: it says something wrong; one line.
+    """
+    path = folder / FILE
+    if not path.exists():
+        return [np.zeros((0, 6)) for _ in tests], "base"
+    rows = read_rows(path, KIND)
+    frame = rows.table.frame
+    which = np.array(known_test(rows, tests))
+    wrench = rows.full(*WRENCH)
+    ceiling = np.array([rows.columns[name].ceiling for name in WRENCH])
+    for row, channel in np.argwhere(np.abs(wrench) > ceiling)[:1]:
+        column = rows.columns[WRENCH[channel]]
+        value = f"{column.name} = {wrench[row, channel] / column.factor:g}"
+        rows.fail(int(row), f"{value} is more than any sensor reads; raw counts or a wrong unit?")
+    time, names = rows.numbers("time")[:, 0], rows.texts("test")
+    keys: list[tuple[object, ...]] = [
+        (name, i if np.isnan(t) else float(t)) for i, (name, t) in enumerate(zip(names, time, strict=True))
+    ]
+    rows.once(keys, lambda row: f"test {names[row]} at {time[row]:g} s")
+    return [wrench[which == i] for i in range(len(tests))], frame
