@@ -44,7 +44,7 @@ class Group(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """A vector of the bent rod in base axes with its derivatives.
+    """Vectors of the bent rod in base axes with their derivatives; further axes before for several.
 
     Attributes:
         at: (3,), or (6,) of a wrench.
@@ -116,32 +116,32 @@ class Bent:
 
     def by_shared(self, moving: Moving) -> Array:
         """Derivatives of a vector, in base axes, by the shared vector; the turn of base axes themselves left out."""
-        J = np.zeros((len(moving.at), self.guess.shared.size))
-        J[:, 0:4] = moving.rod[:, [LOG_E, LOG_G, LOG_DENSITY, LOG_DIAMETER]]
-        J[:, 4] = moving.root
-        turned = moving.rod[:, 7:10] @ skew(self.gravity_base)
+        J = np.zeros((*moving.at.shape, self.guess.shared.size))
+        J[..., 0:4] = moving.rod[..., [LOG_E, LOG_G, LOG_DENSITY, LOG_DIAMETER]]
+        J[..., 4] = moving.root
+        turned = moving.rod[..., 7:10] @ skew(self.gravity_base)
         if not self.trial.touched:
-            turned = turned + moving.rod[:, 0:3] @ skew(self.force)
-        J[:, TURN] = J[:, SEAT_TURN] = turned
-        J[:, FALL] = moving.rod[:, 7:10] @ self.d_gravity
-        J[:, PRINT:] = moving.rod[:, kernels.ALL_COLUMNS :] @ self.guess.shared.print_rows.T
+            turned = turned + moving.rod[..., 0:3] @ skew(self.force)
+        J[..., TURN] = J[..., SEAT_TURN] = turned
+        J[..., FALL] = moving.rod[..., 7:10] @ self.d_gravity
+        J[..., PRINT:] = moving.rod[..., kernels.ALL_COLUMNS :] @ self.guess.shared.print_rows.T
         return J
 
     def by_own(self, moving: Moving) -> Array:
         """Likewise by the test's own unknowns."""
         touched, slides = self.trial.touched, self.trial.slides
-        return np.hstack([moving.rod[:, 0 : 3 * touched], moving.rod[:, 3 : 3 + slides]])
+        return np.concatenate([moving.rod[..., 0 : 3 * touched], moving.rod[..., 3 : 3 + slides]], axis=-1)
 
     def in_world(self, moving: Moving) -> tuple[Array, Array, Array]:
-        """A point of the rod in the world with its derivatives by the shared vector and by the test's own."""
+        """Points of the rod in the world with its derivatives by the shared vector and by the test's own."""
         T, told = self.T_world_base, self.trial.T_world_base[:3, :3]
         R = T[:3, :3]
         J = R @ self.by_shared(moving)
-        turned = R @ skew(moving.at)
-        J[:, TURN] -= turned
-        J[:, SEAT_TURN] -= turned
-        J[:, SHIFT] = J[:, SEAT_SHIFT] = told
-        return R @ moving.at + T[:3, 3], J, R @ self.by_own(moving)
+        turned = R @ _skews(moving.at)
+        J[..., TURN] -= turned
+        J[..., SEAT_TURN] -= turned
+        J[..., SHIFT] = J[..., SEAT_SHIFT] = told
+        return moving.at @ R.T + T[:3, 3], J, R @ self.by_own(moving)
 
     def _wrench(self) -> Group:
         seat, d = self.guess.to_seat, self.sensitivity
@@ -167,9 +167,10 @@ class Bent:
         if trial.marker_side is not None:
             offset, turned = self._on_surface(trial.marker_s, trial.marker_side)
             p, d = p + offset, d + turned
-        for i, (at, cov) in enumerate(zip(trial.p_markers_world, trial.cov_markers, strict=True)):
-            expected, J, own = self.in_world(Moving(p[i], d[i], root[i]))
-            yield self._group("markers", trial.marker_numbers[i], at - expected, J, own, cov)
+        expected, J, own = self.in_world(Moving(p, d, root))
+        off = trial.p_markers_world - expected
+        for i, number in enumerate(trial.marker_numbers):
+            yield self._group("markers", number, off[i], J[i], own[i], trial.cov_markers[i])
 
     def _on_surface(self, s: Array, side: float) -> tuple[Array, Array]:
         """From the axis to the surface on one side (m, 3), and its derivatives, (m, 3, k).
@@ -186,26 +187,29 @@ class Bent:
         return offset, np.cross(turn, offset[:, :, None], axis=1)
 
     def _touch(self) -> Group:
-        trial, d = self.trial, self.sensitivity
-        p = self.eq.p_contact_base
-        moving = Moving(p, d.d_position, self._by_root(lambda eq: eq.p_contact_base))
-        expected, J, own = self.in_world(moving)
+        trial = self.trial
+        root = self._by_root(lambda eq: eq.p_contact_base)
+        moving = Moving(self.eq.p_contact_base, self.sensitivity.d_position, root)
         if trial.touched:
-            R = self.T_world_base[:3, :3]
-            out, d_out = self._outward()
-            expected = expected + R @ out
-            own[:, 0:3] += R @ d_out
+            out, columns = self._outward()
+            moving = Moving(moving.at + out, moving.rod + columns, root)
+        expected, J, own = self.in_world(moving)
         assert trial.p_touch_world is not None
         cov = trial.std_touch**2 * np.eye(3)
         return self._group("touches", 0, trial.p_touch_world - expected, J, own, cov)
 
     def _outward(self) -> tuple[Array, Array]:
-        """From the axis to the touched surface against the force [m], (3,), and its derivatives by it, (3, 3)."""
-        rod, size = self.guess.rod, float(np.linalg.norm(self.force)) or 1.0
-        u = self.force / size
-        radius = float(np.interp(self.eq.s_contact, rod.s, rod.radius))
-        reach = radius / np.hypot(1.0, rod.taper_at(self.eq.s_contact))
-        return -reach * u, -reach / size * (np.eye(3) - np.outer(u, u))
+        """From the axis to the touched surface against the force [m], (3,), and by what the rod's columns are by."""
+        rod, s, size = self.guess.rod, self.eq.s_contact, float(np.linalg.norm(self.force)) or 1.0
+        u, slope, radius = self.force / size, rod.taper_at(s), float(np.interp(s, rod.s, rod.radius))
+        reach = radius / np.hypot(1.0, slope)
+        columns = np.zeros((3, kernels.ALL_COLUMNS + len(rod.s)))
+        columns[:, 0:3] = -reach / size * (np.eye(3) - np.outer(u, u))
+        columns[:, 3] = slope / radius * reach * u
+        columns[:, LOG_DIAMETER] = -reach * u
+        knots = np.array([np.interp(s, rod.s, one) for one in np.diag(rod.radius)]) / radius
+        columns[:, kernels.ALL_COLUMNS :] = -reach * np.outer(u, knots)
+        return -reach * u, columns
 
     def _place(self) -> Group:
         own = np.zeros((1, self.trial.own))
@@ -222,7 +226,8 @@ class Bent:
         lean = slope / np.hypot(1.0, slope)
         share = (self.force @ t) / size + lean
         by_force = (t - (self.force @ t) / size**2 * self.force) / size
-        moving = Moving(np.zeros(1), (self.force @ dt / size)[None], np.zeros(1))
+        root = self._by_root(lambda eq: eq.R_at(eq.s_contact)[:, 2])
+        moving = Moving(np.zeros(1), (self.force @ dt / size)[None], np.array([self.force @ root / size]))
         own = self.by_own(moving)
         own[0, 0:3] += by_force
         cov = np.array([[FRICTION**2]])
@@ -248,9 +253,13 @@ class Bent:
 
     def _group(self, kind: str, item: int, off: Array, J: Array, own: Array, cov: Array) -> Group:
         """Whitened: misfits are told less expected, so derivatives change their sign."""
-        L = np.linalg.cholesky(cov)
-        whiten = np.linalg.inv(L)
+        whiten = np.linalg.inv(np.linalg.cholesky(cov))
         return Group(self.trial.name, kind, item, whiten @ off, -whiten @ J, -whiten @ own, off)
+
+
+def _skews(a: Array) -> Array:
+    """`skew` of each, (..., 3, 3)."""
+    return np.asarray(np.swapaxes(np.cross(a[..., None, :], np.eye(3)), -1, -2))
 
 
 def bend(trial: Trial, guess: Guess, own: Array, tip: Array | None = None, root: bool = False) -> Bent:

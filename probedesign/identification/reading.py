@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.campaign import Campaign, Test
-from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.identification.trial import Trial
 from probedesign.identification.unknowns import Shared
@@ -16,31 +14,12 @@ FEWEST_ROWS = 8
 """Readings of one test from which on their own scatter is taken where it is more than the sensor's noise."""
 
 
-def check_same_probe(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse the data of another probe.
-
-    Raises:
-        InputError: its fingerprint is another, or it has none and another name.
-    """
-    if campaign.fingerprint is not None:
-        if campaign.fingerprint != model.fingerprint:
-            raise InputError(
-                f"{campaign.folder}: of another probe: fingerprint {campaign.fingerprint} in campaign.toml, "
-                f"{model.fingerprint} of the design '{model.name}'; use the design that was printed"
-            )
-    elif campaign.name != model.name:
-        raise InputError(
-            f"{campaign.folder}: of the probe '{campaign.name}', and the design is '{model.name}'; where it is the "
-            f"same print, write fingerprint = \"{model.fingerprint}\" in campaign.toml"
-        )
-
-
 def trials_of(campaign: Campaign, shared: Shared) -> tuple[list[Trial], list[str]]:
     """Tests that can be used, and a line for each that cannot."""
     trials, unused = [], []
     for test in campaign.tests:
         trial = _trial(test, campaign, shared)
-        why = _useless(trial, shared.model.rod.length)
+        why = _useless(trial)
         if why:
             unused.append(f"{test.name}: not used: {why}")
         else:
@@ -56,13 +35,11 @@ def weighed_of(campaign: Campaign, flange_volume: float) -> Weighed | None:
     return Weighed(weighing.mass, weighing.std, flange_volume if weighing.of == "probe" else 0.0)
 
 
-def _useless(trial: Trial, length: float) -> str:
+def _useless(trial: Trial) -> str:
     """Why a test tells nothing; empty if it does."""
     placed = np.isfinite(trial.s_contact) or trial.p_touch_world is not None
     if trial.touched and trial.wrench_base is None:
         return "neither force nor wrench is told"
-    if np.isfinite(trial.s_contact) and trial.s_contact > length:
-        return f"s_contact = {1e3 * trial.s_contact:g} mm lies beyond the probe, {1e3 * length:g} mm long"
     if not trial.free and not placed and not len(trial.marker_s):
         return "neither the place of the load nor markers are told"
     if not trial.touched and not placed and not trial.free and trial.wrench_base is None:
@@ -71,8 +48,6 @@ def _useless(trial: Trial, length: float) -> str:
         trial.free or trial.p_touch_world is None
     ):
         return "nothing was measured"
-    if len(trial.marker_s) and trial.marker_s[-1] > length * (1.0 + 1e-9):
-        return f"a marker lies {1e3 * trial.marker_s[-1]:g} mm from the base, beyond the probe"
     return ""
 
 

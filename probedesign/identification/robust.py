@@ -8,6 +8,7 @@ near.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.stats import chi2
@@ -43,6 +44,17 @@ class Noise:
     measured: bool
 
 
+@cache
+def _bound(k: int) -> float:
+    """c²."""
+    return float(chi2.ppf(TRUSTED, k))
+
+
+@cache
+def _median(k: int) -> float:
+    return float(chi2.median(k))
+
+
 def distance(group: Group) -> float:
     """Squared, over the stated noise."""
     return float(group.r @ group.r)
@@ -55,7 +67,7 @@ def weights(groups: Sequence[Group], scales: dict[str, float]) -> Array:
         if group.kind in ROBUST:
             scale = scales.get(group.kind, 1.0) ** 2
             d = distance(group) / scale
-            found[i] = min(1.0, float(chi2.ppf(TRUSTED, len(group.r))) / max(d, 1e-12)) / scale
+            found[i] = min(1.0, _bound(len(group.r)) / max(d, 1e-12)) / scale
     return found
 
 
@@ -66,7 +78,7 @@ def loss(groups: Sequence[Group], scales: dict[str, float]) -> float:
         d = distance(group)
         if group.kind in ROBUST:
             d /= scales.get(group.kind, 1.0) ** 2
-            c = float(chi2.ppf(TRUSTED, len(group.r)))
+            c = _bound(len(group.r))
             d = d if d <= c else c * (1.0 + np.log(d / c))
         total += 0.5 * d
     return total
@@ -76,7 +88,7 @@ def median_scales(groups: Sequence[Group]) -> dict[str, float]:
     """Of each kind, by the median of its distances; never below 1."""
     found = {}
     for kind in ROBUST:
-        own = [distance(group) / float(chi2.median(len(group.r))) for group in groups if group.kind == kind]
+        own = [distance(group) / _median(len(group.r)) for group in groups if group.kind == kind]
         if own:
             found[kind] = max(1.0, float(np.sqrt(np.median(own))))
     return found

@@ -1,6 +1,6 @@
 """One test as the fit sees it: how the probe was loaded and what was read, in SI and in one frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,9 +41,9 @@ class Trial:
     std_touch: float = np.nan
     wrench_base: Array | None = None
     cov_wrench: Array | None = None
-    marker_s: Array = np.empty(0)
-    p_markers_world: Array = np.empty((0, 3))
-    cov_markers: Array = np.empty((0, 3, 3))
+    marker_s: Array = field(default_factory=lambda: np.empty(0))
+    p_markers_world: Array = field(default_factory=lambda: np.empty((0, 3)))
+    cov_markers: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
     marker_numbers: tuple[int, ...] = ()
     marker_side: float | None = None
     sag: float = np.nan
