@@ -55,6 +55,7 @@ class Kind:
 PAPER = Kind("paper", PAPER_FORCES, ("+x", "-x", "+y"), 3, 3.6 * MM, 3.6 * MM, 1.0 * MM)
 STAGE = Kind("stage", ((0.35, 0.12), (0.5, 0.05), (0.65, 0.025), (0.8, 0.012)),
              ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), 4, 0.0, 0.05 * MM, 0.05 * MM)  # fmt: skip
+DIMENSIONS = ("diameter", "diameter scatter", "length")
 MARKERS = np.linspace(10.0, 150.0, 15) * MM
 
 
@@ -87,7 +88,7 @@ def draw(model: ProbeModel, kind: Kind, seed: int, *, diameters: bool = False, s
         model: of the probe as designed.
         kind: of laboratory.
         seed: of everything.
-        diameters: whether the print's diameters differ as the tolerances have it; else they are as designed.
+        diameters: whether the print's dimensions differ as the tolerances have it; else they are as designed.
         spread: of log E about the design's, standard deviation.
         tolerances: of all else; the design's if None.
         weighed: whether the flexible part was weighed, to 0.01 g.
@@ -110,7 +111,7 @@ def _truth(
     causes = parameters_of(model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0))
     for cause, rows in causes.items():
         drawn = rng.normal(size=len(rows)) @ rows
-        factors += drawn if diameters or not cause.startswith("diameter") else 0.0
+        factors += drawn if diameters or cause not in DIMENSIONS else 0.0
     turns = sum(rng.normal(size=len(rows)) @ rows for rows in turns_of(model.gravity_base, tolerances).values())
     T_seat = pose(Rotation.from_rotvec(turns[3:6]).as_matrix(), turns[0:3])
     turn, shift = STD_TILT * rng.normal(size=3), STD_BASE * rng.normal(size=3)

@@ -17,6 +17,8 @@ from probedesign.identification.weighed import Weighed
 MAX_STEPS = 60
 SMALL = 1e-4
 """A step that moves every unknown by less than this share of its standard deviation is the last."""
+LEAST_GAIN = 1e-5
+"""Of the loss, half a χ²: less is promised within a two-hundredth of a standard deviation of the least."""
 FARTHEST = 3.0
 """Logarithm of a factor on the design's value: no probe is twenty times stiffer than designed."""
 ROUNDS = 4
@@ -210,17 +212,18 @@ def _descend(problem: Problem, point: Point, scales: dict[str, float] | None) ->
         used = median_scales(point.groups) if scales is None else scales
         rows, values = point.system(weights(point.groups, used))
         units = units_of(rows)
-        moved, least = None, point.loss(used)
+        moved, least, gain = None, point.loss(used), None
         while damping < 1e8:
             step = _step(rows * units, values, damping)
+            gain = _gain(rows * units, values, step) if gain is None else gain
             trial = _moved(problem, point, units * step)
             if trial is not None and trial.loss(used) <= least + 1e-9 * (1.0 + least):
                 moved = trial
                 damping = max(damping / 10.0, 1e-9)
                 break
             damping = max(10.0 * damping, 1e-4)
-        if moved is None:
-            return point, steps, False
+        if moved is None:  # at the least to the digits of the rod, or nowhere
+            return point, steps, gain is not None and gain < LEAST_GAIN
         point = moved
         if np.abs(step).max() < SMALL:
             return point, steps, True
@@ -232,6 +235,12 @@ def _step(rows: Array, values: Array, damping: float) -> Array:
     size = rows.shape[1]
     damped = np.concatenate([rows, np.sqrt(damping) * np.eye(size)])
     return np.asarray(np.linalg.lstsq(damped, -np.concatenate([values, np.zeros(size)]))[0])
+
+
+def _gain(rows: Array, values: Array, step: Array) -> float:
+    """By which half the sum of squares would fall, were it as the rows have it."""
+    after = values + rows @ step
+    return 0.5 * float(values @ values - after @ after)
 
 
 def _moved(problem: Problem, point: Point, step: Array) -> Point | None:

@@ -52,8 +52,12 @@ class Guess:
     @cached_property
     def T_mount_base(self) -> Array:
         """The base where it is, in the base as it was told, (4, 4)."""
-        turned = pose(Rotation.from_rotvec(self.x[TURN]).as_matrix(), self.x[SHIFT])
-        return np.asarray(turned @ self.T_seat)
+        return np.asarray(self.T_mount @ self.T_seat)
+
+    @cached_property
+    def T_mount(self) -> Array:
+        """What bears the seat, where it is, in the base as it was told, (4, 4)."""
+        return pose(Rotation.from_rotvec(self.x[TURN]).as_matrix(), self.x[SHIFT])
 
     @cached_property
     def T_seat(self) -> Array:

@@ -122,7 +122,8 @@ class Bent:
         turned = moving.rod[..., 7:10] @ skew(self.gravity_base)
         if not self.trial.touched:
             turned = turned + moving.rod[..., 0:3] @ skew(self.force)
-        J[..., TURN] = J[..., SEAT_TURN] = turned
+        J[..., TURN] = turned @ self.guess.T_mount_base[:3, :3].T
+        J[..., SEAT_TURN] = turned @ self.guess.T_seat[:3, :3].T
         J[..., FALL] = moving.rod[..., 7:10] @ self.d_gravity
         J[..., PRINT:] = moving.rod[..., kernels.ALL_COLUMNS :] @ self.guess.shared.print_rows.T
         return J
@@ -134,13 +135,13 @@ class Bent:
 
     def in_world(self, moving: Moving) -> tuple[Array, Array, Array]:
         """Points of the rod in the world with its derivatives by the shared vector and by the test's own."""
-        T, told = self.T_world_base, self.trial.T_world_base[:3, :3]
-        R = T[:3, :3]
+        guess, T, told = self.guess, self.T_world_base, self.trial.T_world_base[:3, :3]
+        R, mount, seat = T[:3, :3], told @ guess.T_mount[:3, :3], guess.T_seat
+        seated = moving.at @ seat[:3, :3].T
         J = R @ self.by_shared(moving)
-        turned = R @ _skews(moving.at)
-        J[..., TURN] -= turned
-        J[..., SEAT_TURN] -= turned
-        J[..., SHIFT] = J[..., SEAT_SHIFT] = told
+        J[..., TURN] -= told @ _skews((seated + seat[:3, 3]) @ guess.T_mount[:3, :3].T)
+        J[..., SEAT_TURN] -= mount @ _skews(seated)
+        J[..., SHIFT], J[..., SEAT_SHIFT] = told, mount
         return moving.at @ R.T + T[:3, 3], J, R @ self.by_own(moving)
 
     def _wrench(self) -> Group:
@@ -149,9 +150,9 @@ class Bent:
         moving = Moving(self.eq.wrench_base, d.d_wrench, root)
         told = seat @ moving.at
         J, own = seat @ self.by_shared(moving), seat @ self.by_own(moving)
-        f, m = skew(told[:3]), skew(told[3:])
+        f, arm = skew(told[:3]), skew(self.guess.T_seat[:3, 3])
         J[:3, SEAT_TURN] -= f
-        J[3:, SEAT_TURN] -= m
+        J[3:, SEAT_TURN] -= skew(told[3:] - arm @ told[:3]) + arm @ f
         J[3:, SEAT_SHIFT] -= f
         J[:, BIAS] = np.eye(6)
         assert self.trial.wrench_base is not None and self.trial.cov_wrench is not None

@@ -109,9 +109,13 @@ class Shared:
 
     @cached_property
     def print_rows(self) -> Array:
-        """What unit normal numbers do to the logarithms of the knots' diameters: all together, then each, (q, K)."""
-        causes = parameters_of(self.model.rod, self.tolerances)
-        rows = np.concatenate([causes["diameter"], causes["diameter scatter"]])[:, 4:]
+        """What unit normal numbers do to the logarithms of the knots' diameters, (q, K): all diameters together, each
+        for itself, and the length, which at a given place of a cone changes the diameter."""
+        rod = self.model.rod
+        causes = parameters_of(rod, self.tolerances)
+        slope = np.gradient(rod.radius, rod.s)
+        thicker = -slope * rod.s / rod.radius * causes["length"][0, 3]
+        rows = np.concatenate([causes["diameter"][:, 4:], causes["diameter scatter"][:, 4:], thicker[None]])
         return np.asarray(rows[np.abs(rows).max(axis=1) > 0.0], dtype=float)
 
     @property
@@ -153,6 +157,5 @@ class Shared:
         std = self.prior.copy()
         std[parts_of(asked)] = math.inf
         if "diameters" in asked:  # else two numbers would stand for one
-            common = np.ptp(self.print_rows, axis=1) < np.abs(self.print_rows).max(axis=1)
-            std[PRINT:][common & (np.abs(self.print_rows) > 0.0).all(axis=1)] = 0.0
+            std[PRINT] = 0.0
         return std
