@@ -7,6 +7,9 @@ from probedesign.frames import Array
 from probedesign.identification.robust import Noise
 
 CONFIDENCE = 0.95
+UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
+         "friction": "share of the force"}  # fmt: skip
+"""Of residuals."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,26 @@ class Identification:
     def of(self, name: str) -> Identified | None:
         """The number of that name, if it was asked for and told."""
         return next((one for one in self.found if one.name == name and one.identified), None)
+
+    def csv(self) -> bytes:
+        """Every reading against the fit, a row each."""
+        rows = ["test,kind,item,s_mm,off_1,off_2,off_3,off_4,off_5,off_6,unit,deviations,weight"]
+        for one in self.residuals:
+            off = [f"{value:.6g}" for value in one.off] + [""] * (6 - len(one.off))
+            s = "" if one.s_mm is None else f"{one.s_mm:.6g}"
+            unit = UNITS[one.kind]
+            cells = [
+                one.test,
+                one.kind,
+                str(one.item or ""),
+                s,
+                *off,
+                unit,
+                f"{one.deviations:.4g}",
+                f"{one.weight:.4g}",
+            ]
+            rows.append(",".join(cells))
+        return ("\n".join(rows) + "\n").encode()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain, for JSON."""

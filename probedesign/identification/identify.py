@@ -109,7 +109,9 @@ def _search(data: Data, names: Sequence[str]) -> tuple[Fit, tuple[str, ...], lis
                 return found, asked, given_up
         given_up.append(lost)
         asked = tuple(name for name in asked if name != lost.name)
-    raise InputError(f"{data.where}: too few tests, or too weak ones: {'; '.join(one.words for one in given_up)}")
+    raise InputError(
+        f"{data.where}: too few tests, or too weak ones: {'; '.join(one.words for one in given_up)}"
+    )
 
 
 def _bearable(data: Data, names: Sequence[str]) -> tuple[Data, tuple[str, ...]]:
@@ -123,7 +125,9 @@ def _bearable(data: Data, names: Sequence[str]) -> tuple[Data, tuple[str, ...]]:
     kept, lost = standing(problem, free)
     lines = tuple(f"{one.name}: not used: the probe gives way under it" for one in lost)
     if not kept or first_point(replace(problem, trials=tuple(kept)), free) is None:
-        raise InputError(f"{data.where}: the probe gives way in its tests, whatever E; is it the right design?")
+        raise InputError(
+            f"{data.where}: the probe gives way in its tests, whatever E; is it the right design?"
+        )
     return replace(data, trials=tuple(kept)), (*data.notes, *lines)
 
 

@@ -243,7 +243,9 @@ class Bent:
         unbent = trial.T_world_base[:3, :3] @ [0.0, 0.0, length] + trial.T_world_base[:3, 3]
         down = trial.gravity_world / np.linalg.norm(trial.gravity_world)
         off = np.array([trial.sag - (expected - unbent) @ down])
-        return self._group("sags", 0, off, (down @ J)[None], (down @ own)[None], np.array([[trial.std_sag**2]]))
+        return self._group(
+            "sags", 0, off, (down @ J)[None], (down @ own)[None], np.array([[trial.std_sag**2]])
+        )
 
     def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
         """Derivative of what an equilibrium tells by root_rigid_radii; zero where it is not wanted."""

@@ -44,8 +44,11 @@ def _useless(trial: Trial) -> str:
         return "neither the place of the load nor markers are told"
     if not trial.touched and not placed and not trial.free and trial.wrench_base is None:
         return "where the known force acts is not told"
-    if trial.wrench_base is None and not len(trial.marker_s) and not np.isfinite(trial.sag) and (
-        trial.free or trial.p_touch_world is None
+    if (
+        trial.wrench_base is None
+        and not len(trial.marker_s)
+        and not np.isfinite(trial.sag)
+        and (trial.free or trial.p_touch_world is None)
     ):
         return "nothing was measured"
     return ""
@@ -80,5 +83,3 @@ def _reading(test: Test, gravity_base: Array, shared: Shared) -> tuple[Array, Ar
         more = np.sqrt(np.maximum(scatter / np.diag(noise), 1.0))
         noise = noise * np.outer(more, more)
     return np.asarray(wrenches.mean(axis=0)), noise / n + shared.drift
-
-

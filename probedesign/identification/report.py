@@ -53,7 +53,11 @@ def found_of(fit: Fit, asked: Sequence[str], given_up: Sequence[Untold], names: 
         if name in why:
             found |= {part: _untold(shared, PARTS.index(part), why[name]) for part in ASKABLE[name].parts}
     order = [PARTS[place] for place in parts_of(names)]
-    return tuple(found[part] for part in order), cov_held / np.outer(std, std), tuple(PARTS[p] for p in places)
+    return (
+        tuple(found[part] for part in order),
+        cov_held / np.outer(std, std),
+        tuple(PARTS[p] for p in places),
+    )
 
 
 def _scale_of(shared: Shared, place: int) -> tuple[str, str, float, float, bool]:
@@ -68,7 +72,13 @@ def _scale_of(shared: Shared, place: int) -> tuple[str, str, float, float, bool]
     if part == "diameters":
         return "factor on all diameters", "", 1.0, 1.0, True
     if part == ROOT:
-        return "compliance that the base lacks, in base radii", "", rod.rigid_length / rod.radius[0], 1.0, False
+        return (
+            "compliance that the base lacks, in base radii",
+            "",
+            rod.rigid_length / rod.radius[0],
+            1.0,
+            False,
+        )
     if part.startswith("offset"):
         return f"place of the base along its {part[-1]} axis", "mm", 0.0, 1.0 / MM, False
     words = "turn about z" if part == "clocking" else f"turn about {part[-1]}"
@@ -146,7 +156,9 @@ def shifts_of(fit: Fit, asked: Sequence[str]) -> tuple[Shift, ...]:
             cause = f"root_rigid_radii {ROOT_LEFT:g} more"
             columns[cause] = ROOT_LEFT * rooted.columns_of([PARTS.index(ROOT)], fit.weight)[:, 0]
     columns[f"a sensor that reads {GAIN_LEFT:.0%} too much"] = GAIN_LEFT * _by_gain(fit)
-    columns[f"a reference whose millimetre is {REFERENCE_LEFT:.1%} too short"] = REFERENCE_LEFT * _by_size(fit)
+    columns[f"a reference whose millimetre is {REFERENCE_LEFT:.1%} too short"] = REFERENCE_LEFT * _by_size(
+        fit
+    )
     found = []
     for cause, column in columns.items():
         if column.any():
