@@ -15,7 +15,7 @@ from probedesign.identification.trial import Trial
 from probedesign.identification.unknowns import DEGREE, Shared
 from probedesign.identification.weighed import Weighed
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.worlds import _printed
+from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.rod.rod import Rod
 from probedesign.units import MM
@@ -121,7 +121,7 @@ def _truth(
     turn, shift = STD_TILT * rng.normal(size=3), STD_BASE * rng.normal(size=3)
     T_mount = pose(Rotation.from_rotvec(turn).as_matrix(), shift) @ T_seat
     pulled = model.gravity_base + turns[6:9]
-    return Truth(_printed(model.rod, factors), factors, T_mount, T_seat, T_mount[:3, :3].T @ pulled, pulled)
+    return Truth(printed(model.rod, factors), factors, T_mount, T_seat, T_mount[:3, :3].T @ pulled, pulled)
 
 
 def _tests(truth: Truth, kind: Kind) -> Iterator[tuple[str, FrictionlessContact | None]]:

@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from probedesign.search.optimum import Search
     from probedesign.search.sweep import Swept
     from probedesign.search.task import Task
+    from probedesign.synthetic.folder import Made
+    from probedesign.synthetic.plan import Plan
+    from probedesign.validation.validate import Validation
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -323,6 +326,62 @@ def write_identified(
     path = design_path if out is None else out
     write_design(result, path, force=out is None or force)
     return changes, path
+
+
+def campaign(
+    design_path: Path, out: Path, plan: "Plan", force: bool, tell: Callable[[str, float | None], None]
+) -> "Made":
+    """Design → a print of it, drawn → what a laboratory would measure of that → a data folder."""
+    from probedesign.synthetic.folder import make_campaign
+
+    return make_campaign(probe_of(design_path).model, out, plan, force, tell)
+
+
+def validate(
+    bundle: Path,
+    data: Path,
+    out: Path | None,
+    exact_model: bool,
+    plots: bool | None,
+    tell: Callable[[str, float | None], None],
+) -> tuple["Validation", list[Path]]:
+    """Frozen probe, data folder → estimates beside the reference → table, page, picture.
+
+    Args:
+        bundle: the frozen probe.
+        data: folder of a campaign.
+        out: folder for validation.json, .csv, .html and .png; exports/NAME/validation if None.
+        exact_model: take the probe for exactly what its file says.
+        plots: make page and picture; None makes the picture where matplotlib is installed.
+        tell: told the step at work and the share done.
+
+    Returns:
+        What was found and the files written.
+    """
+    from probedesign.campaign import read_campaign
+    from probedesign.deployment import load_estimator
+    from probedesign.validation.validate import validate as compare_all
+
+    estimator, campaign = load_estimator(bundle), read_campaign(data)
+    folder = EXPORTS / estimator.model.name / "validation" if out is None else out
+    check_room(folder / "validation.json")
+    found = compare_all(estimator, campaign, exact_model, lambda share: tell("estimating", share))
+    tell("drawing", None)
+    written = {
+        "validation.json": (json.dumps(found.as_dict(), indent=1) + "\n").encode(),
+        "validation.csv": found.csv(),
+    }
+    if plots is not False:
+        from probedesign.pages.validation_page import validation_page
+
+        written["validation.html"] = validation_page(found)
+        if plots or find_spec("matplotlib") is not None:
+            from probedesign.pages.validation_picture import draw_validation
+
+            written["validation.png"] = draw_validation(found)
+    for name, content in written.items():
+        write_atomically(folder / name, content)
+    return found, [folder / name for name in written]
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

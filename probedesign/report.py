@@ -37,7 +37,7 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
     for ax in axes.flat:
         ax.set_title(ax.get_title(), y=1.0)  # where it stands anyhow: else it is sought anew
     figure.suptitle(_title(prediction), fontsize=12, x=0.01, y=0.992, ha="left", va="top")
-    return _png(figure)
+    return png(figure)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def draw_sweep(sweep: Sweep) -> bytes:
     lower.legend(fontsize=8)
     for ax in (upper, lower):
         ax.grid(True, alpha=0.25)
-    return _png(figure)
+    return png(figure)
 
 
 def blank(width: float, height: float, margins: tuple[float, float, float, float] | None = None) -> "Figure":
@@ -112,7 +112,8 @@ def blank(width: float, height: float, margins: tuple[float, float, float, float
     return figure
 
 
-def _png(figure: "Figure") -> bytes:
+def png(figure: "Figure") -> bytes:
+    """The figure as a file."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=110, metadata={"Software": None})
     return picture.getvalue()

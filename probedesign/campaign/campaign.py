@@ -39,9 +39,9 @@ class Test:
         name: of the test.
         T_world_base: pose of the base, (4, 4).
         force_world: known force of the object on the probe [N], (3,); zero for a free probe; None if not known.
-        s_contact: where it is known to be touched [m]; NaN if it is not.
+        s_contact: where the contact force is known to meet the axis [m]; NaN if it is not.
         std_s: standard deviation of that [m].
-        p_contact_world: place of the contact by the reference [m], (3,); None if it saw none.
+        p_contact_world: the touched point of the surface by the reference [m], (3,); None if it saw none.
         std_contact: of that, on each axis [m].
         direction: of the push, as people call it: +y; empty if not said.
         tip_sag: how far the tip hangs below its unbent place, along gravity [m]; NaN if not measured.

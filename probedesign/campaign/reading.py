@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.campaign.campaign import Campaign, Test, Weighing
+from probedesign.campaign.campaign import Campaign, Markers, Test, Weighing
 from probedesign.campaign.manifest import Manifest, read_manifest
 from probedesign.campaign.markers_table import FILE as MARKERS
 from probedesign.campaign.markers_table import read_markers
 from probedesign.campaign.order import check_order
+from probedesign.campaign.pixels_table import FILE as PIXELS
+from probedesign.campaign.pixels_table import read_pixels
 from probedesign.campaign.tests_table import read_tests
 from probedesign.campaign.wrenches_table import read_wrenches
 from probedesign.errors import InputError
@@ -32,7 +34,7 @@ def read_campaign(path: str | Path) -> Campaign:
     rows = read_tests(folder, manifest)
     names = {row.name: i for i, row in enumerate(rows)}
     wrenches, frame = read_wrenches(folder, names)
-    markers = read_markers(folder, manifest, names)
+    markers, notes = _seen(folder, manifest, names)
     marker_s, side = _markers_of(manifest)
     for row, seen in zip(rows, markers, strict=True):
         if seen is not None:
@@ -44,7 +46,21 @@ def read_campaign(path: str | Path) -> Campaign:
         replace(row, wrenches=read, frame=frame, markers=seen)
         for row, read, seen in zip(rows, wrenches, markers, strict=True)
     )
-    return _campaign(folder, manifest, marker_s, side, tests)
+    return _campaign(folder, manifest, marker_s, side, tests, notes)
+
+
+def _seen(
+    folder: Path, manifest: Manifest, tests: dict[str, int]
+) -> tuple[list[Markers | None], tuple[str, ...]]:
+    """The markers of each test, from cameras or another reference, and notes."""
+    told = read_markers(folder, manifest, tests)
+    placed, notes = read_pixels(folder, manifest, tests)
+    for name, test in tests.items():
+        if told[test] is not None and placed[test] is not None:
+            raise InputError(
+                f"{folder}: test {name} has markers in {MARKERS} and in {PIXELS}; keep one of them"
+            )
+    return [a or b for a, b in zip(told, placed, strict=True)], notes
 
 
 def check_probe(campaign: Campaign, name: str, fingerprint: str, length: float) -> None:
@@ -87,7 +103,12 @@ def _markers_of(manifest: Manifest) -> tuple[Array, float | None]:
 
 
 def _campaign(
-    folder: Path, manifest: Manifest, marker_s: Array, side: float | None, tests: tuple[Test, ...]
+    folder: Path,
+    manifest: Manifest,
+    marker_s: Array,
+    side: float | None,
+    tests: tuple[Test, ...],
+    notes: tuple[str, ...],
 ) -> Campaign:
     base, weighed = manifest.base, manifest.weighing
     R = Rotation.from_rotvec(np.radians(base.rotation_world_deg)).as_matrix()
@@ -105,5 +126,5 @@ def _campaign(
         if weighed is None
         else Weighing(1e-3 * weighed.mass_g, 1e-3 * weighed.std_g, weighed.of),
         folder=folder,
-        notes=(),
+        notes=notes,
     )

@@ -20,6 +20,7 @@ ENABLES = {
     "live": "live on a Net F/T box, recordings in MCAP, ROS 2 bags",
     "daq": "live on a sensor at a card of National Instruments",
     "view": "live --view: the probe on a page",
+    "vision": "markers: dots found in photographs",
 }
 """What the packages of an extra are for; "" is what the program cannot do without."""
 

@@ -24,6 +24,8 @@ COMMANDS = {
     "identify": "Find E, G and their kin from tests of a print.",
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
+    "campaign": "Make up what a laboratory would measure of a print: a data folder as example.",
+    "validate": "Compare the frozen probe with a stereo reference, as the paper's Table I.",
     "live": "Locate contacts as the sensor reads them.",
     "recover": "Make an MCAP recording whole that was cut off.",
     "simulate": "Play a Net F/T box with the probe on it, for live and other clients.",

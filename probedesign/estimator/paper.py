@@ -38,7 +38,7 @@ def _candidate(rod: Rod, seen: Observation, eq: Equilibrium) -> Candidate:
         s_contact=eq.s_contact,
         std_s=cov.std_s,
         p_contact_base=eq.p_contact_base,
-        p_surface_base=_surface(rod, eq),
+        p_surface_base=surface_point(rod, eq),
         force_base=force,
         cov_contact_base=cov.cov_p,
         chi2=float(misfit @ np.linalg.solve(cov.moment_misfit, misfit)),
@@ -49,7 +49,7 @@ def _candidate(rod: Rod, seen: Observation, eq: Equilibrium) -> Candidate:
     )
 
 
-def _surface(rod: Rod, eq: Equilibrium) -> Array:
+def surface_point(rod: Rod, eq: Equilibrium) -> Array:
     """The touched point of the surface, where the force's line leaves the body.
 
     The outward normal at the touched section leans towards the tip by α, so with r the radius at

@@ -15,10 +15,11 @@ from probedesign.identification.unknowns import PARTS, ROOT, Shared
 from probedesign.identification.weighed import Weighed
 
 MAX_STEPS = 60
-SMALL = 1e-4
+SMALL = 1e-3
 """A step that moves every unknown by less than this share of its standard deviation is the last."""
-LEAST_GAIN = 1e-5
-"""Of the loss, half a χ²: less is promised within a two-hundredth of a standard deviation of the least."""
+LEAST_GAIN = 1e-3
+"""Of the loss, half a χ²: within a twentieth of a standard deviation of the least. The rod's own digits, a micrometre
+and a millionth of the moment, make the loss uncertain by about as much."""
 FARTHEST = 3.0
 """Logarithm of a factor on the design's value: no probe is twenty times stiffer than designed."""
 ROUNDS = 4
@@ -217,7 +218,7 @@ def _descend(problem: Problem, point: Point, scales: dict[str, float] | None) ->
             step = _step(rows * units, values, damping)
             gain = _gain(rows * units, values, step) if gain is None else gain
             trial = _moved(problem, point, units * step)
-            if trial is not None and trial.loss(used) <= least + 1e-9 * (1.0 + least):
+            if trial is not None and trial.loss(used) <= least + LEAST_GAIN:
                 moved = trial
                 damping = max(damping / 10.0, 1e-9)
                 break

@@ -235,17 +235,16 @@ class Bent:
         return self._group("friction", 0, np.array([-share]), self.by_shared(moving), own, cov)
 
     def _sag(self) -> Group:
-        """How far below its unbent place, as the pose that was told has that, the tip hangs."""
-        trial, length = self.trial, self.guess.rod.length
-        s = np.array([length])
+        """How far along gravity the tip hangs below where the straight probe on the same base has it."""
+        trial, length, size = self.trial, self.guess.rod.length, float(np.linalg.norm(self.gravity_base))
+        s, down = np.array([length]), self.gravity_base / size
         root = self._by_root(lambda eq: eq.p_at(s))[0]
-        expected, J, own = self.in_world(Moving(self.eq.p_at(s)[0], self.eq.d_p_at(s)[0], root))
-        unbent = trial.T_world_base[:3, :3] @ [0.0, 0.0, length] + trial.T_world_base[:3, 3]
-        down = trial.gravity_world / np.linalg.norm(trial.gravity_world)
-        off = np.array([trial.sag - (expected - unbent) @ down])
-        return self._group(
-            "sags", 0, off, (down @ J)[None], (down @ own)[None], np.array([[trial.std_sag**2]])
-        )
+        moving = Moving(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], root)
+        falls = Moving(self.gravity_base, np.zeros_like(moving.rod), np.zeros(3))
+        falls.rod[:, 7:10] = np.eye(3)
+        J = down @ self.by_shared(moving) + moving.at @ self.by_shared(falls) / size
+        own, off = (down @ self.by_own(moving))[None], np.array([trial.sag - moving.at @ down])
+        return self._group("sags", 0, off, J[None], own, np.array([[trial.std_sag**2]]))
 
     def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
         """Derivative of what an equilibrium tells by root_rigid_radii; zero where it is not wanted."""

@@ -53,7 +53,7 @@ class Worlds:
         R = Rotation.from_rotvec(turns[:, 3:6]).as_matrix()
         pulled = gravity + turns[:, 6:9]
         seen = np.einsum("nji,nj->ni", R, pulled)
-        rods = Rods.of([_printed(model.rod, row) for row in parameters])
+        rods = Rods.of([printed(model.rod, row) for row in parameters])
         worlds = cls(model, tolerances, rods, parameters, seen, R, turns[:, 0:3], np.zeros((n, 6)))
         return replace(worlds, off=worlds._off(pulled))
 
@@ -116,7 +116,7 @@ class Worlds:
         return np.asarray(model.rod.solve(model.gravity_base).wrench_base - self.told(free.wrench_base))
 
 
-def _printed(rod: Rod, by: Array) -> Rod:
+def printed(rod: Rod, by: Array) -> Rod:
     """A rod whose logarithms differ by these."""
     E, G, density, length = np.exp(by[:4]).tolist()
     radius = rod.radius * np.exp(by[4:])

@@ -1,0 +1,33 @@
+"""Photographs of a synthetic campaign: one of each test by each camera."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from probedesign import stereo
+from probedesign.stereo.render import Look, render
+from probedesign.synthetic.sight import SIZE_PX, Sight
+from probedesign.synthetic.world import State
+
+
+def take_photographs(
+    sight: Sight, states: list[State], folder: Path, seed: int, tell: Callable[[str, float | None], None]
+) -> None:
+    """Render and write images/TEST-CAMERA.png.
+
+    Raises:
+        MissingDependencyError: OpenCV, which writes them, is not installed.
+    """
+    stereo.require()
+    import cv2
+
+    folder.mkdir()
+    total = len(states) * len(sight.cameras)
+    for i, state in enumerate(states):
+        tube, dots = sight.tube(state.equilibrium), sight.dots(state.equilibrium)
+        for k, camera in enumerate(sight.cameras):
+            number = i * len(sight.cameras) + k
+            tell("photographs", number / total)
+            picture = render(camera, tube, dots, SIZE_PX, Look(seed=seed * 1000 + number))
+            done, data = cv2.imencode(".png", picture)
+            assert done, "a grey picture is always encoded"
+            (folder / f"{state.name}-{camera.name}.png").write_bytes(data.tobytes())

@@ -1,0 +1,223 @@
+"""One test: the estimate beside the reference."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtri
+
+from probedesign.campaign.campaign import Campaign, Test
+from probedesign.estimator.estimate import Estimate
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.model import ProbeModel
+from probedesign.frames import Array, inverse
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.validation.taring import LEAST_REFERENCE, Reading, cov_of_pose, reading_of, tolerances_of
+
+Kind = Literal["free", "weight", "touch"]
+CONFIDENCE = 0.05
+"""Share that a 95 % ellipsoid leaves out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Miss:
+    """How far an estimated contact is from the reference's, in the base frame.
+
+    Attributes:
+        error: estimated minus measured [m]: of the point (3,), or of the arclength alone (1,).
+        cov: that the estimate and the reference state together [m²], (d, d).
+        cov_reference: the reference's share, with the pose of the base.
+    """
+
+    error: Array
+    cov: Array
+    cov_reference: Array
+
+    @property
+    def size(self) -> float:
+        """[m]."""
+        return float(np.linalg.norm(self.error))
+
+    @property
+    def expected(self) -> float:
+        """RMS of the size, as stated [m]."""
+        return math.sqrt(float(np.trace(self.cov)))
+
+    @property
+    def nees(self) -> float:
+        """Normalised estimation error squared: χ² of as many degrees of freedom as there are axes, if all is true."""
+        return float(self.error @ np.linalg.solve(self.cov, self.error))
+
+    @property
+    def dof(self) -> int:
+        """Axes."""
+        return len(self.error)
+
+    @property
+    def within_95(self) -> bool:
+        """Whether the reference lies within the 95 % ellipsoid."""
+        return bool(self.nees <= chdtri(self.dof, CONFIDENCE))
+
+    @property
+    def z(self) -> Array:
+        """Error over its standard deviation, axis by axis, (d,)."""
+        return np.asarray(self.error / np.sqrt(np.diag(self.cov)))
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One test.
+
+    Attributes:
+        test: it is of.
+        kind: free, with a known weight on it, or touched.
+        result: of the estimate; "no_reading" where the sensor was not read.
+        estimate: None where there was none.
+        shape: as estimated, of a free test as modelled; None where no place was told.
+        force: on the probe [N]: as known, else by equation 5 from the readings; NaN where neither is.
+        fraction: contact over length: known, else estimated; NaN where neither is.
+        markers_base: as measured [m], (m, 3).
+        markers_hat: the same of the shape [m], (m, 3); empty without a shape.
+        markers_off: of them from the shape's axis [m], (m, 3).
+        shape_rms: equation 6 [m]; NaN without shape or markers.
+        reference_rms: what the reference's own errors make of it [m].
+        contact_base: by the reference [m], (3,); None if it saw none.
+        miss: of the contact; None where either side has none.
+        readings: of the sensor.
+        tares: free tests it was tared by.
+    """
+
+    test: Test
+    kind: Kind
+    result: str
+    estimate: Estimate | None
+    shape: Equilibrium | None
+    force: float
+    fraction: float
+    markers_base: Array
+    markers_hat: Array
+    markers_off: Array
+    shape_rms: float
+    reference_rms: float
+    contact_base: Array | None
+    miss: Miss | None
+    readings: int
+    tares: int
+
+    @property
+    def markers_on_axis(self) -> Array:
+        """The measured markers, moved onto the axis as the shape has it [m], (m, 3); as they are without a shape."""
+        return self.markers_base - self.markers_off if len(self.markers_off) else self.markers_base
+
+    @property
+    def counts(self) -> bool:
+        """Whether it tells if stated errors come true: the estimator takes no weight on a thread, which friction
+        holds, for a touch."""
+        return self.kind == "touch" and self.miss is not None
+
+
+def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) -> Trial:
+    """Estimate one test and compare.
+
+    Args:
+        campaign: it is of.
+        test: to look at.
+        estimator: of the frozen probe, as `load_estimator` gives it.
+        exact: take the probe for exactly what its model says.
+    """
+    model = estimator.model
+    kind: Kind = "touch" if test.force_world is None else "free" if test.free else "weight"
+    reading = reading_of(campaign, test, estimator)
+    estimate = _estimate(campaign, estimator, reading, exact)
+    shape = _shape(estimator, kind, reading, estimate)
+    T_base_world = inverse(test.T_world_base)
+    seen, hat, off, cov = _markers(campaign, test, model, shape, T_base_world)
+    contact = None if test.p_contact_world is None else _moved(T_base_world, test.p_contact_world)
+    return Trial(
+        test, kind, "no_reading" if estimate is None else estimate.result, estimate, shape,
+        force=_force(test, reading, model),
+        fraction=_place(test, estimate) / model.rod.length,
+        markers_base=seen,
+        markers_hat=hat,
+        markers_off=off,
+        shape_rms=math.sqrt(float(np.mean(np.sum((hat - seen) ** 2, axis=1)))) if len(hat) else math.nan,
+        reference_rms=math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(seen) else math.nan,
+        contact_base=contact,
+        miss=_miss(campaign, test, estimate, contact),
+        readings=len(reading.wrenches_base),
+        tares=reading.tares,
+    )  # fmt: skip
+
+
+def _estimate(campaign: Campaign, estimator: Estimator, reading: Reading, exact: bool) -> Estimate | None:
+    if not len(reading.wrenches_base):
+        return None
+    if not exact:
+        estimator = estimator.with_tolerances(tolerances_of(campaign, estimator.model, reading))
+    return estimator.estimate(reading.wrenches_base, reading.gravity_base)
+
+
+def _shape(
+    estimator: Estimator, kind: Kind, reading: Reading, estimate: Estimate | None
+) -> Equilibrium | None:
+    """Of a free probe the modelled one: that nothing touches it is known."""
+    if kind == "free":
+        free = estimator.free(reading.gravity_base)
+        return free if free.ok else None
+    return None if estimate is None else estimate.shape
+
+
+def _force(test: Test, reading: Reading, model: ProbeModel) -> float:
+    if test.force_world is not None:
+        return float(np.linalg.norm(test.force_world))
+    if not len(reading.wrenches_base):
+        return math.nan
+    mean = reading.wrenches_base.mean(axis=0)[:3]
+    return float(np.linalg.norm(mean - model.mass * reading.gravity_base))
+
+
+def _place(test: Test, estimate: Estimate | None) -> float:
+    if not math.isnan(test.s_contact) or estimate is None:
+        return test.s_contact
+    return estimate.s_contact
+
+
+def _markers(
+    campaign: Campaign, test: Test, model: ProbeModel, shape: Equilibrium | None, T_base_world: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Measured and estimated markers in the base frame, the latter's way from the axis, and the reference's covariance
+    of each."""
+    none = np.zeros((0, 3))
+    if test.markers is None:
+        return none, none, none, np.zeros((0, 3, 3))
+    R = T_base_world[:3, :3]
+    seen = test.markers.p_world @ R.T + T_base_world[:3, 3]
+    cov = R @ test.markers.cov_world @ R.T + cov_of_pose(campaign, seen)
+    if shape is None:
+        return seen, none, none, cov
+    s = np.minimum(campaign.marker_s[test.markers.numbers], model.rod.length)
+    hat, off = shape.p_at(s), np.zeros((len(s), 3))
+    if campaign.marker_side is not None:
+        axes, radius = shape.R_at(s), np.interp(s, model.rod.s, model.rod.radius)
+        x, y = np.cos(campaign.marker_side), model.cross_section.flatness * np.sin(campaign.marker_side)
+        off = radius[:, None] * (x * axes[:, :, 0] + y * axes[:, :, 1])
+    return seen, hat + off, off, cov
+
+
+def _miss(campaign: Campaign, test: Test, estimate: Estimate | None, contact: Array | None) -> Miss | None:
+    """Of the touched point where the reference saw it, else of the arclength where that is known."""
+    if estimate is None or not estimate.ok:
+        return None
+    if contact is not None:
+        own = cov_of_pose(campaign, contact) + max(test.std_contact, LEAST_REFERENCE) ** 2 * np.eye(3)
+        return Miss(estimate.p_surface_base - contact, estimate.cov_contact_base + own, own)
+    if not math.isnan(test.s_contact):
+        reference = np.array([[test.std_s**2]])
+        off = np.array([estimate.s_contact - test.s_contact])
+        return Miss(off, reference + estimate.std_s**2, reference)
+    return None
+
+
+def _moved(T: Array, p: Array) -> Array:
+    return np.asarray(T[:3, :3] @ p + T[:3, 3])
