@@ -1,7 +1,8 @@
-"""Changing numbers in a design file that a person wrote: comments, order and layout stay, old values are kept beside."""
+"""Changing numbers in a design file that a person wrote: comments and layout stay, old values are kept beside."""
 
 import re
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from probedesign.design import Design, check_design, parse_design
@@ -105,8 +106,6 @@ def _plain(text: str, where: str) -> Design | None:
 
 def _wanted(text: str, changes: Sequence[Change], where: str) -> Design:
     """The design as it should read."""
-    import tomllib
-
     data = tomllib.loads(text)
     for change in changes:
         table: dict[str, object] = data
@@ -116,15 +115,3 @@ def _wanted(text: str, changes: Sequence[Change], where: str) -> Design:
             table = inner
         table[change.key] = tomllib.loads(f"v = {change.text}")["v"]
     return check_design(data, text, where)
-
-
-def values_of(design: Design, changes: Sequence[Change]) -> Mapping[str, object]:
-    """What stands there now, by `table.key`; None where nothing does."""
-    document = design.model_dump(by_alias=True)
-    found: dict[str, object] = {}
-    for change in changes:
-        table: object = document
-        for part in change.table.split("."):
-            table = table.get(part) if isinstance(table, dict) else None
-        found[f"{change.table}.{change.key}"] = table.get(change.key) if isinstance(table, dict) else None
-    return found

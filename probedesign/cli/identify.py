@@ -85,7 +85,8 @@ def _told(one: "Identified") -> str:
     text = f"{_with_unit(one.value, one.unit)}, 95 % within {one.low:.4g} ... {one.high:.4g}"
     assert one.std is not None and one.std_of_print is not None
     if one.std_of_print > 1.1 * one.std:
-        text += f" with the design's dimensions; {one.low_of_print:.4g} ... {one.high_of_print:.4g} with their tolerances"
+        of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with their tolerances"
+        text += f" with the design's dimensions; {of_print}"
     return text
 
 

@@ -158,7 +158,7 @@ class Fit:
         """Triangle R with Rᵀ R the information on all unknowns, over units, and the units (size,)."""
         rows, _ = self.point.system(self.weight)
         units = units_of(rows)
-        return np.linalg.qr(rows * units, mode="r"), units
+        return np.asarray(np.linalg.qr(rows * units, mode="r")), units
 
     @cached_property
     def cov(self) -> Array:

@@ -277,7 +277,7 @@ def bend(trial: Trial, guess: Guess, own: Array, tip: Array | None = None, root:
     R = (trial.T_world_base @ guess.T_mount_base)[:3, :3]
     gravity, d_gravity = guess.gravity(trial.gravity_world)
     gravity_base = R.T @ gravity
-    force = own[:3] if trial.touched else R.T @ trial.force_world
+    force = own[:3] if trial.force_world is None else R.T @ trial.force_world
     s = own[-1] if trial.slides else (None if trial.free else trial.s_contact)
 
     def solved(rod: Rod) -> Equilibrium:

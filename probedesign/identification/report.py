@@ -8,6 +8,7 @@ from scipy.stats import norm, t
 from probedesign.frames import Array
 from probedesign.identification.fit import Fit, solve_at, units_of
 from probedesign.identification.identification import CONFIDENCE, Identified, Outlier, Residual, Shift
+from probedesign.identification.misfit import Group
 from probedesign.identification.robust import ROBUST, distance, outliers
 from probedesign.identification.told import Untold
 from probedesign.identification.trial import Trial
@@ -169,35 +170,37 @@ def shifts_of(fit: Fit, asked: Sequence[str]) -> tuple[Shift, ...]:
 
 def _by_gain(fit: Fit) -> Array:
     """Misfits by the logarithm of the sensor's gain: all that it reads is too much."""
-    return _by_readings(fit, lambda trial: trial.wrench_base, "wrenches")
+
+    def read(group: Group, trial: Trial) -> tuple[Array, Array] | None:
+        told, cov = trial.wrench_base, trial.cov_wrench
+        return (told, cov) if group.kind == "wrenches" and told is not None and cov is not None else None
+
+    return _by_reading(fit, read)
 
 
 def _by_size(fit: Fit) -> Array:
     """Misfits by the logarithm of the reference's size: places are too far from the base."""
-    rows = [np.zeros(int(fit.point.problem.active.sum()))]
-    bents = {bent.trial.name: bent for bent in fit.point.bents}
-    for group, w in zip(fit.point.groups, fit.weight, strict=True):
-        column = np.zeros(len(group.r))
-        if group.kind in ("markers", "touches"):
-            trial = bents[group.test].trial
-            if group.kind == "markers":
-                i = trial.marker_numbers.index(group.item)
-                at, cov = trial.p_markers_world[i], trial.cov_markers[i]
-            else:
-                at, cov = trial.p_touch_world, trial.std_touch**2 * np.eye(3)
-            column = np.sqrt(w) * np.linalg.solve(np.linalg.cholesky(cov), at - trial.T_world_base[:3, 3])
-        rows.append(column)
-    return np.concatenate(rows)
+
+    def read(group: Group, trial: Trial) -> tuple[Array, Array] | None:
+        base = trial.T_world_base[:3, 3]
+        if group.kind == "markers":
+            i = trial.marker_numbers.index(group.item)
+            return trial.p_markers_world[i] - base, trial.cov_markers[i]
+        if group.kind == "touches" and trial.p_touch_world is not None:
+            return trial.p_touch_world - base, trial.std_touch**2 * np.eye(3)
+        return None
+
+    return _by_reading(fit, read)
 
 
-def _by_readings(fit: Fit, reading: Callable[[Trial], Array | None], kind: str) -> Array:
+def _by_reading(fit: Fit, read: Callable[[Group, Trial], tuple[Array, Array] | None]) -> Array:
+    """Rows of a change of readings, whitened as the misfits are; `read` tells a group's change and covariance."""
     rows = [np.zeros(int(fit.point.problem.active.sum()))]
-    bents = {bent.trial.name: bent for bent in fit.point.bents}
+    trials = {bent.trial.name: bent.trial for bent in fit.point.bents}
     for group, w in zip(fit.point.groups, fit.weight, strict=True):
-        column = np.zeros(len(group.r))
-        if group.kind == kind:
-            trial = bents[group.test].trial
-            assert trial.cov_wrench is not None
-            column = np.sqrt(w) * np.linalg.solve(np.linalg.cholesky(trial.cov_wrench), reading(trial))
-        rows.append(column)
+        change = read(group, trials[group.test]) if group.test in trials else None
+        if change is None:
+            rows.append(np.zeros(len(group.r)))
+        else:
+            rows.append(np.sqrt(w) * np.linalg.solve(np.linalg.cholesky(change[1]), change[0]))
     return np.concatenate(rows)

@@ -58,8 +58,8 @@ def _left(point: Point, weight: Array, parts: Sequence[int]) -> Array:
     rest = [i for i in range(rows.shape[1]) if i not in at]
     others = rows[:, rest]
     others = others * units_of(others)
-    R = np.linalg.qr(np.hstack([others, rows[:, at]]), mode="r")
-    return np.asarray(R[len(rest) :, len(rest) :])
+    R = np.asarray(np.linalg.qr(np.hstack([others, rows[:, at]]), mode="r"))
+    return R[len(rest) :, len(rest) :]
 
 
 def _words(part: Sequence[str], way: dict[str, float], std: float) -> str:
