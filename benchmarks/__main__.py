@@ -6,7 +6,7 @@ from importlib import import_module
 
 from benchmarks.timing import print_machine
 
-PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "prediction", "optimisation", "sweep",
+PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "identify", "prediction", "optimisation", "sweep",
          "export", "live", "recording", "view")  # fmt: skip
 """Modules, each imported when its turn comes: worker processes import this one again."""
 

@@ -32,6 +32,7 @@ class Kind:
 
     Attributes:
         name: of it.
+        words: how well it sees.
         touches: fraction of the length and newtons; each is done from every side.
         sides: words.
         hangs: how often the free probe is measured.
@@ -41,6 +42,7 @@ class Kind:
     """
 
     name: str
+    words: str
     touches: tuple[tuple[float, float], ...]
     sides: tuple[str, ...]
     hangs: int
@@ -49,9 +51,9 @@ class Kind:
     s: float
 
 
-PAPER = Kind("cameras", ((0.4, 0.2), (0.55, 0.1), (0.7, 0.06), (0.85, 0.04)),
+CAMERAS = Kind("cameras", "markers to 3.6 mm", ((0.4, 0.2), (0.55, 0.1), (0.7, 0.06), (0.85, 0.04)),
              ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), 4, 3.6 * MM, 3.6 * MM, 1.0 * MM)  # fmt: skip
-STAGE = Kind("stage", ((0.35, 0.2), (0.5, 0.1), (0.65, 0.05), (0.8, 0.025)),
+STAGE = Kind("stage", "places to 0.05 mm", ((0.35, 0.2), (0.5, 0.1), (0.65, 0.05), (0.8, 0.025)),
              ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), 4, 0.0, 0.05 * MM, 0.05 * MM)  # fmt: skip
 """The large probe bent by 5 to 70 mm. 3.6 mm is the paper's RMS of a marker, here on each axis, and of what its cameras
 say of the contact; a pencil mark tells where on the probe that is to a millimetre (assumed)."""
@@ -80,7 +82,7 @@ class Truth:
     gravity_mount: Array
 
 
-def draw(model: ProbeModel, kind: Kind, seed: int, *, diameters: bool = False, spread: float = 0.1,
+def draw(model: ProbeModel, kind: Kind, seed: int, *, dimensions: bool = False, spread: float = 0.1,
          tolerances: Tolerances | None = None, weighed: bool = False) -> tuple[Data, Truth]:  # fmt: skip
     """A campaign and the truth behind it.
 
@@ -88,14 +90,14 @@ def draw(model: ProbeModel, kind: Kind, seed: int, *, diameters: bool = False, s
         model: of the probe as designed.
         kind: of laboratory.
         seed: of everything.
-        diameters: whether the print's dimensions differ as the tolerances have it; else they are as designed.
+        dimensions: whether the print's dimensions differ as the tolerances have it; else they are as designed.
         spread: of log E about the design's, standard deviation.
         tolerances: of all else; the design's if None.
         weighed: whether the flexible part was weighed, to 0.01 g.
     """
     rng = np.random.default_rng(seed)
     tolerances = tolerances or Tolerances.of(model)
-    truth = _truth(model, tolerances, rng, diameters, spread)
+    truth = _truth(model, tolerances, rng, dimensions, spread)
     shared = Shared(model, tolerances, STD_BASE, STD_TILT)
     off = _tare(model, truth) if tolerances.tared else np.zeros(6)
     trials = [
@@ -106,14 +108,14 @@ def draw(model: ProbeModel, kind: Kind, seed: int, *, diameters: bool = False, s
 
 
 def _truth(
-    model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator, diameters: bool, spread: float
+    model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator, dimensions: bool, spread: float
 ) -> Truth:
     K = len(model.rod.s)
     factors = np.zeros(4 + K)
     causes = parameters_of(model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0))
     for cause, rows in causes.items():
         drawn = rng.normal(size=len(rows)) @ rows
-        factors += drawn if diameters or cause not in DIMENSIONS else 0.0
+        factors += drawn if dimensions or cause not in DIMENSIONS else 0.0
     turns = sum(
         rng.normal(size=len(rows)) @ rows for rows in turns_of(model.gravity_base, tolerances).values()
     )

@@ -15,11 +15,10 @@ from probedesign.identification.unknowns import PARTS, ROOT, Shared
 from probedesign.identification.weighed import Weighed
 
 MAX_STEPS = 60
-SMALL = 1e-3
-"""A step that moves every unknown by less than this share of its standard deviation is the last."""
+LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e8
 LEAST_GAIN = 1e-3
-"""Of the loss, half a χ²: within a twentieth of a standard deviation of the least. The rod's own digits, a micrometre
-and a millionth of the moment, make the loss uncertain by about as much."""
+"""Of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the least. The rod's own
+digits, a micrometre and a millionth of the moment, make the loss uncertain by about as much."""
 FARTHEST = 3.0
 """Logarithm of a factor on the design's value: no probe is twenty times stiffer than designed."""
 ROUNDS = 4
@@ -206,42 +205,39 @@ def _leverage(point: Point, weight: Array) -> Array:
 
 
 def _descend(problem: Problem, point: Point, scales: dict[str, float] | None) -> tuple[Point, int, bool]:
-    """Steps until they are small; scales by the median of each step if none are given."""
-    damping, steps = 1e-6, 0
-    while steps < MAX_STEPS:
-        steps += 1
+    """Steps until no more is to be gained; scales by the median of each step if none are given."""
+    damping = LEAST_DAMPING
+    for steps in range(MAX_STEPS):
         used = median_scales(point.groups) if scales is None else scales
         rows, values = point.system(weights(point.groups, used))
         units = units_of(rows)
-        moved, least, gain = None, point.loss(used), None
-        while damping < 1e8:
-            step = _step(rows * units, values, damping)
-            gain = _gain(rows * units, values, step) if gain is None else gain
-            trial = _moved(problem, point, units * step)
-            if trial is not None and trial.loss(used) <= least + LEAST_GAIN:
-                moved = trial
-                damping = max(damping / 10.0, 1e-9)
-                break
-            damping = max(10.0 * damping, 1e-4)
-        if moved is None:  # at the least to the digits of the rod, or nowhere
-            return point, steps, gain is not None and gain < LEAST_GAIN
-        point = moved
-        if np.abs(step).max() < SMALL:
+        q, R = np.linalg.qr(rows * units)
+        inner = q.T @ values
+        if _gain(R, inner, _step(R, inner, LEAST_DAMPING)) < LEAST_GAIN:
             return point, steps, True
-    return point, steps, False
+        moved, least = None, point.loss(used)
+        while moved is None and damping < MOST_DAMPING:
+            moved = _moved(problem, point, units * _step(R, inner, damping))
+            if moved is not None and moved.loss(used) > least:
+                moved = None
+            damping = 10.0 * max(damping, 1e-5) if moved is None else max(damping / 10.0, LEAST_DAMPING)
+        if moved is None:
+            return point, steps, False
+        point = moved
+    return point, MAX_STEPS, False
 
 
-def _step(rows: Array, values: Array, damping: float) -> Array:
-    """Of unknowns in units in which each of their columns is as long as one standard deviation."""
-    size = rows.shape[1]
-    damped = np.concatenate([rows, np.sqrt(damping) * np.eye(size)])
-    return np.asarray(np.linalg.lstsq(damped, -np.concatenate([values, np.zeros(size)]))[0])
+def _step(R: Array, inner: Array, damping: float) -> Array:
+    """Of unknowns in units in which each by itself makes misfits of 1; R the triangle of their rows."""
+    size = len(R)
+    damped = np.concatenate([R, np.sqrt(damping) * np.eye(size)])
+    return np.asarray(np.linalg.lstsq(damped, -np.concatenate([inner, np.zeros(size)]))[0])
 
 
-def _gain(rows: Array, values: Array, step: Array) -> float:
+def _gain(R: Array, inner: Array, step: Array) -> float:
     """By which half the sum of squares would fall, were it as the rows have it."""
-    after = values + rows @ step
-    return 0.5 * float(values @ values - after @ after)
+    after = inner + R @ step
+    return 0.5 * float(inner @ inner - after @ after)
 
 
 def _moved(problem: Problem, point: Point, step: Array) -> Point | None:

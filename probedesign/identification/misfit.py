@@ -183,6 +183,9 @@ class Bent:
             np.cos(side) * R[:, :, 0] + np.sin(side) * R[:, :, 1]
         )
         low, high = np.maximum(s - _NEAR, 0.0), np.minimum(s + _NEAR, rod.length)
+        across = (low <= self.eq.s_contact) & (self.eq.s_contact < high)  # the shear jumps there
+        low = np.where(across, self.eq.s_contact - 2.0 * _NEAR, low)
+        high = np.where(across, self.eq.s_contact - _NEAR, high)
         d_tangent = (self.eq.d_p_at(high) - self.eq.d_p_at(low)) / (high - low)[:, None, None]
         turn = np.cross(R[:, :, 2][:, :, None], d_tangent, axis=1)
         return offset, np.cross(turn, offset[:, :, None], axis=1)

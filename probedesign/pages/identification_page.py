@@ -126,17 +126,17 @@ def _along(found: Identification) -> Section:
             e = 2.0 * float(errors[s][i])
             chart.line([s, s], [at - e, at + e], colour, width=1.0)
         chart.line(places, y, colour, dashes, mark, f"along world {axis}")
-    return Section("Is the shape right all along?", "Mean over the tests, with two standard deviations of it. A bow that is "
-                   "plain in all tests says that the taper, the root or a camera is other than taken.", chart.svg())  # fmt: skip
+    return Section("Is the shape right all along?", "Mean over the tests, with two standard deviations of it. A bow "
+                   "that is plain in all tests says that the taper, the root or a camera is other than taken.", chart.svg())  # fmt: skip
 
 
 def _wrenches(found: Identification) -> Section:
     """Each reading's residual by channel."""
     rows = [one for one in found.residuals if one.kind == "wrenches"]
-    off = np.array([[*(1e3 * np.array(one.off[:3])), *(1e3 * np.array(one.off[3:]))] for one in rows])
+    off = np.array([[*(1e3 * np.array(one.off[:3])), *(1e6 * np.array(one.off[3:]))] for one in rows])
     chart = Chart(
         Axis.named("", ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]),
-        Axis("measured - fitted [mN, N·mm]", *span_of([*off.ravel().tolist(), 0.0], False)),
+        Axis("measured - fitted [mN, µN·m]", *span_of([*off.ravel().tolist(), 0.0], False)),
     )
     chart.line([0.5, 6.5], [0.0, 0.0], "#666666", "4 4")
     for channel in range(6):
@@ -145,8 +145,8 @@ def _wrenches(found: Identification) -> Section:
             chart.line(
                 [channel + 1 + spread], [float(value)], COLOURS[1 + channel // 3], mark=MARKS[channel // 3]
             )
-    return Section("And the wrenches?", "At the base, from the first test at the left of each channel to the last at its "
-                   "right: a slope is a drift.", chart.svg())  # fmt: skip
+    return Section("And the wrenches?", "At the base, from the first test at the left of each channel to the "
+                   "last at its right: a slope is a drift.", chart.svg())  # fmt: skip
 
 
 def _correlation(found: Identification) -> Section:
