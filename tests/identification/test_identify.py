@@ -86,7 +86,9 @@ def test_a_wrong_marker_is_named_and_hardly_counts(cameras: Campaign, model: Pro
     worst = told.outliers[0]
     assert (worst.test, worst.kind, worst.item) == (trials[7].name, "markers", 5)
     E = told.of("E")
-    assert E is not None and abs(E.value - clean.value) < 0.3 * clean.std  # pulled by c²/d = 11/30 deviations of one
+    assert (
+        E is not None and abs(E.value - clean.value) < 0.3 * clean.std
+    )  # pulled by c²/d = 11/30 deviations of one
 
 
 def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, model: ProbeModel) -> None:
@@ -100,7 +102,9 @@ def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, model: Pr
 
 def test_too_few_tests_are_refused(model: ProbeModel) -> None:
     data = _sagging(model, None)
-    with pytest.raises(InputError, match="too few tests for E, density: 1 numbers are measured for 2 unknowns"):
+    with pytest.raises(
+        InputError, match="too few tests for E, density: 1 numbers are measured for 2 unknowns"
+    ):
         identify(replace(data, trials=data.trials[:1]), ("E", "density"))
 
 
