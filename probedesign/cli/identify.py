@@ -95,6 +95,7 @@ def _with_unit(value: float, unit: str) -> str:
 
 
 def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:
-    print(f"wrote {path}; its old values stay as comments:" if path else f"--write would change {design}:")
+    would = f"--write would change {design} (what was identified before, only with --force):"
+    print(f"wrote {path}; its old values stay as comments:" if path else would)
     for change in changes:
         print(f"  [{change.table}] {change.key} = {change.text}")

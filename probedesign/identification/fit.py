@@ -134,7 +134,7 @@ class Fit:
     """The end of a search.
 
     Attributes:
-        result: "ok", "not_converged", or "gave_way": with no guess tried does the rod hold in every test.
+        result: "ok" or "not_converged".
         point: where it ended.
         scales: of each kind's scatter, over what is stated.
         noise: how they were told.

@@ -158,6 +158,7 @@ class Shared:
         """The same where some are asked for: nothing is known of those beforehand, (size,)."""
         std = self.prior.copy()
         std[parts_of(asked)] = math.inf
-        if "diameters" in asked:  # else two numbers would stand for one
+        together = self.tolerances.diameter_mm > 0.0 or self.tolerances.diameter_share > 0.0
+        if "diameters" in asked and together:  # else two numbers would stand for one
             std[PRINT] = 0.0
         return std
