@@ -70,7 +70,7 @@ class Rows:
         """In SI, (n, len(quantities)); NaN where a cell is empty or there is no such column.
 
         Raises:
-            InputError: a cell is no finite number.
+            InputError: a cell is no finite number, or more than can be.
         """
         return np.column_stack([self._column(quantity) for quantity in quantities])
 
@@ -87,6 +87,8 @@ class Rows:
         if not NUMBER.fullmatch(text) or abs(value := float(text)) == float("inf"):
             remedy = "write a number with a decimal point, or leave the cell empty where it may be"
             self.fail(row, f"{column.name} = {shown(text.strip())} is not a finite number; {remedy}")
+        if abs(value * column.factor) > column.ceiling:
+            self.fail(row, f"{column.name} = {value:g} is more than can be; raw counts or a wrong unit?")
         return value
 
     def full(self, *quantities: str) -> Array:

@@ -12,7 +12,6 @@ from probedesign.campaign.campaign import Test
 from probedesign.campaign.manifest import Manifest
 from probedesign.campaign.rows import Kind, Rows, read_rows
 from probedesign.frames import Array, pose
-from probedesign.tables.columns import CEILING
 from probedesign.units import MM
 
 FILE = "tests.csv"
@@ -33,8 +32,6 @@ KIND = Kind(
 )  # fmt: skip
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", re.ASCII)
 MOST_WORD = 40
-FAR = 100.0
-"""A place farther than that from the world's origin is in another unit [m]."""
 
 
 def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
@@ -55,11 +52,10 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     sag, std_sag = rows.numbers("tip_sag", "std_sag").T
     std_contact = rows.numbers("std_contact")[:, 0]
     words = rows.texts("direction")
-    _check_force(rows, force)
     _check_spread(rows, ~np.isnan(s), std_s, "s_contact", "std_s")
     _check_spread(rows, seen, std_contact, "contact_x_world", "std_contact")
     _check_spread(rows, ~np.isnan(sag), std_sag, "tip_sag", "std_sag")
-    _check_places(rows, s, contact)
+    _check_places(rows, s)
     for i, word in enumerate(words):
         if len(word) > MOST_WORD or not word.isprintable():
             rows.fail(i, f"direction is longer than {MOST_WORD} letters; a word like +y will do")
@@ -105,16 +101,8 @@ def _poses(rows: Rows, manifest: Manifest) -> list[Array]:
     base = manifest.base
     p, turn = np.array(base.p_world_mm) * MM, np.radians(base.rotation_world_deg)
     usual = pose(Rotation.from_rotvec(turn).as_matrix(), p)
-    own = [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if yes else usual
-           for v, yes in zip(values, given, strict=True)]  # fmt: skip
-    for row in np.flatnonzero(np.abs(values[:, :3]).max(axis=1) > FAR)[:1]:
-        rows.fail(int(row), f"its base lies more than {FAR:g} m away; metres in a column of millimetres?")
-    return own
-
-
-def _check_force(rows: Rows, force: Array) -> None:
-    for row in np.flatnonzero(np.abs(force).max(axis=1) > CEILING["force"])[:1]:
-        rows.fail(int(row), f"its force is more than {CEILING['force']:g} N; a wrong unit?")
+    return [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if yes else usual
+            for v, yes in zip(values, given, strict=True)]  # fmt: skip
 
 
 def _check_spread(rows: Rows, given: NDArray[np.bool_], spread: Array, what: str, name: str) -> None:
@@ -126,8 +114,6 @@ def _check_spread(rows: Rows, given: NDArray[np.bool_], spread: Array, what: str
         )
 
 
-def _check_places(rows: Rows, s: Array, contact: Array) -> None:
+def _check_places(rows: Rows, s: Array) -> None:
     for row in np.flatnonzero(s < 0.0)[:1]:
         rows.fail(int(row), f"{rows.columns['s_contact'].name} is negative; s counts from the base")
-    for row in np.flatnonzero((s > FAR) | (np.abs(contact).max(axis=1) > FAR))[:1]:
-        rows.fail(int(row), f"its contact lies more than {FAR:g} m away; metres in a column of millimetres?")

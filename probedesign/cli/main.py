@@ -28,6 +28,7 @@ COMMANDS = {
     "validate": "Compare the frozen probe with a stereo reference, as the paper's Table I.",
     "live": "Locate contacts as the sensor reads them.",
     "recover": "Make an MCAP recording whole that was cut off.",
+    "markers": "Find the dots of a probe in the photographs of a campaign.",
     "simulate": "Play a Net F/T box with the probe on it, for live and other clients.",
     "demo": "Run the whole chain on a built-in example.",
     "doctor": "Tell what is installed and what is missing for what.",

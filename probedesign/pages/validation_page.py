@@ -156,6 +156,10 @@ def _shape(trial: Trial) -> Section:
         parts.append(
             f"contact off by {trial.miss.size / MM:.3g} mm, stated {trial.miss.expected / MM:.3g} mm"
         )
-    if trial.result != "ok":
+    if trial.kind == "free":
+        parts.append(
+            "no place told, as it should be" if trial.result != "ok" else "a place told, and nothing touches"
+        )
+    elif trial.result != "ok":
         parts.append(f"{trial.result}: {WHY[trial.result]}")
     return Section(f"{trial.test.name}: {_words(trial)}", "; ".join(parts) + ".", draw_shape(trial))

@@ -63,6 +63,7 @@ def _draw_shape(ax: "Axes", trial: Trial) -> None:
     ax.set_title(
         f"{trial.test.name}: {trial.force / MILLINEWTON:.3g} mN at {trial.fraction:.2g} L{off}", fontsize=9
     )
+    ax.set_xlabel("z [mm]", fontsize=8)
     ax.set_ylabel(f"{'xy'[across]} [mm]", fontsize=8)
     ax.tick_params(labelsize=8)
 

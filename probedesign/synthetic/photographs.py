@@ -18,7 +18,7 @@ def take_photographs(
         MissingDependencyError: OpenCV, which writes them, is not installed.
     """
     stereo.require()
-    import cv2
+    from probedesign.stereo.picture import write_png
 
     folder.mkdir()
     total = len(states) * len(sight.cameras)
@@ -28,6 +28,4 @@ def take_photographs(
             number = i * len(sight.cameras) + k
             tell("photographs", number / total)
             picture = render(camera, tube, dots, SIZE_PX, Look(seed=seed * 1000 + number))
-            done, data = cv2.imencode(".png", picture)
-            assert done, "a grey picture is always encoded"
-            (folder / f"{state.name}-{camera.name}.png").write_bytes(data.tobytes())
+            write_png(folder / f"{state.name}-{camera.name}.png", picture)

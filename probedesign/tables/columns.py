@@ -20,9 +20,18 @@ UNITS = {
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 WRENCH_KINDS = {**dict.fromkeys(WRENCH[:3], "force"), **dict.fromkeys(WRENCH[3:], "moment")}
 WRENCH_ALIASES = {"tx": "mx", "ty": "my", "tz": "mz"}
-CEILING = {"time": 1e11, "force": 1000.0, "moment": 50.0, "gravity": 30.0}
-"""No true value is larger [s, N, N·m, m/s²]: it is raw counts or a wrong unit. The largest calibration of
-the Nano17 reads 50 N and 0.5 N·m; a clock that counts milliseconds since 1970 as seconds reads 1.7e12."""
+CEILING = {
+    "time": 1e11,
+    "force": 1000.0,
+    "moment": 50.0,
+    "gravity": 30.0,
+    "length": 100.0,
+    "angle": 100.0,
+    "pixel": 1e6,
+}
+"""No true value is larger [s, N, N·m, m/s², m, rad, px]: it is raw counts or a wrong unit. The largest calibration of
+the Nano17 reads 50 N and 0.5 N·m; a clock that counts milliseconds since 1970 as seconds reads 1.7e12; no
+laboratory is wider than 100 m, and no picture than a million pixels."""
 
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 

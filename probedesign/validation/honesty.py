@@ -61,20 +61,31 @@ def honesty_of(trials: Sequence[Trial], exact: bool) -> Honesty:
     low, high = (float(chi2.ppf(tail, dof)) / dof for tail in (0.025, 0.975))
     z = np.array([miss.z for miss in misses if miss.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
-    words = _words(n, within, (share.low, share.high), ratio, (low, high), exact)
+    lost = sum(trial.kind == "touch" for trial in trials) - n
+    words = _words(n, lost, within, (share.low, share.high), ratio, (low, high), exact)
     return Honesty(n, within, float(share.low), float(share.high), ratio, low, high,
                    tuple(mean.ravel().tolist()), tuple(std.ravel().tolist()), words)  # fmt: skip
 
 
 def _words(
-    n: int, within: int, share: tuple[float, float], ratio: float, span: tuple[float, float], exact: bool
+    n: int,
+    lost: int,
+    within: int,
+    share: tuple[float, float],
+    ratio: float,
+    span: tuple[float, float],
+    exact: bool,
 ) -> tuple[str, ...]:
     told = [f"{within} of {n} touches lie within their 95 % ellipsoid: {within / n:.0%}, of which so many tell "
             f"{share[0]:.0%} to {share[1]:.0%}"]  # fmt: skip
+    if lost:
+        told.append(
+            f"{lost} more were not located, or not seen by the reference: nothing here is said of them"
+        )
     if share[1] < SHARE:
         told.append("that is too few: the probe, its mount or the reference is worse known than stated")
     elif n < FEW:
-        told.append(f"{n} touches are too few to tell a good statement from a fair one; {FEW} or more would")
+        told.append(f"so few do not tell a good statement from a fair one; {FEW} or more would")
     square = (
         f"errors squared are {ratio:.2g} times what was stated, {span[0]:.2g} to {span[1]:.2g} if all is true"
     )

@@ -10,7 +10,6 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
-from probedesign.units import MM
 
 SAME_WAY = math.cos(math.radians(1.0))
 """Free tests tare those in which gravity pulls the same way, to a degree."""
@@ -92,7 +91,3 @@ def _at_base(model: ProbeModel, test: Test, gravity: Array) -> Array:
 def _alike(campaign: Campaign, other: Test, gravity: Array) -> bool:
     pulled = gravity_of(campaign, other)
     return bool(pulled @ gravity >= SAME_WAY * np.linalg.norm(pulled) * np.linalg.norm(gravity))
-
-
-LEAST_REFERENCE = 1e-3 * MM
-"""A reference is never taken for better than a micrometre [m], which keeps its covariance regular."""

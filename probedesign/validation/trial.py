@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtri
 
 from probedesign.campaign.campaign import Campaign, Test
 from probedesign.estimator.estimate import Estimate
@@ -13,56 +12,10 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, inverse
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.validation.taring import LEAST_REFERENCE, Reading, cov_of_pose, reading_of, tolerances_of
+from probedesign.validation.miss import Miss, miss_of
+from probedesign.validation.taring import Reading, cov_of_pose, reading_of, tolerances_of
 
 Kind = Literal["free", "weight", "touch"]
-CONFIDENCE = 0.05
-"""Share that a 95 % ellipsoid leaves out."""
-
-
-@dataclass(frozen=True, eq=False)
-class Miss:
-    """How far an estimated contact is from the reference's, in the base frame.
-
-    Attributes:
-        error: estimated minus measured [m]: of the point (3,), or of the arclength alone (1,).
-        cov: that the estimate and the reference state together [m²], (d, d).
-        cov_reference: the reference's share, with the pose of the base.
-    """
-
-    error: Array
-    cov: Array
-    cov_reference: Array
-
-    @property
-    def size(self) -> float:
-        """[m]."""
-        return float(np.linalg.norm(self.error))
-
-    @property
-    def expected(self) -> float:
-        """RMS of the size, as stated [m]."""
-        return math.sqrt(float(np.trace(self.cov)))
-
-    @property
-    def nees(self) -> float:
-        """Normalised estimation error squared: χ² of as many degrees of freedom as there are axes, if all is true."""
-        return float(self.error @ np.linalg.solve(self.cov, self.error))
-
-    @property
-    def dof(self) -> int:
-        """Axes."""
-        return len(self.error)
-
-    @property
-    def within_95(self) -> bool:
-        """Whether the reference lies within the 95 % ellipsoid."""
-        return bool(self.nees <= chdtri(self.dof, CONFIDENCE))
-
-    @property
-    def z(self) -> Array:
-        """Error over its standard deviation, axis by axis, (d,)."""
-        return np.asarray(self.error / np.sqrt(np.diag(self.cov)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +82,10 @@ def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) 
     model = estimator.model
     kind: Kind = "touch" if test.force_world is None else "free" if test.free else "weight"
     reading = reading_of(campaign, test, estimator)
-    estimate = _estimate(campaign, estimator, reading, exact)
+    used = _prepared(campaign, estimator, reading, exact)
+    estimate = (
+        used.estimate(reading.wrenches_base, reading.gravity_base) if len(reading.wrenches_base) else None
+    )
     shape = _shape(estimator, kind, reading, estimate)
     T_base_world = inverse(test.T_world_base)
     seen, hat, off, cov = _markers(campaign, test, model, shape, T_base_world)
@@ -144,18 +100,17 @@ def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) 
         shape_rms=math.sqrt(float(np.mean(np.sum((hat - seen) ** 2, axis=1)))) if len(hat) else math.nan,
         reference_rms=math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(seen) else math.nan,
         contact_base=contact,
-        miss=_miss(campaign, test, estimate, contact),
+        miss=miss_of(campaign, test, used, estimate, contact, reading),
         readings=len(reading.wrenches_base),
         tares=reading.tares,
     )  # fmt: skip
 
 
-def _estimate(campaign: Campaign, estimator: Estimator, reading: Reading, exact: bool) -> Estimate | None:
-    if not len(reading.wrenches_base):
-        return None
-    if not exact:
-        estimator = estimator.with_tolerances(tolerances_of(campaign, estimator.model, reading))
-    return estimator.estimate(reading.wrenches_base, reading.gravity_base)
+def _prepared(campaign: Campaign, estimator: Estimator, reading: Reading, exact: bool) -> Estimator:
+    """The estimator as well as the probe is known in this campaign."""
+    if exact or not len(reading.wrenches_base):
+        return estimator
+    return estimator.with_tolerances(tolerances_of(campaign, estimator.model, reading))
 
 
 def _shape(
@@ -203,20 +158,6 @@ def _markers(
         x, y = np.cos(campaign.marker_side), model.cross_section.flatness * np.sin(campaign.marker_side)
         off = radius[:, None] * (x * axes[:, :, 0] + y * axes[:, :, 1])
     return seen, hat + off, off, cov
-
-
-def _miss(campaign: Campaign, test: Test, estimate: Estimate | None, contact: Array | None) -> Miss | None:
-    """Of the touched point where the reference saw it, else of the arclength where that is known."""
-    if estimate is None or not estimate.ok:
-        return None
-    if contact is not None:
-        own = cov_of_pose(campaign, contact) + max(test.std_contact, LEAST_REFERENCE) ** 2 * np.eye(3)
-        return Miss(estimate.p_surface_base - contact, estimate.cov_contact_base + own, own)
-    if not math.isnan(test.s_contact):
-        reference = np.array([[test.std_s**2]])
-        off = np.array([estimate.s_contact - test.s_contact])
-        return Miss(off, reference + estimate.std_s**2, reference)
-    return None
 
 
 def _moved(T: Array, p: Array) -> Array:

@@ -27,7 +27,11 @@ WHY: dict[str, str] = {
     "no_reading": "the sensor was not read",
 }
 """Codes in words."""
-AS_IT_SHOULD = {"free": ("no_contact", "too_light", "no_reading"), "weight": ("ok",), "touch": ("ok",)}
+AS_IT_SHOULD = {
+    "free": ("no_contact", "too_light", "out_of_range", "unobservable", "no_reading"),
+    "weight": ("ok",),
+    "touch": ("ok",),
+}
 """Codes that a test of a kind should have. Where nothing touches, the drift of the bias may be felt, but no place
 told."""
 

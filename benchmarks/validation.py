@@ -1,0 +1,51 @@
+"""Made-up campaigns, each of its own drawn print: do the errors that `validate` states come true?"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import binomtest
+
+from benchmarks.timing import print_table
+from benchmarks.touches import paper_models
+from probedesign.campaign import read_campaign
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.model import ProbeModel
+from probedesign.synthetic.folder import make_campaign
+from probedesign.synthetic.plan import Kind, Plan
+from probedesign.units import MM
+from probedesign.validation.trial import Trial
+from probedesign.validation.validate import validate
+
+CAMPAIGNS = 150
+KINDS: tuple[Kind, ...] = ("cameras", "stage")
+
+
+def report() -> None:
+    """Print the table."""
+    rows = []
+    for kind in KINDS:
+        for name, model in paper_models().items():
+            trials = [trial for seed in range(CAMPAIGNS) for trial in _touches(model, Plan(kind, seed))]
+            rows.append([f"{name}, {kind}", *_told(trials)])
+    head = ["probe, reference", "touches", "ok", "in 95 %", "of which tell", "squares", "RMS error", "stated"]
+    print_table(f"Made-up campaigns, {CAMPAIGNS} prints each", head, rows)
+
+
+def _touches(model: ProbeModel, plan: Plan) -> list[Trial]:
+    """The touches of one campaign, validated."""
+    with tempfile.TemporaryDirectory() as folder:
+        make_campaign(model, Path(folder) / "data", plan)
+        found = validate(Estimator(model), read_campaign(Path(folder) / "data"))
+    return [trial for trial in found.trials if trial.kind == "touch"]
+
+
+def _told(trials: list[Trial]) -> list[str]:
+    misses = [trial.miss for trial in trials if trial.miss is not None]
+    within = sum(miss.within_95 for miss in misses)
+    share = binomtest(within, len(misses)).proportion_ci(0.95)
+    squares = np.mean([miss.nees / miss.dof for miss in misses])
+    rms, stated = (np.sqrt(np.mean(np.square(values))) / MM for values in
+                   ([miss.size for miss in misses], [miss.expected for miss in misses]))  # fmt: skip
+    return [f"{len(trials)}", f"{len(misses) / len(trials):.0%}", f"{within / len(misses):.1%}",
+            f"{share.low:.0%} to {share.high:.0%}", f"{squares:.2f}", f"{rms:.2f} mm", f"{stated:.2f} mm"]  # fmt: skip
