@@ -57,13 +57,13 @@ def check_overwritable(design: Design, changes: tuple[Change, ...], where: str, 
     Raises:
         InputError: one of the numbers is identified already.
     """
-    for change in changes:
-        if change.table == "material.provenance" and not force:
-            if getattr(design.material.provenance, change.key) == "identified":
-                raise InputError(
-                    f"{where}: material.{change.key} is identified already; --force replaces it and keeps the old "
-                    "value as a comment, or write another file with --out"
-                )
+    told = [change.key for change in changes if change.table == "material.provenance"]
+    for key in told if not force else []:
+        if getattr(design.material.provenance, key) == "identified":
+            raise InputError(
+                f"{where}: material.{key} is identified already; --force replaces it and keeps the old value as a "
+                "comment, or write another file with --out"
+            )
 
 
 _MEANS = {

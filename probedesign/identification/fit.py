@@ -1,5 +1,6 @@
 """Least squares over a whole campaign: Levenberg and Marquardt's steps on all unknowns at once."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -55,7 +56,7 @@ class Problem:
     def slices(self) -> list[slice]:
         """Where each test's own unknowns stand behind the shared ones."""
         ends = np.cumsum([int(self.active.sum())] + [trial.own for trial in self.trials])
-        return [slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,7 @@ def _leverage(point: Point, weight: Array) -> Array:
     q = np.linalg.qr(rows * units_of(rows))[0]
     each = np.sum(q * q, axis=1)
     ends = np.cumsum([int(point.problem.active.sum())] + [len(group.r) for group in point.groups])
-    return np.array([each[a:b].sum() for a, b in zip(ends[:-1], ends[1:], strict=True)])
+    return np.array([each[a:b].sum() for a, b in itertools.pairwise(ends)])
 
 
 def _descend(problem: Problem, point: Point, scales: dict[str, float] | None) -> tuple[Point, int, bool]:

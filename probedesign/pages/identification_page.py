@@ -23,8 +23,8 @@ def identification_page(found: Identification) -> bytes:
     about = [
         f"{found.data}: {found.tests} tests, {found.numbers} measured numbers for {found.unknowns} unknowns; "
         f"geometry {found.fingerprint}. Result: {found.result}.",
-        f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. With the design's dimensions taken as they are, as "
-        "the frozen probe takes them; beside it with their tolerances, as of the material.",
+        f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. With the design's dimensions taken as they "
+        "are, as the frozen probe takes them; beside it with their tolerances, as of the material.",
         *found.notes,
     ]
     sections = [_by_test(found), _normal(found)]
@@ -71,8 +71,8 @@ def _by_test(found: Identification) -> Section:
                 chart.line([place], [value], colour, mark=mark)
         chart.legend.append(Entry(KINDS[kind], colour, "0 99", mark))
     chart.line([0.0, len(tests) + 1.0], [1.0, 1.0], "#666666", "4 4")
-    return Section("Does any test stand apart?", "1 is what the noise makes, as stated or as measured. " + _names(tests),
-                   chart.svg())  # fmt: skip
+    caption = f"1 is what the noise makes, as stated or as measured. {_names(tests)}"
+    return Section("Does any test stand apart?", caption, chart.svg())
 
 
 def _names(tests: Sequence[str]) -> str:
@@ -99,8 +99,8 @@ def _normal(found: Identification) -> Section:
         for a, b in zip(x, y, strict=True):
             chart.line([a], [b], colour, mark=mark)
         chart.legend.append(Entry(KINDS[kind], colour, "0 99", mark))
-    return Section("Is the noise as it was taken?", "On the line it is; above it at the right end lie outliers. A little "
-                   "below is what the unknowns take up.", chart.svg())  # fmt: skip
+    return Section("Is the noise as it was taken?", "On the line it is; above it at the right end lie outliers. "
+                   "A little below is what the unknowns take up.", chart.svg())  # fmt: skip
 
 
 def _along(found: Identification) -> Section:
@@ -126,8 +126,11 @@ def _along(found: Identification) -> Section:
             e = 2.0 * float(errors[s][i])
             chart.line([s, s], [at - e, at + e], colour, width=1.0)
         chart.line(places, y, colour, dashes, mark, f"along world {axis}")
-    return Section("Is the shape right all along?", "Mean over the tests, with two standard deviations of it. A bow "
-                   "that is plain in all tests says that the taper, the root or a camera is other than taken.", chart.svg())  # fmt: skip
+    caption = (
+        "Mean over the tests, with two standard deviations of it. A bow that is plain in all tests says that the "
+        "taper, the root or a camera is other than taken."
+    )
+    return Section("Is the shape right all along?", caption, chart.svg())
 
 
 def _wrenches(found: Identification) -> Section:

@@ -1,5 +1,6 @@
 """Every misfit's derivatives against differences, at a guess where nothing vanishes."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -48,7 +49,7 @@ def _values(problem: Problem, x: np.ndarray, owns: list[np.ndarray], j: int, ste
     ends = np.cumsum([len(x)] + [len(own) for own in owns])
     every = np.concatenate([x, *owns])
     every[j] += step
-    parts = [every[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    parts = [every[a:b] for a, b in itertools.pairwise(ends)]
     point = solve_at(problem, Guess(problem.shared, every[: len(x)]), parts)
     return point.system(np.ones(len(point.groups)))[1]
 
