@@ -9,7 +9,7 @@ frozen probe at the end is all that `estimate` and `live` ever read.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,6 +34,8 @@ from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
 if TYPE_CHECKING:
+    from probedesign.design_edit import Change
+    from probedesign.identification.identification import Identification
     from probedesign.pages.comparison import Compared
     from probedesign.prediction.table_one import TableOne
     from probedesign.search.found import Found
@@ -255,6 +257,75 @@ def optimize(
         compared = side_by_side([search.start, best.design], best.task)
         write_atomically(files[-1], comparison_page(compared, best.task))
     return Found(search, best, confirmed, shown, tuple(files))
+
+
+def identify(
+    design_path: Path, data: Path, names: Sequence[str], folder: Path | None, page: bool
+) -> tuple["Identification", list[Path]]:
+    """Design, campaign → E, G and their kin → identification.json, residuals.csv, identification.html.
+
+    Args:
+        design_path: the design file.
+        data: folder of the campaign.
+        names: what is asked for.
+        folder: for the files; exports/NAME/identification if None.
+        page: make the page.
+    """
+    from probedesign.campaign import read_campaign
+    from probedesign.identification.identify import data_of
+    from probedesign.identification.identify import identify as run
+    from probedesign.identification.unknowns import asked_for
+    from probedesign.mounting import hanging_parts, sensor_adapter_for
+
+    design = load_design(design_path)
+    names = asked_for(names)
+    probe = build_probe(design)
+    adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
+    flange = hanging_parts(probe.geometry, adapter, design.density.value)["flange"]
+    found = run(data_of(read_campaign(data), probe.model, flange.volume), names)
+    place = EXPORTS / design.name / "identification" if folder is None else folder
+    files = [place / "identification.json", place / "residuals.csv"]
+    write_atomically(files[0], (json.dumps(found.as_dict(), indent=1, ensure_ascii=False) + "\n").encode())
+    write_atomically(files[1], found.csv())
+    if page:
+        from probedesign.pages.identification_page import identification_page
+
+        files.append(place / "identification.html")
+        write_atomically(files[2], identification_page(found))
+    return found, files
+
+
+def write_identified(
+    found: "Identification", design_path: Path, out: Path | None, write: bool, force: bool
+) -> "tuple[tuple[Change, ...], Path | None]":
+    """Identified numbers → the design file, whose comments, layout and old values stay.
+
+    Args:
+        found: the numbers.
+        design_path: the design file.
+        out: another file to write instead.
+        write: whether to write at all; else it is only looked what would change.
+        force: replace what was identified before, or the file `out`.
+
+    Returns:
+        The changes, and the file that has them, if any.
+    """
+    from datetime import date
+
+    from probedesign.design_edit import edited
+    from probedesign.identification.design_changes import changes_of, check_overwritable
+
+    design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
+    day = date.today().isoformat()
+    changes = changes_of(found, design, day)
+    result = edited(text, changes, day, str(design_path))
+    if not write and out is None:
+        return changes, None
+    if out is None:
+        check_overwritable(design, changes, str(design_path), force)
+    path = design_path if out is None else out
+    write_design(result, path, force=out is None or force)
+    return changes, path
 
 
 def campaign(

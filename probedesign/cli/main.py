@@ -21,6 +21,7 @@ COMMANDS = {
     "compare": "Put several designs side by side, as a table and a page.",
     "sweep": "Compute a grid of designs, on this machine or on many.",
     "optimize": "Find the body that does a task best.",
+    "identify": "Find E, G and their kin from tests of a print.",
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
     "campaign": "Make up what a laboratory would measure of a print: a data folder as example.",

@@ -1,0 +1,101 @@
+"""`probedesign identify`: E, G and their kin from tests of a print."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from probedesign.cli.output import counted, print_json, print_table, working
+from probedesign.errors import InputError
+
+if TYPE_CHECKING:
+    from probedesign.design_edit import Change
+    from probedesign.identification.identification import Identification, Identified
+
+
+def identify(
+    design: Path,
+    data: Path,
+    /,
+    *,
+    for_: Annotated[str, Parameter(name="--for")] = "E,G",
+    write: bool = False,
+    out: Path | None = None,
+    force: bool = False,
+    folder: Path | None = None,
+    page: Annotated[bool, Parameter(negative="--no-page")] = True,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+) -> None:
+    """Find E, G and their kin from tests of a print: least squares on the full rod.
+
+    Args:
+        design: the design file.
+        data: folder of the tests (docs/measurements.md).
+        for_: what to find, with commas between: E, G, density, diameters, root, tilt, clocking, offset, gravity.
+        write: put what was found into the design file; without it, the lines are only shown.
+        out: write a changed copy of the design to this file instead.
+        force: replace numbers that were identified before, or the file of --out.
+        folder: for identification.json, residuals.csv and identification.html; by default exports/NAME/identification.
+        page: make the page with residuals.
+        as_json: print one JSON document.
+    """
+    from probedesign import pipeline
+
+    if write and out is not None:
+        raise InputError("--write changes the design itself and --out writes another file; choose one")
+    names = [name for name in (part.strip() for part in for_.split(",")) if name]
+    with working("identifying"):
+        found, files = pipeline.identify(design, data, names, folder, page)
+    if not as_json:
+        _print(found)
+        print("wrote", ", ".join(map(str, files)))
+    try:
+        changes, path = pipeline.write_identified(found, design, out, write, force)
+    except InputError as error:
+        if write or out is not None:
+            raise
+        changes, path = (), None
+        if not as_json:
+            print(error)
+    if as_json:
+        print_json({**found.as_dict(), "files": files, "changes": changes, "design_written": path})
+    elif changes:
+        _print_changes(changes, path, design)
+
+
+def _print(found: "Identification") -> None:
+    head = f"{found.name}  geometry {found.fingerprint}  {counted(found.tests, 'test')} of {found.data}"
+    print(f"{head}: {found.result}")
+    print_table({one.name: _told(one) for one in found.found})
+    for outlier in found.outliers[:5]:
+        print(
+            f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations off; it hardly counts"
+        )
+    if len(found.outliers) > 5:
+        print(f"  and {len(found.outliers) - 5} more outliers, in residuals.csv")
+    for shift in found.shifts:
+        print(f"  not counted: {shift.cause}: {shift.of} {shift.percent:+.2g} %")
+    for note in found.notes:
+        print(f"  note: {note}")
+
+
+def _told(one: "Identified") -> str:
+    if not one.identified:
+        return f"{_with_unit(one.value, one.unit)}, the design's: not told by these tests"
+    text = f"{_with_unit(one.value, one.unit)}, 95 % within {one.low:.4g} ... {one.high:.4g}"
+    assert one.std is not None and one.std_of_print is not None
+    if one.std_of_print > 1.1 * one.std:
+        of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with their tolerances"
+        text += f" with the design's dimensions; {of_print}"
+    return text
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value:.4g} {unit}".rstrip()
+
+
+def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:
+    would = f"--write would change {design} (what was identified before, only with --force):"
+    print(f"wrote {path}; its old values stay as comments:" if path else would)
+    for change in changes:
+        print(f"  [{change.table}] {change.key} = {change.text}")

@@ -1,0 +1,98 @@
+"""`probedesign identify` as a user runs it, up to the frozen probe that carries its numbers."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from probedesign import load_design, load_estimator
+from probedesign.cli.main import run
+from tests.identification.conftest import LARGE, TRUE_E
+from tests.test_pages import assert_whole
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a copy of the large probe's design."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(LARGE, tmp_path / "large.toml")
+    return tmp_path
+
+
+def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_folder: Path, capsys) -> None:
+    before = (here / "large.toml").read_bytes()
+    assert run(["identify", "large.toml", str(stage_folder), "--for", "E"]) == 0
+    said = capsys.readouterr().out
+    assert "--write would change large.toml" in said and "[material] youngs_modulus_mpa = 2." in said
+    assert (here / "large.toml").read_bytes() == before
+    folder = here / "exports/large/identification"
+    page = (folder / "identification.html").read_text()
+    assert_whole(page)
+    assert "What is not counted" in page
+    rows = (folder / "residuals.csv").read_text().splitlines()
+    document = json.loads((folder / "identification.json").read_text())
+    assert len(rows) == 1 + len(document["residuals"])
+    assert document["found"][0]["result"] == "identified"
+
+
+def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, capsys) -> None:
+    """The design's E was identified before, so it takes --force; its old value stays."""
+    command = ["identify", "large.toml", str(stage_folder), "--for", "E", "--write", "--no-page", "--json"]
+    before = (here / "large.toml").read_bytes()
+    assert run(command) == 2
+    error = capsys.readouterr().err
+    assert "identified already; --force replaces it" in error and error.count("\n") == 1
+    assert (here / "large.toml").read_bytes() == before
+
+    assert run([*command, "--force"]) == 0
+    found = json.loads(capsys.readouterr().out)["found"][0]
+    design = load_design("large.toml")
+    assert design.youngs_modulus.value == pytest.approx(
+        1e6 * found["value"], rel=2e-4
+    )  # four digits are written
+    assert design.youngs_modulus.value == pytest.approx(TRUE_E, rel=0.02)
+    assert "youngs_modulus_mpa = 2.32" in (here / "large.toml").read_text()
+
+    assert run(["deploy", "large.toml", "--out", "large.probe.json"]) == 0
+    model = load_estimator("large.probe.json").model
+    spread = found["std"] / found["value"]
+    assert model.rod.youngs_modulus == pytest.approx(design.youngs_modulus.value)
+    assert model.material["youngs_modulus"].provenance == "identified"
+    assert model.tolerances is not None
+    assert model.tolerances.youngs_modulus == pytest.approx(spread, rel=0.06)  # two digits are written
+    assert model.tolerances.shear_modulus == 0.005  # as it was: the tests did not tell G
+    assert model.stiffness_spread == pytest.approx(spread, rel=0.06)  # for fused touches
+
+
+def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:
+    before = (here / "large.toml").read_bytes()
+    command = ["identify", "large.toml", str(stage_folder), "--for", "E", "--no-page", "--out", "mine.toml"]
+    assert run(command) == 0
+    assert load_design("mine.toml").youngs_modulus.provenance == "identified"
+    assert (here / "large.toml").read_bytes() == before
+    assert run(command) == 2 and "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--for", "E,densty"], "did you mean 'density'?"),
+        (["--for", ","], "nothing is asked for"),
+        (["--write", "--out", "x.toml"], "choose one"),
+    ],
+)
+def test_wrong_options_are_one_line(
+    arguments: list[str], said: str, here: Path, stage_folder: Path, capsys
+) -> None:
+    assert run(["identify", "large.toml", str(stage_folder), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_data_of_another_probe_are_one_line(here: Path, stage_folder: Path, capsys) -> None:
+    text = (here / "large.toml").read_text().replace("base_d_mm = 12.0", "base_d_mm = 11.0")
+    (here / "large.toml").write_text(text)
+    assert run(["identify", "large.toml", str(stage_folder)]) == 2
+    error = capsys.readouterr().err
+    assert "another probe: fingerprint" in error and error.count("\n") == 1

@@ -1,0 +1,68 @@
+"""A design file that a person wrote keeps its words; what stood there stays beside what stands there now."""
+
+from pathlib import Path
+
+import pytest
+
+from probedesign.design import parse_design
+from probedesign.design_edit import Change, edited
+from probedesign.errors import InputError
+from tests.identification.conftest import LARGE
+
+DAY = "2026-01-02"
+SMALL = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = 8.0\ntip_d_mm = 2.0\n'
+
+
+def test_old_value_and_its_comment_stay_above_the_new() -> None:
+    text = LARGE.read_text()
+    change = Change("material", "youngs_modulus_mpa", "2.41", "identified")
+    lines = edited(text, [change], DAY, "large.toml").splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("youngs_modulus_mpa = 2.41 "))
+    before = next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
+    assert lines[at].endswith("# identified")
+    assert lines[at - 1] == f"# until {DAY}: {before}"
+    assert [line for line in lines if line not in (lines[at], lines[at - 1])] == [
+        line for line in text.splitlines() if line != before
+    ]
+
+
+def test_tables_that_are_missing_are_added() -> None:
+    changes = [
+        Change("material", "youngs_modulus_mpa", "2.41"),
+        Change("material.provenance", "youngs_modulus_mpa", '"identified"'),
+        Change("tolerances", "youngs_modulus", "0.004"),
+        Change("tolerances", "shear_modulus", "0.03"),
+    ]
+    design = parse_design(edited(SMALL, changes, DAY, "x.toml"))
+    assert design.youngs_modulus.value == pytest.approx(2.41e6)
+    assert design.material.provenance.youngs_modulus_mpa == "identified"
+    assert (design.tolerances.youngs_modulus, design.tolerances.shear_modulus) == (0.004, 0.03)
+
+
+def test_a_value_that_stands_there_already_is_left_alone() -> None:
+    text = LARGE.read_text()
+    change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
+    assert edited(text, [change], DAY, "large.toml") == text
+
+
+def test_line_ends_of_windows_stay() -> None:
+    text = SMALL.replace("\n", "\r\n")
+    result = edited(text, [Change("probe", "tip_d_mm", "2.5")], DAY, "x.toml")
+    assert result.count("\r\n") == result.count("\n") == text.count("\n") + 1
+
+
+@pytest.mark.parametrize(
+    "material",
+    ['material = { resin = "elastic-50a" }\n', 'material.resin = "elastic-50a"\n'],
+)
+def test_tables_that_are_no_lines_are_refused(material: str) -> None:
+    text = SMALL.replace("[probe]", material + "[probe]")
+    with pytest.raises(
+        InputError, match=r"not written line by line; set by hand: material.youngs_modulus_mpa = 2"
+    ):
+        edited(text, [Change("material", "youngs_modulus_mpa", "2.41")], DAY, "x.toml")
+
+
+def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="out of range"):
+        edited(SMALL, [Change("tolerances", "youngs_modulus", "0.7")], DAY, "x.toml")
