@@ -124,8 +124,9 @@ def advance(
         counts[0] += 1.0
         j, n = 0, 1.0
         while j < lengths and counts[j] >= (1.0 if j == 0 else RATIO):
-            # While touched the bias walks unseen: a free mean may lie off by that until it is followed again.
-            root = np.sqrt(n) if touching else np.sqrt(n * (1.0 + n * state[DOUBT]))
+            # While touched the bias walks unseen: a free mean may lie off by that, at the end of the touch too, until
+            # it is followed again.
+            root = np.sqrt(n * (1.0 + n * state[DOUBT]))
             for a in range(6):
                 z[a] = sums[j, a] / root
             far = square(z, scatter[j])
