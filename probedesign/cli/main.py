@@ -24,6 +24,7 @@ COMMANDS = {
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate a row.",
     "live": "Locate contacts as the sensor reads them.",
+    "explore": "Turn touches from a moving base into points of the world.",
     "recover": "Make an MCAP recording whole that was cut off.",
     "simulate": "Play a Net F/T box with the probe on it, for live and other clients.",
     "demo": "Run the whole chain on a built-in example.",

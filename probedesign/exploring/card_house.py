@@ -116,7 +116,9 @@ def spots() -> tuple[Spot, ...]:
             found += [(card, np.array([1e-3 * x, 0.0, middle[2]]), np.array([0.0, 0.0, 1.0])) for x in _ROOF]
             continue
         rise = card.along / card.along[2]
-        outward = card.normal if card.normal[2] > 0.0 else -card.normal  # a leaning card's outer side looks up
+        outward = (
+            card.normal if card.normal[2] > 0.0 else -card.normal
+        )  # a leaning card's outer side looks up
         for heights, towards in zip(_HEIGHTS[card.name], (-outward, outward), strict=True):
             found += [(card, card.start + 1e-3 * height * rise, towards) for height in heights]
     n = len(found)

@@ -59,7 +59,7 @@ class Dwell:
         gone = float(np.linalg.norm(T_world_base[:3, 3] - self.T_world_base[:3, 3]))
         # |R - R'| by Frobenius is √2 of the angle where that is small.
         turned = float(np.linalg.norm(T_world_base[:3, :3] - self.T_world_base[:3, :3])) / np.sqrt(2.0)
-        return max(gone, LEVER * turned) <= STANDS
+        return bool(max(gone, LEVER * turned) <= STANDS)
 
     def add(self, answer: Answer) -> None:
         """Take in a reading."""

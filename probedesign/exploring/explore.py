@@ -25,7 +25,7 @@ from probedesign.live.source import Source
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Played:
     """A recording as a source: read whole before anything is made of it.
 

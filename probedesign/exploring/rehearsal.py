@@ -27,7 +27,7 @@ TIMES = 3
 CLEAR = 3.0 * MM
 """From where the base begins to move towards an edge [m]."""
 PITCH = np.radians(5.0)
-"""By which the probe's base looks up, so that no card behind an edge comes near the probe beyond it, under the roof either."""
+"""By which the probe's base looks up, so that the probe beyond an edge keeps off the card behind it."""
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,7 @@ def rehearse(
 
 
 def _stiffened(rod: Rod, factor: float) -> Rod:
-    return replace(
-        rod, youngs_modulus=factor * rod.youngs_modulus, shear_modulus=factor * rod.shear_modulus
-    )
+    return replace(rod, youngs_modulus=factor * rod.youngs_modulus, shear_modulus=factor * rod.shear_modulus)
 
 
 class _Bench:

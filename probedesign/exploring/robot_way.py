@@ -17,8 +17,8 @@ MOVE, APPROACH, STEP = 1.5, 1.0, 0.4
 """To the next object, onto it or off it, from one press to the next [s]."""
 STAND, FREE = 1.0, 2.0
 """At each pose; before and after a touch [s]."""
-RATE, POSES = 7000.0, 50.0
-"""Of the sensor's single samples, as a Net F/T box sends them, and of told poses [Hz]."""
+RATE, POSES = 3500.0, 50.0
+"""Of the sensor's single samples and of told poses [Hz]. A Net F/T box sends 7000 samples; fewer make smaller files."""
 AT_ONCE = 200
 """Readings to a block."""
 
@@ -100,7 +100,9 @@ class Way:
             rng: of noise and constant bias.
         """
         gravity = self.R_world_base.T @ np.array([0.0, 0.0, -9.81])
-        step = np.sqrt(np.diag(model.noise.covariance()) * model.averaging_samples)  # one sample's noise is one step
+        step = np.sqrt(
+            np.diag(model.noise.covariance()) * model.averaging_samples
+        )  # one sample's noise is one step
         time = self._clock(RATE)
         wrench = model.to_sensor(self._between(time, self.felt), gravity)
         steps = rng.normal(0.0, 50.0, 6) + self._between(time, self.bias) + rng.standard_normal(wrench.shape)

@@ -64,7 +64,8 @@ class Gathering:
             after = self._after if self._after is not None and self._after.counts else None
             dwells = tuple(_some([dwell for dwell in self._dwells if dwell.counts]))
             yield Series(self._number, self._start, self._before, dwells, after)
-            self._before, self._older = after, None
+            if after is not None:
+                self._before, self._older = after, None
         self._number, self._dwells, self._after = 0, [], None
 
     def _settled(self, answer: Answer) -> None:
@@ -76,7 +77,8 @@ class Gathering:
     def _freely(self, answer: Answer) -> Iterator[Series]:
         """A reading of the free probe, whose base stands: after a touch or before one."""
         if not self._number:
-            return self._waiting(answer)
+            self._waiting(answer)
+            return
         after = self._after
         if after is None:
             self._after = Dwell.at(answer)
@@ -86,7 +88,7 @@ class Gathering:
             yield from self.ended()
             self._waiting(answer)
 
-    def _waiting(self, answer: Answer) -> Iterator[Series]:
+    def _waiting(self, answer: Answer) -> None:
         """Keep the last one or two spans."""
         before = self._before
         if before is None or not before.holds(answer.T_world_base):
@@ -97,7 +99,6 @@ class Gathering:
             self._older, self._before = before, Dwell.at(answer)
         else:
             before.add(answer)
-        return iter(())
 
 
 def _longer(now: Dwell | None, older: Dwell | None) -> Dwell | None:
