@@ -49,6 +49,11 @@ class Point:
         """The strongest that it was touched with [N]."""
         return max(touch.force for touch in self.touches)
 
+    @property
+    def direction(self) -> Array | None:
+        """Of that force on the probe in the world: the object's outward normal, unit, (3,)."""
+        return max(self.touches, key=lambda touch: touch.force).direction
+
 
 @dataclass(frozen=True)
 class Cloud:

@@ -12,7 +12,7 @@ import numpy as np
 from probedesign.exploring.camera import View
 from probedesign.exploring.cloud import WITHIN_95, Cloud, Point
 from probedesign.exploring.colour import colour_of
-from probedesign.exploring.picture import FEWEST_MM, svg_of
+from probedesign.exploring.picture import FEWEST_MM, NORMAL, svg_of
 from probedesign.exploring.table import PAIRS, line_of
 from probedesign.frames import Array
 from probedesign.units import MILLINEWTON, MM
@@ -65,7 +65,7 @@ def _data(cloud: Cloud, outlines: Sequence[Array]) -> dict[str, Any]:
     radius = max(float(np.linalg.norm(everything - middle, axis=1).max()), 0.5 * FEWEST_MM)
     return {
         "azimuth": view.azimuth, "elevation": view.elevation, "middle": middle.tolist(), "radius": radius,
-        "within": math.sqrt(WITHIN_95), "outlines": [(polygon / MM).tolist() for polygon in outlines],
+        "within": math.sqrt(WITHIN_95), "normal": NORMAL, "outlines": [(polygon / MM).tolist() for polygon in outlines],
         "points": [_point(number, point) for number, point in enumerate(cloud.points, 1)],
     }  # fmt: skip
 
@@ -75,6 +75,7 @@ def _point(number: int, point: Point) -> dict[str, Any]:
     return {
         "p": (point.p_world / MM).tolist(), "cov": [float(cov[i, j]) for _, i, j in PAIRS],
         "colour": "#{:02x}{:02x}{:02x}".format(*colour_of(point.rms / MM)), "said": line_of(number, point),
+        "normal": None if point.direction is None else point.direction.tolist(),
     }  # fmt: skip
 
 

@@ -13,6 +13,8 @@ from probedesign.units import MM
 
 WIDTH, HEIGHT, EDGE = 760.0, 560.0, 46.0
 BARS_MM = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+NORMAL = 14.0
+"""Length of a stroke along the object's normal where it lies in the picture, in its units."""
 FEWEST_MM = 10.0
 """What a picture shows at least, so that one point is not blown up without bounds."""
 
@@ -35,6 +37,7 @@ def svg_of(cloud: Cloud, outlines: Sequence[Array] = (), view: View | None = Non
         return placed
 
     body = [_polygon(at(polygon)) for polygon in polygons]
+    body += [_normal(point, at(flat), view) for point, flat in zip(cloud.points, p, strict=True)]
     body += [_ellipse(point, at(flat), scale, view) for point, flat in zip(cloud.points, p, strict=True)]
     body += [_number(i, at(flat)) for i, flat in enumerate(p, 1)]
     body += [_axes(view), _bar(scale)]
@@ -72,6 +75,14 @@ def _ellipse(point: Point, at: Array, scale: float, view: View) -> str:
         f'ry="{max(high, 0.4):.1f}" fill="{colour}" fill-opacity="0.25" stroke="{colour}"/>'
         f'<circle r="2" fill="{colour}"/></g>'
     )
+
+
+def _normal(point: Point, at: Array, view: View) -> str:
+    """A stroke along the outward normal, always as long in space."""
+    if point.direction is None:
+        return ""
+    right, up = NORMAL * (view.axes @ point.direction)
+    return f'<path d="M{at[0]:.1f} {at[1]:.1f}l{right:.1f} {-up:.1f}" stroke="#999"/>'
 
 
 def _number(i: int, at: Array) -> str:

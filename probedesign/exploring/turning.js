@@ -38,6 +38,11 @@ function draw() {
   pen.font = "11px Helvetica, Arial, sans-serif";
   for (const [[x, y], point, i] of placed) {
     const [long, short, angle] = outline(point.cov, right, up), lit = i === shown;
+    if (point.normal) {
+      pen.beginPath(); pen.moveTo(x, y);
+      pen.lineTo(x + data.normal * dot(point.normal, right), y - data.normal * dot(point.normal, up));
+      pen.strokeStyle = "#999"; pen.lineWidth = 1; pen.stroke();
+    }
     pen.beginPath();
     pen.ellipse(x, y, data.within * long * scale, Math.max(data.within * short * scale, 0.4), -angle, 0, 2 * Math.PI);
     pen.fillStyle = point.colour + (lit ? "88" : "40"); pen.fill();

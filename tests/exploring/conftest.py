@@ -9,12 +9,12 @@ from probedesign.deployment import load_estimator, write_frozen
 from probedesign.exploring.card_house import spots
 from probedesign.exploring.rehearsal import rehearse
 from probedesign.exploring.rehearsal_files import write_rehearsal
-from tests.live.conftest import bundle as bundle  # noqa: F401  # the paper's large probe
-from tests.live.conftest import estimator as estimator  # noqa: F401
+from tests.live.conftest import bundle as bundle  # the paper's large probe
+from tests.live.conftest import estimator as estimator
 
 
 @pytest.fixture(scope="session")
-def probe(tmp_path_factory, estimator):  # noqa: F811
+def probe(tmp_path_factory, estimator):
     """The large probe with E known to 1 %, as a frozen file."""
     path = tmp_path_factory.mktemp("explore") / "large.probe.json"
     write_frozen(replace(estimator.model, stiffness_spread=0.01), path)

@@ -124,7 +124,7 @@ def test_a_recording_of_another_probe_is_refused(estimator, house, tmp_path, cap
 def test_clocks_that_do_not_overlap_are_told(probe, house, tmp_path, capsys):
     rows = [f"{1e6 + t},0,0,0,0,0,0,1" for t in (0.0, 0.01)]
     (tmp_path / "late.csv").write_text("\n".join([",".join(NAMES), *rows]) + "\n")
-    line = refused(capsys, arguments(probe, house[1])[:4] + [str(tmp_path / "late.csv"), "--tare-s", "0:3"])
+    line = refused(capsys, [*arguments(probe, house[1])[:4], str(tmp_path / "late.csv"), "--tare-s", "0:3"])
     assert "the clocks do not overlap" in line
 
 
