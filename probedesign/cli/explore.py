@@ -1,6 +1,7 @@
 """`probedesign explore`: touches from a moving base into points of the world."""
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -106,7 +107,7 @@ def explore(
     for note in (opened.title, *opened.notes, poses.title, *poses.notes):
         _say(note)
     exploration = Exploration(estimator, Unknowns.of(model), apart)
-    with ending_well():
+    with ending_well(), suppress(KeyboardInterrupt):  # what was touched by then is told
         for touch in exploration.run(opened, plan, poses, _say):
             if source is not None:
                 _say(f"touch {touch.series.number} is over: {touch.result}")

@@ -90,6 +90,17 @@ def test_json_tells_the_same(probe, house, found, capsys):
     assert document["not_located"] == [] and abs(document["stiffness_factor"] - 1.0) < 0.04
 
 
+def test_a_source_tells_the_same_as_the_recording(probe, house, found, capsys):
+    """The same chain to the bit; a replay is a source like a sensor."""
+    folder = house[1]
+    command = ["explore", str(probe), "--source", f"replay:{folder / 'house.mcap'}?speed=max", "--average", "36",
+               "--pose", str(folder / "poses.csv"), "--tare-s", "0.5:3.5", "--json"]  # fmt: skip
+    assert run(command) == 0
+    told = capsys.readouterr()
+    assert "touch 1 is over: ok" in told.err
+    assert [point["touch_numbers"] for point in json.loads(told.out)["points"]] == ["1 3", "2"]
+
+
 # refusals
 
 
