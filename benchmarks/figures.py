@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.frames import Array
+
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
 BLUE, ORANGE, GREY = "#1f5fa8", "#d9730d", "#777777"
 
@@ -49,6 +51,34 @@ def draw_fusion(drawn: dict[tuple[str, float], tuple[list[float], list[float]]])
     axes[0].plot([], [], "-", color=GREY, label="bound")
     axes[0].legend(frameon=False, fontsize=8)
     figure.savefig(PICTURES / "fusion.png", dpi=150)
+
+
+def draw_card_house(cards: Sequence[Array], found: Array, spots: Array) -> None:
+    """A house of cards (4, 3) each, the points that were meant (n, 3) and those that were found, (k, 9): place and
+    covariance xx, xy, xz, yy, yz, zz [mm, mm²]; seen from the front and from above."""
+    figure, axes = _figure(10.4, 5.6, 2)
+    for ax, (i, j), names in zip(axes, ((0, 2), (0, 1)), (("x", "z"), ("x", "y")), strict=True):
+        for card in cards:
+            ax.fill(*card[:, [i, j]].T, facecolor="#c9b98a22", edgecolor="#a08c5a", lw=1.0)
+        ax.plot(*spots[:, [i, j]].T, "+", color="#111111", ms=6, mew=0.8, label="touched", zorder=3)
+        for row in found:
+            cov = np.array([[row[3], row[4], row[5]], [row[4], row[6], row[7]], [row[5], row[7], row[8]]])
+            values, vectors = np.linalg.eigh(cov[np.ix_([i, j], [i, j])])
+            turn = np.linspace(0.0, 2.0 * np.pi, 60)
+            round_ = row[[i, j], None] + vectors @ (
+                np.sqrt(7.81 * values)[:, None] * np.array([np.cos(turn), np.sin(turn)])
+            )
+            ax.fill(*round_, facecolor="#1f5fa833", edgecolor=BLUE, lw=1.0)
+        ax.plot(*found[:, [i, j]].T, ".", color=BLUE, ms=4, label="found, with its 95 % ellipsoid")
+        ax.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
+        ax.set_aspect("equal")
+        ax.grid(True, color="#eeeeee", lw=0.6)
+    axes[0].set_title("from the front", fontsize=10)
+    axes[1].set_title("from above: the front edges, enlarged across them", fontsize=10)
+    axes[1].set_ylim(-4.0, 4.0)
+    axes[1].set_aspect("auto")
+    axes[0].legend(frameon=False, fontsize=8, loc="upper left")
+    figure.savefig(PICTURES / "card-house.png", dpi=130)
 
 
 def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:

@@ -27,6 +27,7 @@ COMMANDS = {
     "campaign": "Make up what a laboratory would measure of a print: a data folder as example.",
     "validate": "Compare the frozen probe with a stereo reference, as the paper's Table I.",
     "live": "Locate contacts as the sensor reads them.",
+    "explore": "Turn touches from a moving base into points of the world.",
     "recover": "Make an MCAP recording whole that was cut off.",
     "markers": "Find the dots of a probe in the photographs of a campaign.",
     "simulate": "Play a Net F/T box with the probe on it, for live and other clients.",

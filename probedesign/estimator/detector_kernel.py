@@ -117,15 +117,15 @@ def advance(
             continue
         touching = state[STATE_NOW] == CONTACT
         said = CONTACT if touching else FREE
-        if touching:
-            state[DOUBT] += state[WALK]
+        state[DOUBT] += state[WALK]
         for a in range(6):
             sums[0, a] += white[a]
         counts[0] += 1.0
         j, n = 0, 1.0
         while j < lengths and counts[j] >= (1.0 if j == 0 else RATIO):
-            # While touched the bias walks unseen: a free mean may lie off by that until it is followed again.
-            root = np.sqrt(n) if touching else np.sqrt(n * (1.0 + n * state[DOUBT]))
+            # The bias walks unseen, while touched and from one step of following it to the next: a free mean may lie
+            # off by that, at the end of a touch too.
+            root = np.sqrt(n * (1.0 + n * state[DOUBT]))
             for a in range(6):
                 z[a] = sums[j, a] / root
             far = square(z, scatter[j])

@@ -14,6 +14,7 @@ from time import monotonic
 import numpy as np
 
 from probedesign.errors import InputError
+from probedesign.estimator.estimate import Estimate
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.fused import Fused
 from probedesign.live.answer import Answer
@@ -133,8 +134,9 @@ class Chain:
     def _anew(self) -> None:
         """Watch with nothing seen yet."""
         self._watch = Watch(
-            self._estimator, self._contacts, self._rate, self._plan.samples, self._poses, self._say
-        )
+            self._estimator, self._contacts, self._rate, self._plan.samples, self._poses, self._say,
+            self._plan.estimates,
+        )  # fmt: skip
 
     # one batch
 
@@ -157,8 +159,10 @@ class Chain:
 
     def _answer(self, reading: Reading) -> Answer:
         """Of a reading, filtered or not, and of what is seen by now."""
-        estimate = locate(self._estimator, reading, self.tare)
-        self._contacts.locate(estimate, self._seen.phase)
+        estimate = Estimate("unobservable")
+        if self._plan.estimates:
+            estimate = locate(self._estimator, reading, self.tare)
+            self._contacts.locate(estimate, self._seen.phase)
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
         wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base)

@@ -18,6 +18,7 @@ class Plan:
         count: end after so many estimates.
         seconds: end so long after the first reading [s].
         filter_hz: cut-off of the low-pass before each estimate; None filters nothing.
+        estimates: whether contacts are located as readings come; else phases and touches alone are told.
     """
 
     window: Window | None = None
@@ -26,6 +27,7 @@ class Plan:
     count: int | None = None
     seconds: float | None = None
     filter_hz: float | None = None
+    estimates: bool = True
 
     def __post_init__(self) -> None:
         """Raises InputError where a number cannot be meant."""

@@ -51,6 +51,7 @@ class Watch:
         samples: int,
         poses: Poses | None,
         say: Say,
+        estimates: bool = True,
     ) -> None:
         """With nothing seen yet.
 
@@ -61,14 +62,16 @@ class Watch:
             samples: of a batch.
             poses: of the base, if they are known.
             say: takes each line that a user should know.
+            estimates: whether the readings of a touch become a point of the world, and are told, as they come.
         """
         model = estimator.model
         self._estimator, self._contacts, self._poses, self._say = estimator, contacts, poses, say
+        self._tells = estimates
         self._detector = Detector(replace(model, averaging_samples=samples), rate)
         self._phases = Phases(model, rate / samples)
         self._timing = Timing(model.whiten)
         self._tracker: Tracker | None = None
-        if poses is not None:
+        if poses is not None and estimates:
             of_means = Estimator(replace(model, averaging_samples=1))
             unknowns = replace(Unknowns.of(model), bias_steps=BIAS_STEPS)
             self._tracker = Tracker(of_means, unknowns, poses.gravity_world, rate=rate / samples)
@@ -136,7 +139,7 @@ class Watch:
 
     def _follow(self, time: float, phase: Phase, fused: Fused | None) -> None:
         ended = self._contacts.follow(time, phase, fused)
-        if ended is not None:
+        if ended is not None and self._tells:
             self._say(ended.line)
 
     def _check(self, time: float, phase: Phase, beyond: Array, T: Array | None) -> None:

@@ -1,0 +1,109 @@
+"""A cloud as a still picture: SVG."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from probedesign.exploring.camera import View
+from probedesign.exploring.cloud import WITHIN_95, Cloud, Point
+from probedesign.exploring.colour import colour_of
+from probedesign.frames import Array
+from probedesign.units import MM
+
+WIDTH, HEIGHT, EDGE = 760.0, 560.0, 46.0
+BARS_MM = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+NORMAL = 14.0
+"""Length of a stroke along the object's normal where it lies in the picture, in its units."""
+FEWEST_MM = 10.0
+"""What a picture shows at least, so that one point is not blown up without bounds."""
+
+
+def svg_of(cloud: Cloud, outlines: Sequence[Array] = (), view: View | None = None) -> bytes:
+    """The picture.
+
+    Args:
+        cloud: its located points, with 95 % ellipsoids, numbered.
+        outlines: polygons that are known of the object [m], (k, 3) each, closed, drawn thin.
+        view: where it is seen from.
+    """
+    view = view or View()
+    polygons = [view.seen(polygon) / MM for polygon in outlines]
+    p = view.seen(np.array([point.p_world for point in cloud.points]).reshape(-1, 3)) / MM
+    scale, origin = _fit(np.concatenate([p, *polygons]) if len(p) or polygons else np.zeros((1, 2)))
+
+    def at(flat: Array) -> Array:
+        placed: Array = (flat - origin) * (scale, -scale) + (0.5 * WIDTH, 0.5 * HEIGHT)
+        return placed
+
+    body = [_polygon(at(polygon)) for polygon in polygons]
+    body += [_normal(point, at(flat), view) for point, flat in zip(cloud.points, p, strict=True)]
+    body += [_ellipse(point, at(flat), scale, view) for point, flat in zip(cloud.points, p, strict=True)]
+    body += [_number(i, at(flat)) for i, flat in enumerate(p, 1)]
+    body += [_axes(view), _bar(scale)]
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" '
+        'font-family="Helvetica,Arial,sans-serif">'
+    )
+    return (
+        head + f'<rect width="{WIDTH:g}" height="{HEIGHT:g}" fill="#fff"/>' + "\n".join(body) + "</svg>\n"
+    ).encode()
+
+
+def _fit(flat: Array) -> tuple[float, Array]:
+    """Pixels to a millimetre, and what is in the middle."""
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    span = np.maximum(high - low, FEWEST_MM)
+    room = np.array([WIDTH, HEIGHT]) - 2.0 * EDGE
+    return float((room / span).min()), 0.5 * (low + high)
+
+
+def _polygon(flat: Array) -> str:
+    told = " ".join(f"{x:.1f},{y:.1f}" for x, y in flat)
+    return (
+        f'<polygon points="{told}" fill="#c9b98a" fill-opacity="0.10" stroke="#a08c5a" stroke-width="0.8"/>'
+    )
+
+
+def _ellipse(point: Point, at: Array, scale: float, view: View) -> str:
+    long, short, angle = view.ellipse(point.cov_world)
+    wide, high = (math.sqrt(WITHIN_95) * half / MM * scale for half in (long, short))
+    colour = "#{:02x}{:02x}{:02x}".format(*colour_of(point.rms / MM))
+    x, y = at
+    return (
+        f'<g transform="translate({x:.1f} {y:.1f}) rotate({-math.degrees(angle):.1f})"><ellipse rx="{wide:.1f}" '
+        f'ry="{max(high, 0.4):.1f}" fill="{colour}" fill-opacity="0.25" stroke="{colour}"/>'
+        f'<circle r="2" fill="{colour}"/></g>'
+    )
+
+
+def _normal(point: Point, at: Array, view: View) -> str:
+    """A stroke along the outward normal, always as long in space."""
+    if point.direction is None:
+        return ""
+    right, up = NORMAL * (view.axes @ point.direction)
+    return f'<path d="M{at[0]:.1f} {at[1]:.1f}l{right:.1f} {-up:.1f}" stroke="#999"/>'
+
+
+def _number(i: int, at: Array) -> str:
+    return f'<text x="{at[0] + 5:.1f}" y="{at[1] - 5:.1f}" font-size="10" fill="#333">{i}</text>'
+
+
+def _axes(view: View) -> str:
+    drawn = []
+    for name, (right, up) in zip("xyz", 30.0 * view.axes.T, strict=True):
+        x, y = 50.0, HEIGHT - 50.0
+        drawn.append(
+            f'<path d="M{x:g} {y:g}l{right:.1f} {-up:.1f}" stroke="#555"/><text x="{x + 1.25 * right - 3:.1f}" '
+            f'y="{y - 1.25 * up + 4:.1f}" font-size="11" fill="#555">{name}</text>'
+        )
+    return "".join(drawn)
+
+
+def _bar(scale: float) -> str:
+    length = max((bar for bar in BARS_MM if bar * scale <= 0.25 * WIDTH), default=BARS_MM[0])
+    right, y = WIDTH - 30.0, HEIGHT - 30.0
+    return (
+        f'<path d="M{right - length * scale:.1f} {y:g}H{right:g}" stroke="#111" stroke-width="2"/>'
+        f'<text x="{right:g}" y="{y - 6:g}" font-size="12" text-anchor="end">{length:g} mm</text>'
+    )

@@ -1,0 +1,74 @@
+"""A rehearsal as files: what `explore` reads, and the truth beside it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimator.model import ProbeModel
+from probedesign.exploring.rehearsal import Rehearsal
+from probedesign.files import write_atomically
+from probedesign.live.csv_file import CsvFile
+from probedesign.live.mcap.file import McapFile
+from probedesign.live.pose.words import NAMES
+from probedesign.units import MM
+
+FILES = ("house.mcap", "poses.csv", "truth.csv")
+TRUTH = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again")
+
+
+def write_rehearsal(
+    rehearsal: Rehearsal,
+    model: ProbeModel,
+    folder: Path,
+    rng: np.random.Generator,
+    force: bool = False,
+    recording: str = FILES[0],
+) -> tuple[Path, ...]:
+    """Write the recording, the poses and the truth.
+
+    Args:
+        rehearsal: it.
+        model: the probe on the sensor.
+        folder: to write to.
+        rng: of the sensor's noise.
+        force: replace files that stand there.
+        recording: name of the recording, .mcap or .csv.
+
+    Raises:
+        InputError: files stand there, or cannot be written.
+    """
+    paths = tuple(folder / name for name in (recording, *FILES[1:]))
+    for path in paths:
+        if path.exists() and not force:
+            raise InputError(f"{path}: exists; say --force to replace it, or name another folder")
+    kind = CsvFile if recording.endswith(".csv") else None
+    file = (
+        kind(paths[0], force)
+        if kind is not None
+        else McapFile(paths[0], model, force, {"source": "card house"})
+    )
+    try:
+        for block in rehearsal.way.blocks(model, rng):
+            file.read(block)
+    finally:
+        file.close()
+    write_atomically(paths[1], _poses(rehearsal).encode())
+    write_atomically(paths[2], _truth(rehearsal).encode())
+    return paths
+
+
+def _poses(rehearsal: Rehearsal) -> str:
+    lines = [",".join(NAMES)]
+    for pose in rehearsal.way.poses():
+        numbers = (pose.time, *(value / MM for value in pose.p), *pose.q)
+        lines.append(",".join(f"{number:.9g}" for number in numbers))
+    return "\n".join(lines) + "\n"
+
+
+def _truth(rehearsal: Rehearsal) -> str:
+    lines = [",".join(TRUTH)]
+    for touch in rehearsal.touches:
+        numbers = (touch.start, *(touch.p_world / MM), touch.spot.fraction, touch.force)
+        lines.append(",".join(f"{number:.9g}" for number in numbers) + f",{int(touch.spot.again)}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,115 @@
+"""The touches of a run as they come: of each, where the base stood, and what the free probe read before and after."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from probedesign.exploring.dwell import Dwell
+from probedesign.live.answer import Answer
+
+FREE_SPAN = 2.0
+"""How much of a free probe's readings next to a touch counts [s]: the bias walks on."""
+MOST = 20
+"""Dwells of one touch that count; of more, so many evenly chosen."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One touch.
+
+    Attributes:
+        number: of it, from 1, as `live` counts.
+        start: when it was told [s].
+        before: the free probe just before it; None if it did not stand.
+        dwells: where the base stood while it touched, in the order of time.
+        after: the free probe just after it; None if it did not stand.
+    """
+
+    number: int
+    start: float
+    before: Dwell | None
+    dwells: tuple[Dwell, ...]
+    after: Dwell | None
+
+
+class Gathering:
+    """Gathers series while the answers of a chain come, which must hold every reading."""
+
+    def __init__(self) -> None:
+        self._number, self._start = 0, np.nan
+        self._before: Dwell | None = None
+        self._older: Dwell | None = None
+        self._dwells: list[Dwell] = []
+        self._after: Dwell | None = None
+
+    def take(self, answer: Answer) -> Iterator[Series]:
+        """Take in an answer; the series that it completes, if one."""
+        if answer.phase == "" or not np.isfinite(answer.wrench_base).all():
+            return
+        present = answer.contacts[-1] if answer.contacts and answer.contacts[-1].lasts else None
+        if present is not None and present.number != self._number:
+            yield from self.ended()
+            self._number, self._start = present.number, present.start
+            self._before = _longer(self._before, self._older)
+        if present is not None:
+            if answer.phase == "settled":
+                self._settled(answer)
+        elif answer.phase == "free":
+            yield from self._freely(answer)
+
+    def ended(self) -> Iterator[Series]:
+        """The series that is not complete yet, if one."""
+        if self._number:
+            after = self._after if self._after is not None and self._after.counts else None
+            dwells = tuple(_some([dwell for dwell in self._dwells if dwell.counts]))
+            yield Series(self._number, self._start, self._before, dwells, after)
+            if after is not None:
+                self._before, self._older = after, None
+        self._number, self._dwells, self._after = 0, [], None
+
+    def _settled(self, answer: Answer) -> None:
+        if self._dwells and self._dwells[-1].holds(answer.T_world_base):
+            self._dwells[-1].add(answer)
+        else:
+            self._dwells.append(Dwell.at(answer))
+
+    def _freely(self, answer: Answer) -> Iterator[Series]:
+        """A reading of the free probe, whose base stands: after a touch or before one."""
+        if not self._number:
+            self._waiting(answer)
+            return
+        after = self._after
+        if after is None:
+            self._after = Dwell.at(answer)
+        elif after.holds(answer.T_world_base) and answer.reading.time - after.start < FREE_SPAN:
+            after.add(answer)
+        else:
+            yield from self.ended()
+            self._waiting(answer)
+
+    def _waiting(self, answer: Answer) -> None:
+        """Keep the last one or two spans."""
+        before = self._before
+        if before is None or not before.holds(answer.T_world_base):
+            # What begins to move looks free for a moment still.
+            self._older = before if before is not None and before.counts else self._older
+            self._before = Dwell.at(answer)
+        elif answer.reading.time - before.start >= FREE_SPAN:
+            self._older, self._before = before, Dwell.at(answer)
+        else:
+            before.add(answer)
+
+
+def _longer(now: Dwell | None, older: Dwell | None) -> Dwell | None:
+    """The free probe's last span, or the one before it where that has hardly begun."""
+    if older is not None and (now is None or 2 * now.readings < older.readings):
+        return older
+    return now if now is not None and now.counts else None
+
+
+def _some(dwells: list[Dwell]) -> list[Dwell]:
+    """All of them, or `MOST` from the first to the last."""
+    if len(dwells) <= MOST:
+        return dwells
+    return [dwells[round(i)] for i in np.linspace(0, len(dwells) - 1, MOST)]

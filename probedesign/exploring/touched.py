@@ -1,0 +1,102 @@
+"""What one series tells: its dwells and the free probe before and after, fused in one batch."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probedesign.estimator.answer import told
+from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
+from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.fused import Fused
+from probedesign.estimator.fusion import Fusion
+from probedesign.estimator.observation import covariance
+from probedesign.estimator.unknowns import Unknowns
+from probedesign.exploring.dwell import Dwell
+from probedesign.exploring.located import Located
+from probedesign.exploring.series import Series
+from probedesign.frames import Array
+from probedesign.live.watch import BIAS_STEPS
+
+OPEN_STEPS = 10.0
+"""Of the bias, in steps of the sensor's resolution, where the free probe beside the touch ties it down: as good as not
+known. An hour of the assumed walk makes 3 (`detector.DRIFT_STEPS`)."""
+NEVER_SETTLED = "never_settled"
+"""The base did not stand while it touched, or the readings did not."""
+RESULTS = ("ok", "too_light", "ambiguous", "inconsistent", "unobservable", "out_of_range", "not_converged",
+           NEVER_SETTLED)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Touched:
+    """One touch and what it tells.
+
+    Attributes:
+        series: it.
+        result: one of `RESULTS`.
+        located: the touched point of the object, with "ok".
+        force: the strongest of its dwells' [N]; NaN unless ok.
+        direction: of that force on the probe in the world, unit, (3,).
+        s_contact: from the first dwell's to the last one's [m], (k,).
+        rms: of the point by itself [m].
+    """
+
+    series: Series
+    result: str
+    located: Located | None = None
+    force: float = float("nan")
+    direction: Array | None = None
+    s_contact: Array | None = None
+    rms: float = float("nan")
+
+
+def touched(series: Series, estimator: Estimator, unknowns: Unknowns) -> Touched:
+    """The point that a series touches.
+
+    Args:
+        series: one touch.
+        estimator: of the probe.
+        unknowns: what is not known, the bias left aside.
+    """
+    if not series.dwells:
+        return Touched(series, NEVER_SETTLED)
+    equations = _equations(series, estimator, unknowns)
+    if equations is None:
+        return Touched(series, "out_of_range")
+    solved = Fusion(equations).solved()
+    if isinstance(solved, Fused):
+        return Touched(series, solved.result)
+    answer = told(equations, *solved, brief=True)
+    if not answer.ok:
+        return Touched(series, answer.result)
+    best = solved[0][0]
+    bowed = answer.cov_fixed_world - best.cov[POINT, POINT]
+    located = Located.of(best, unknowns.prior, answer.p_surface_world - best.x[POINT], bowed)
+    sizes = np.linalg.norm(answer.force_base, axis=1)
+    strongest = int(np.argmax(sizes))
+    R = equations.readings[strongest].T_world_base[:3, :3]
+    direction = R @ answer.force_base[strongest] / sizes[strongest]
+    s_contact = answer.s_contact[np.isfinite(answer.s_contact)]
+    return Touched(series, "ok", located, float(sizes[strongest]), direction, s_contact, answer.rms)
+
+
+def _equations(series: Series, estimator: Estimator, unknowns: Unknowns) -> Equations | None:
+    """The readings to be fused; None if the sensor cannot have read them, or the free probe does not stand."""
+    model = estimator.model
+    free = [dwell for dwell in (series.before,) if dwell is not None]
+    last = [dwell for dwell in (series.after,) if dwell is not None]
+    kept = [*((dwell, False) for dwell in free), *((dwell, True) for dwell in series.dwells),
+            *((dwell, False) for dwell in last)]  # fmt: skip
+    for dwell, _ in kept:
+        read = model.to_sensor(dwell.wrench, dwell.gravity)
+        if not (np.isfinite(read).all() and (np.abs(read) <= model.readable).all()):
+            return None
+        if not estimator.free(dwell.gravity).ok:
+            return None
+    bias = OPEN_STEPS if free or last else BIAS_STEPS
+    readings = tuple(_reading(dwell, contact, estimator) for dwell, contact in kept)
+    return Equations(model, readings, replace(unknowns, bias_steps=bias), channels_of(model, None))
+
+
+def _reading(dwell: Dwell, contact: bool, estimator: Estimator) -> Reading:
+    cov = covariance(estimator.model, dwell.wrench, dwell.readings)
+    return Reading(dwell.wrench, cov, dwell.T_world_base, dwell.gravity, contact)

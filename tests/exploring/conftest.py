@@ -1,0 +1,32 @@
+"""A rehearsed run of two points of the card house, one of them touched twice, as files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probedesign.deployment import load_estimator, write_frozen
+from probedesign.exploring.card_house import spots
+from probedesign.exploring.rehearsal import rehearse
+from probedesign.exploring.rehearsal_files import write_rehearsal
+from tests.live.conftest import bundle as bundle  # the paper's large probe
+from tests.live.conftest import estimator as estimator
+
+
+@pytest.fixture(scope="session")
+def probe(tmp_path_factory, estimator):
+    """The large probe with E known to 1 %, as a frozen file."""
+    path = tmp_path_factory.mktemp("explore") / "large.probe.json"
+    write_frozen(replace(estimator.model, stiffness_spread=0.01), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def house(probe, tmp_path_factory):
+    """(rehearsal, folder of its files): the third touch is of the first one's point from another depth."""
+    model, rng = load_estimator(probe).model, np.random.default_rng(7)
+    one, two = spots()[9], spots()[6]
+    rehearsal = rehearse(model, (one, two, replace(one, fraction=0.93, again=True)), rng)
+    folder = tmp_path_factory.mktemp("house")
+    write_rehearsal(rehearsal, model, folder, rng)
+    return rehearsal, folder

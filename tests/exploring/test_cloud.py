@@ -1,0 +1,75 @@
+"""Touches to points: what is common to all is counted once, vague touches are left apart."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from probedesign.exploring.cloud import cloud_of
+from probedesign.exploring.located import Located
+from probedesign.exploring.touched import Touched
+
+PRIOR = np.array([0.01, 0.05e-3, 0.05e-3, 0.05e-3])
+BY_STIFFNESS = np.array([0.0, 0.05, 0.0])
+"""A place moves along the probe by half of its lever times a stiffness that is off."""
+
+
+def located(p, std, lever=1.0):
+    """A touch at p [m] with errors of its own of so much on each axis, that tells nothing of what is common."""
+    B = np.column_stack([lever * BY_STIFFNESS, -np.eye(3)])
+    return Located(np.asarray(p, dtype=float), B, std**2 * np.eye(3), np.zeros((4, 4)), np.zeros(4))
+
+
+def touch(number, p, std, lever=1.0):
+    series = SimpleNamespace(number=number, start=float(number))
+    return Touched(series, "ok", located(p, std, lever), 0.004, np.array([1.0, 0, 0]), np.array([0.1]), std)
+
+
+def test_the_base_is_common_to_all_touches_and_never_averaged_away():
+    """A hundred touches of one point: their own errors shrink by ten, the base's and the stiffness' not at all."""
+    cloud = cloud_of([touch(i, (0, 0, 0), 0.2e-3) for i in range(100)], PRIOR)
+    (point,) = cloud.points
+    common = np.diag([0.05e-3**2, 0.05e-3**2 + (0.01 * 0.05) ** 2, 0.05e-3**2])
+    assert point.cov_world == pytest.approx(common + (0.02e-3) ** 2 * np.eye(3), rel=1e-9, abs=1e-20)
+    assert len(point.touches) == 100
+
+
+def test_one_point_from_two_levers_tells_the_stiffness():
+    """Both touches are off by the lever times the stiffness, so their difference tells it: 0.5 mm here at 1 %."""
+    off = 0.01
+    first, second = touch(1, -off * BY_STIFFNESS, 1e-6), touch(2, -2.0 * off * BY_STIFFNESS, 1e-6, lever=2.0)
+    cloud = cloud_of([first, second], PRIOR)
+    (point,) = cloud.points
+    # (1e-6)²·2 over (0.05)² of the difference leaves 3e-5 of the stiffness; the base's offset stays as it is.
+    assert np.log(cloud.stiffness) == pytest.approx(off, abs=1e-4)
+    assert cloud.std_stiffness < 1e-4
+    assert point.p_world == pytest.approx(np.zeros(3), abs=2e-5)
+
+
+def test_common_errors_do_not_part_two_touches_of_one_point():
+    """They differ by less than their own errors; the common ones, greater by far, are no reason to call them one."""
+    same = [touch(1, (0, 0, 0), 0.1e-3), touch(2, (0.15e-3, 0, 0), 0.1e-3)]
+    apart = [touch(1, (0, 0, 0), 0.01e-3), touch(2, (0.15e-3, 0, 0), 0.01e-3)]
+    assert len(cloud_of(same, PRIOR).points) == 1
+    assert (
+        len(cloud_of(apart, PRIOR).points) == 2
+    )  # 10 of their standard deviations apart, of the base's only two
+
+
+def test_vague_touches_are_not_called_one_point():
+    """Two touches that are known to 5 mm fit each other, and many another place: nothing is gained by fusing them."""
+    vague = [touch(1, (0, 0, 0), 5e-3), touch(2, (1e-3, 0, 0), 5e-3)]
+    assert len(cloud_of(vague, PRIOR).points) == 2
+    sure = [touch(1, (0, 0, 0), 0.5e-3), touch(2, (1e-3, 0, 0), 0.5e-3)]
+    assert len(cloud_of(sure, PRIOR).points) == 1 and len(cloud_of(sure, PRIOR, apart=0.0).points) == 2
+
+
+def test_the_order_of_touches_does_not_matter():
+    rng = np.random.default_rng(3)
+    touches = [
+        touch(i, [*rng.normal(0.0, 0.0003, 3), 0.01 * (i % 3), 0, 0], 0.3e-3, 1 + i % 2) for i in range(9)
+    ]
+    told = [cloud_of(order, PRIOR) for order in (touches, touches[::-1])]
+    places = [np.array(sorted(point.p_world.tolist() for point in cloud.points)) for cloud in told]
+    assert places[0].shape == (3, 3)
+    assert places[0] == pytest.approx(places[1], abs=1e-12)
