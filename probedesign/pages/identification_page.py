@@ -11,6 +11,8 @@ from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, Entry, 
 from probedesign.pages.page import Section, TextTable, page_of
 
 KINDS = {"markers": "marker", "wrenches": "wrench", "touches": "place touched"}
+_SIGNS = {kind: (colour, mark) for kind, colour, mark in zip(KINDS, COLOURS[1:], MARKS, strict=False)}
+"""Of each kind in every figure."""
 _AXES = ("x", "y", "z")
 
 
@@ -65,7 +67,8 @@ def _by_test(found: Identification) -> Section:
             lines[kind] = [math.sqrt(sum(d * d for d in own) / len(own)) if own else math.nan for own in of]
     most = max([v for line in lines.values() for v in line if math.isfinite(v)] + [2.0])
     chart = Chart(x, Axis("RMS misfit [standard deviations]", 0.0, 1.08 * most))
-    for (kind, line), colour, mark in zip(lines.items(), COLOURS[1:], MARKS, strict=False):
+    for kind, line in lines.items():
+        colour, mark = _SIGNS[kind]
         for place, value in enumerate(line, 1):
             if math.isfinite(value):
                 chart.line([place], [value], colour, mark=mark)
@@ -95,7 +98,8 @@ def _normal(found: Identification) -> Section:
         Axis("misfit [standard deviations]", 0.0, most),
     )
     chart.line([0.0, most], [0.0, most], "#666666", "4 4")
-    for (kind, (x, y)), colour, mark in zip(lines.items(), COLOURS[1:], MARKS, strict=False):
+    for kind, (x, y) in lines.items():
+        colour, mark = _SIGNS[kind]
         for a, b in zip(x, y, strict=True):
             chart.line([a], [b], colour, mark=mark)
         chart.legend.append(Entry(KINDS[kind], colour, "0 99", mark))
