@@ -42,10 +42,11 @@ _APART = 5e-6
 """Poses nearer than this [m], and their rotations [rad] likewise over a tenth of a metre, are one."""
 _MIXED = 1e-4
 """Poses further apart than this, measured likewise, are not mixed into one node: their readings differ too much."""
-_HELD = 256
-"""Free readings that are held back before they count: the last ones may be touches that were not told yet."""
-_ANCHOR = 7000.0
-"""Most readings that the free probe's mean counts."""
+_HELD, _HELD_SECONDS = 256.0, 0.15
+"""Free readings that are held back before they count, the fewer: the last ones may be touches that were not told yet;
+the contact test takes a seventh of a second at most."""
+_ANCHOR_SECONDS = 1.0
+"""How long free readings count in the free probe's mean [s]: before, the bias was another."""
 _LARGE = 1e9
 
 
@@ -167,11 +168,11 @@ class Tracker:
             self._forget()
         self._held[0, :6] += beyond
         self._held[0, 6] += 1.0
-        if self._held[0, 6] < _HELD:
+        if self._held[0, 6] < min(_HELD, _HELD_SECONDS * self.rate):
             return
         anchor, (old, count) = self._rows[0], (self._held[1, :6], self._held[1, 6])
         if count:
-            total = min(anchor[node.COUNT] + count, _ANCHOR)
+            total = min(anchor[node.COUNT] + count, max(_ANCHOR_SECONDS * self.rate, count))
             anchor[node.WRENCH : node.ROTATION] += (old - count * anchor[node.WRENCH : node.ROTATION]) / total
             anchor[node.COUNT] = total
         self._held[1], self._held[0] = self._held[0], 0.0

@@ -20,7 +20,7 @@ from probedesign.rod.obstacle import Press, press_against_line
 from probedesign.rod.rod import Mode, Rod
 from probedesign.units import MILLINEWTON, MM
 
-LIGHT, FIRM = 1.0 * MILLINEWTON, 4.0 * MILLINEWTON
+LIGHT, FIRM = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON
 """Between which the base presses to and fro [N]: the firm one leaves room below 5 mN for a robot that is off."""
 TIMES = 3
 """To and fro at each point."""

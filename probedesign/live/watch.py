@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimator.detector import Detector, Touching
+from probedesign.estimator.detector import DRIFT_STEPS, Detector, Touching
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.fused import Fused
 from probedesign.estimator.tracker import Tracker
@@ -22,6 +22,8 @@ from probedesign.live.tare import Tare
 BIAS_STEPS = 0.5
 """Of the bias since the tare, in steps of the sensor's resolution: what a walk of `DRIFT_STEPS` makes of it in a
 hundred seconds. Free readings before the touch tie it down."""
+POSE_SECONDS = 0.5
+"""From one pose of a touch to the next, and from the free readings to the first, about [s]: so long the bias walks."""
 Say = Callable[[str], None]
 """Takes a line that a user should know."""
 
@@ -73,7 +75,9 @@ class Watch:
         self._tracker: Tracker | None = None
         if poses is not None and estimates:
             of_means = Estimator(replace(model, averaging_samples=1))
-            unknowns = replace(Unknowns.of(model), bias_steps=BIAS_STEPS)
+            # Of a mean that is taken for a sample, the noise is the step; the sensor's own is so much greater.
+            step, walk = math.sqrt(model.averaging_samples), DRIFT_STEPS * math.sqrt(POSE_SECONDS)
+            unknowns = replace(Unknowns.of(model), bias_steps=BIAS_STEPS * step, bias_walk_steps=walk * step)
             self._tracker = Tracker(of_means, unknowns, poses.gravity_world, rate=rate / samples)
         self._seen = self._unknown
         self._each, self._last = samples / rate, math.nan
