@@ -106,7 +106,7 @@ def explore(
             opened = open_source(str(source), model, _say)
     for note in (opened.title, *opened.notes, poses.title, *poses.notes):
         _say(note)
-    exploration = Exploration(estimator, Unknowns.of(model), apart)
+    exploration = Exploration(estimator, Unknowns.of(model), apart=apart)
     with ending_well(), suppress(KeyboardInterrupt):  # what was touched by then is told
         for touch in exploration.run(opened, plan, poses, _say):
             if source is not None:

@@ -86,7 +86,7 @@ def cloud_of(touches: Sequence[Touched], prior: Array, apart: float = APART) -> 
 
     Args:
         touches: of one run: one probe on one robot.
-        prior: standard deviations of the common unknowns beforehand, (4,), as `Unknowns.prior`.
+        prior: standard deviations of the common unknowns beforehand, (7,): `Unknowns.prior`, then the base's turn.
         apart: points of the object lie at least so far from each other [m]; 0 fuses nothing.
     """
     groups = [_Group(touch.located, (touch,)) for touch in touches if touch.located is not None]
@@ -109,11 +109,13 @@ def _point(group: _Group, common: Array, cov: Array) -> Point:
 
 
 def _common(groups: Sequence[_Group], prior: Array) -> tuple[Array, Array]:
-    """The common unknowns by all touches, (4,), and their covariance, (4, 4)."""
-    information = np.diag(1.0 / prior**2) + sum((g.located.information for g in groups), np.zeros((4, 4)))
+    """The common unknowns by all touches, (7,), and their covariance, (7, 7)."""
+    information = np.diag(1.0 / prior**2)
+    for group in groups:
+        information = information + group.located.information
     scaled = np.linalg.inv(prior[:, None] * information * prior)
     cov: Array = prior[:, None] * scaled * prior
-    return cov @ sum((g.located.lack for g in groups), np.zeros(4)), cov
+    return cov @ sum((g.located.lack for g in groups), np.zeros(len(prior))), cov
 
 
 def _nearest(groups: Sequence[_Group], prior: Array, apart: float) -> tuple[int, int] | None:

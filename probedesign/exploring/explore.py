@@ -6,13 +6,17 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimator.unknowns import EXACT, Unknowns
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
+from probedesign.frames import Array
 from probedesign.live.block import Block
 from probedesign.live.plan import Plan
 from probedesign.live.pose.poses import Poses
@@ -105,6 +109,8 @@ class Exploration:
     Attributes:
         estimator: of the probe.
         unknowns: what is not known, the bias left aside.
+        turn: of the base about its axes, the same in every touch: standard deviations [rad], (3,); as the probe's
+            tolerances have it if None.
         apart: as in `cloud_of` [m].
         touches: every touch so far, in the order of time.
         readings: how many there were.
@@ -113,6 +119,7 @@ class Exploration:
 
     estimator: Estimator
     unknowns: Unknowns
+    turn: Array | None = None
     apart: float = APART
     touches: list[Touched] = field(default_factory=list)
     readings: int = 0
@@ -141,7 +148,15 @@ class Exploration:
 
     def cloud(self) -> Cloud:
         """All points by now."""
-        return cloud_of(self.touches, self.unknowns.prior, self.apart)
+        return cloud_of(self.touches, np.append(self.unknowns.prior, self._turn), self.apart)
+
+    @property
+    def _turn(self) -> Array:
+        if self.turn is not None:
+            return np.maximum(self.turn, EXACT)
+        known = Tolerances.of(self.estimator.model)
+        told = np.radians([known.tilt_deg, known.tilt_deg, known.clocking_deg])
+        return np.maximum(told, EXACT)
 
     def _touched(self, series: Series) -> Touched:
         found = touched(series, self.estimator, self.unknowns)

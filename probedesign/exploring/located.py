@@ -1,12 +1,14 @@
 """A point of the world as touches tell it, by what is common to all touches.
 
-The stiffness of the probe and the place of its base are the same unknowns in every touch of a run. So a touch tells
-its point p only by them,
+The stiffness of the probe and the place and turn of its base are the same unknowns in every touch of a run. So a touch
+tells its point p only by them,
 
     p = a + B c,   up to an error of its own with covariance S,
 
-c being the logarithm of the stiffness and the base's offset; and it tells something of c itself. Two touches of one
-point become one by the same three: that they agree says more of c, and nothing that is common is counted twice.
+c being the logarithm of the stiffness, the base's offset and its turn; and it tells something of c itself. Two touches
+of one point become one by the same three: that they agree says more of c, and nothing that is common is counted twice.
+A base that is turned by θ more than the poses say carries the point along, θ × p about its origin; what the turn does
+to the readings of one touch is of second order, since gravity's part is read anew beside it.
 """
 
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ from probedesign.estimator.equations import POINT, UNKNOWNS
 from probedesign.frames import Array
 
 COMMON = slice(3, UNKNOWNS)
-"""Of a fusion's unknowns: the logarithm of the stiffness, the base's offset in its own axes [m]."""
+"""Of a fusion's unknowns: the logarithm of the stiffness, the base's offset in its own axes [m]. After them comes the
+base's turn about its own axes [rad], which a fusion does not know."""
 CLEAR = 1e-6
 """Information on a common unknown, over what is known beforehand, below which it is rounding."""
 
@@ -29,10 +32,10 @@ class Located:
 
     Attributes:
         a: the point if all common unknowns were as expected beforehand [m], (3,).
-        B: of the point by the common unknowns, (3, 4).
+        B: of the point by the common unknowns, (3, 7).
         S: covariance of the point if they were known [m²], (3, 3).
-        information: on the common unknowns, without what is known beforehand, (4, 4).
-        lack: that information times where these touches put them, (4,).
+        information: on the common unknowns, without what is known beforehand, (7, 7).
+        lack: that information times where these touches put them, (7,).
     """
 
     a: Array
@@ -42,14 +45,15 @@ class Located:
     lack: Array
 
     @classmethod
-    def of(cls, found: Solution, prior: Array, shift: Array, more: Array) -> "Located":
+    def of(cls, found: Solution, prior: Array, shift: Array, more: Array, T_world_base: Array) -> "Located":
         """What one fusion tells.
 
         Args:
             found: its solution.
-            prior: standard deviations of the common unknowns beforehand, (4,).
+            prior: standard deviations of its common unknowns beforehand, (4,).
             shift: from the point that it sought to the one that is meant [m], (3,).
             more: covariance that the solution does not hold [m²], (3, 3).
+            T_world_base: of the base while it touched, (4, 4).
         """
         cov, x = found.cov, found.x
         inverse = np.linalg.inv(cov[COMMON, COMMON])
@@ -59,7 +63,11 @@ class Located:
         values = np.where(values > CLEAR, values, 0.0)
         information = (vectors * values) @ vectors.T / np.outer(prior, prior)
         a = x[POINT] + shift - B @ x[COMMON]
-        return cls(a, B, 0.5 * (S + S.T) + more, information, _pull(information, x[COMMON], prior))
+        by_all = np.hstack([B, _by_turn(x[POINT] + shift, T_world_base)])
+        room = np.zeros((by_all.shape[1], by_all.shape[1]))
+        room[: len(prior), : len(prior)] = information
+        lack = np.append(_pull(information, x[COMMON], prior), np.zeros(3))
+        return cls(a, by_all, 0.5 * (S + S.T) + more, room, lack)
 
     def at(self, common: Array) -> Array:
         """The point for such common unknowns [m], (3,)."""
@@ -84,6 +92,12 @@ class Located:
             self.information + other.information + by.T @ weight @ by,
             self.lack + other.lack - by.T @ weight @ apart,
         )
+
+
+def _by_turn(p_world: Array, T_world_base: Array) -> Array:
+    """Of a point by the turn of the base about its own axes [m/rad], (3, 3)."""
+    R = T_world_base[:3, :3]
+    return np.asarray(np.cross(R.T, p_world - T_world_base[:3, 3]).T, dtype=float)
 
 
 def _pull(information: Array, told: Array, prior: Array) -> Array:

@@ -70,11 +70,11 @@ def touched(series: Series, estimator: Estimator, unknowns: Unknowns) -> Touched
         return Touched(series, answer.result)
     best = solved[0][0]
     bowed = answer.cov_fixed_world - best.cov[POINT, POINT]
-    located = Located.of(best, unknowns.prior, answer.p_surface_world - best.x[POINT], bowed)
     sizes = np.linalg.norm(answer.force_base, axis=1)
     strongest = int(np.argmax(sizes))
-    R = equations.readings[strongest].T_world_base[:3, :3]
-    direction = R @ answer.force_base[strongest] / sizes[strongest]
+    T = equations.readings[strongest].T_world_base
+    located = Located.of(best, unknowns.prior, answer.p_surface_world - best.x[POINT], bowed, T)
+    direction = T[:3, :3] @ answer.force_base[strongest] / sizes[strongest]
     s_contact = answer.s_contact[np.isfinite(answer.s_contact)]
     return Touched(series, "ok", located, float(sizes[strongest]), direction, s_contact, answer.rms)
 

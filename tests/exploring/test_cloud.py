@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from probedesign.exploring.cloud import cloud_of
-from probedesign.exploring.located import Located
+from probedesign.exploring.located import Located, _by_turn
 from probedesign.exploring.touched import Touched
 
 PRIOR = np.array([0.01, 0.05e-3, 0.05e-3, 0.05e-3])
@@ -72,3 +73,18 @@ def test_the_order_of_touches_does_not_matter():
     places = [np.array(sorted(point.p_world.tolist() for point in cloud.points)) for cloud in told]
     assert places[0].shape == (3, 3)
     assert places[0] == pytest.approx(places[1], abs=1e-12)
+
+
+def test_a_turned_base_carries_its_points_along_and_that_is_counted():
+    """Columns by the turn are the differences of a rotated point, and widen its ellipsoid."""
+    rng = np.random.default_rng(5)
+    R = Rotation.random(random_state=3).as_matrix()
+    T, p = np.eye(4), rng.standard_normal(3) * 0.1
+    T[:3, :3], T[:3, 3] = R, rng.standard_normal(3)
+    by = _by_turn(p, T)
+    for k in range(3):
+        turned = T[:3, 3] + R @ Rotation.from_rotvec(1e-6 * np.eye(3)[k]).as_matrix() @ R.T @ (p - T[:3, 3])
+        assert np.allclose((turned - p) / 1e-6, by[:, k], atol=1e-6 * 0.3)  # second order: half the step
+    located = Located(p, by, 1e-12 * np.eye(3), np.zeros((3, 3)), np.zeros(3))
+    std = np.radians([0.2, 0.2, 0.5])
+    assert np.allclose(located.cov(np.diag(std**2)), by @ np.diag(std**2) @ by.T, atol=1e-11)
