@@ -1,6 +1,5 @@
 """`probedesign simulate`: a Net F/T box that is not there."""
 
-import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
@@ -105,14 +104,11 @@ def _configuration(
 
 
 def _pressed(model: "ProbeModel", scene: str) -> "tuple[Pressed, ...]":
-    """The scene's objects, with what the probe reads of each; whoever waits is told for what."""
+    """The scene's objects, with what the probe reads of each; on a terminal whoever waits is told for what."""
     from probedesign.cli.output import working
     from probedesign.live.box.scene import press_scene
 
-    what = f"solving the presses of --scene {scene}"
-    if not sys.stderr.isatty():
-        print(f"{what} ...", file=sys.stderr, flush=True)
-    with working(what):
+    with working(f"solving the presses of --scene {scene}"):
         return press_scene(model, scene)
 
 
