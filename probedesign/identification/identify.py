@@ -127,7 +127,8 @@ def _bearable(data: Data, names: Sequence[str]) -> tuple[Data, tuple[str, ...]]:
     lines = tuple(f"{one.name}: not used: the probe gives way under it" for one in lost)
     if not kept or first_point(replace(problem, trials=tuple(kept)), free) is None:
         raise InputError(
-            f"{data.where}: the probe gives way in its tests, whatever E; is it the right design, and are forces in their column's unit?"
+            f"{data.where}: the probe gives way in its tests, whatever E; is it the right design, and are forces "
+            "in their column's unit?"
         )
     return replace(data, trials=tuple(kept)), (*data.notes, *lines)
 
