@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from itertools import count
 from pathlib import Path
 
 from probedesign.errors import InputError
@@ -46,3 +47,27 @@ def write_atomically(path: Path, content: bytes) -> None:
     except BaseException:
         os.unlink(aside)
         raise
+
+
+def keep_old(path: Path) -> Path | None:
+    """Keep a file that is about to be replaced: as NAME.old, or NAME.old2 and so on where that is taken.
+
+    Args:
+        path: of the file.
+
+    Returns:
+        Where its content stands now, beside it; None if there is no such file.
+
+    Raises:
+        InputError: it cannot be read, or the folder cannot be written to.
+    """
+    if not path.is_file():
+        return None
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    names = (f"{path.name}.old{'' if i == 1 else i}" for i in count(1))
+    kept = next(aside for name in names if not os.path.lexists(aside := path.with_name(name)))
+    write_atomically(kept, content)
+    return kept

@@ -19,7 +19,7 @@ from probedesign.deployment import check_manifest, check_replaceable, write_froz
 from probedesign.design import Design, load_design
 from probedesign.design_file import write_design
 from probedesign.errors import InputError
-from probedesign.files import check_room, write_atomically
+from probedesign.files import check_room, keep_old, write_atomically
 from probedesign.prediction.csv_tables import along_csv, conditions_csv
 from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
@@ -297,7 +297,7 @@ def identify(
 
 def write_identified(
     found: "Identification", design_path: Path, out: Path | None, write: bool, force: bool
-) -> "tuple[tuple[Change, ...], Path | None]":
+) -> "tuple[tuple[Change, ...], Path | None, Path | None]":
     """Identified numbers → the design file, whose comments, layout and old values stay.
 
     Args:
@@ -305,10 +305,10 @@ def write_identified(
         design_path: the design file.
         out: another file to write instead.
         write: whether to write at all; else it is only looked what would change.
-        force: replace what was identified before, or the file `out`.
+        force: replace what was set or identified before, or the file `out`, which is kept beside.
 
     Returns:
-        The changes, and the file that has them, if any.
+        The changes; the file that has them, if any; and where the file `out` that stood there is kept, if one did.
     """
     from datetime import date
 
@@ -320,12 +320,14 @@ def write_identified(
     changes = changes_of(found, design, day)
     result = edited(text, changes, day, str(design_path))
     if not write and out is None:
-        return changes, None
+        return changes, None, None
     if out is None:
-        check_overwritable(design, changes, str(design_path), force)
-    path = design_path if out is None else out
-    write_design(result, path, force=out is None or force)
-    return changes, path
+        check_overwritable(design, text, changes, str(design_path), force)
+        write_design(result, design_path, force=True)
+        return changes, design_path, None
+    kept = keep_old(out) if force else None
+    write_design(result, out, force=force)
+    return changes, out, kept
 
 
 def campaign(

@@ -34,7 +34,7 @@ def identify(
         for_: what to find, with commas between: E, G, density, diameters, root, tilt, clocking, offset, gravity.
         write: put what was found into the design file; without it, the lines are only shown.
         out: write a changed copy of the design to this file instead.
-        force: replace numbers that were identified before, or the file of --out.
+        force: replace numbers that were set or identified before, or the file of --out, which is kept as FILE.old.
         folder: for identification.json, residuals.csv and identification.html; by default exports/NAME/identification.
         page: make the page with residuals.
         as_json: print one JSON document.
@@ -50,17 +50,27 @@ def identify(
         _print(found)
         print("wrote", ", ".join(map(str, files)))
     try:
-        changes, path = pipeline.write_identified(found, design, out, write, force)
+        changes, path, kept = pipeline.write_identified(found, design, out, write, force)
     except InputError as error:
         if write or out is not None:
             raise
-        changes, path = (), None
+        changes, path, kept = (), None, None
         if not as_json:
             print(error)
     if as_json:
-        print_json({**found.as_dict(), "files": files, "changes": changes, "design_written": path})
+        print_json(
+            {
+                **found.as_dict(),
+                "files": files,
+                "changes": changes,
+                "design_written": path,
+                "design_kept": kept,
+            }
+        )
     elif changes:
         _print_changes(changes, path, design)
+    if kept is not None and not as_json:
+        print(f"kept {out} as it was: {kept}")
 
 
 def _print(found: "Identification") -> None:
@@ -95,7 +105,7 @@ def _with_unit(value: float, unit: str) -> str:
 
 
 def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:
-    would = f"--write would change {design} (what was identified before, only with --force):"
+    would = f"--write would change {design} (what was set or identified before, only with --force):"
     print(f"wrote {path}; its old values stay as comments:" if path else would)
     for change in changes:
         print(f"  [{change.table}] {change.key} = {change.text}")

@@ -1,5 +1,8 @@
 """What an identification changes in a design file."""
 
+import tomllib
+from typing import Any
+
 from probedesign.design import Design
 from probedesign.design_edit import Change
 from probedesign.errors import InputError
@@ -32,7 +35,8 @@ def changes_of(found: Identification, design: Design, day: str) -> tuple[Change,
         InputError: nothing was told that a design holds, or the fit is not to be trusted.
     """
     if found.result != "ok":
-        raise InputError(f"{found.data}: {found.result}: {_MEANS[found.result]}; nothing is written")
+        why = found.why or "the search found no end"
+        raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
     told = [one for one in found.found if one.identified and one.name in (*MATERIAL, ROOT)]
     if not told:
         raise InputError(f"{found.data}: tells nothing that a design holds; ask for E, G, density or root")
@@ -43,7 +47,9 @@ def changes_of(found: Identification, design: Design, day: str) -> tuple[Change,
     if "youngs_modulus" in spreads:
         changes.append(Change("material", "stiffness_spread", f"{spreads['youngs_modulus']:.2g}",
                               f"identified {day}: of E, for fusing touches"))  # fmt: skip
-        if "shear_modulus" not in spreads:  # else it would follow stiffness_spread, and nobody measured it
+        if (
+            "shear_modulus" not in spreads and design.tolerances.shear_modulus is None
+        ):  # else it would follow stiffness_spread, and nobody measured it
             spreads["shear_modulus"] = _before(design)
     changes += [
         Change("tolerances", key, f"{value:.2g}", _source(key, told, day)) for key, value in spreads.items()
@@ -51,25 +57,50 @@ def changes_of(found: Identification, design: Design, day: str) -> tuple[Change,
     return tuple(changes)
 
 
-def check_overwritable(design: Design, changes: tuple[Change, ...], where: str, force: bool) -> None:
-    """Refuse to replace what was identified before, unless told to.
+def check_overwritable(
+    design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
+) -> None:
+    """Refuse to replace what someone set or identified before, unless told to.
+
+    A material's value that is not identified yet is what an identification is for.
+
+    Args:
+        design: as it stands.
+        text: of its file.
+        changes: that are wanted.
+        where: names the file in errors.
+        force: replace all the same.
 
     Raises:
-        InputError: one of the numbers is identified already.
+        InputError: a value stands in the file, and differs.
     """
-    told = [change.key for change in changes if change.table == "material.provenance"]
-    for key in told if not force else []:
-        if getattr(design.material.provenance, key) == "identified":
-            raise InputError(
-                f"{where}: material.{key} is identified already; --force replaces it and keeps the old value as a "
-                "comment, or write another file with --out"
-            )
+    stands = [f"{one.table}.{one.key}" for one in changes
+              if not _open(one, design) and _before_in(text, one) not in (None, _told(one))]  # fmt: skip
+    if stands and not force:
+        raise InputError(
+            f"{where}: set or identified already: {', '.join(stands)}; --force replaces what stands there and keeps "
+            "it as a comment, or write another file with --out"
+        )
 
 
-_MEANS = {
-    "inconsistent": "the tests scatter far more than stated, so the probe as designed does not explain them",
-    "not_converged": "the search found no end",
-}
+def _open(change: Change, design: Design) -> bool:
+    """Whether the change is of a material's value that is not identified yet, or says that it is now."""
+    if change.table == "material.provenance":
+        return True
+    named = change.table == "material" and change.key in MATERIAL.values()
+    return named and getattr(design.material.provenance, change.key) != "identified"
+
+
+def _before_in(text: str, change: Change) -> object:
+    """What stands in the file; None if nothing does."""
+    value: Any = tomllib.loads(text)
+    for part in (*change.table.split("."), change.key):
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
+def _told(change: Change) -> object:
+    return tomllib.loads(f"v = {change.text}")["v"]
 
 
 def _value(one: Identified, found: Identification, day: str) -> Change:
@@ -86,10 +117,7 @@ def _share(one: Identified) -> float:
 
 
 def _before(design: Design) -> float:
-    """How well G was known."""
-    said = design.tolerances.shear_modulus
-    if said is not None:
-        return said
+    """How well G was known, where no tolerance of it is set."""
     spread = design.material.stiffness_spread
     usual = IDENTIFIED if design.youngs_modulus.provenance == "identified" else Unknowns.stiffness
     return usual if spread is None else spread

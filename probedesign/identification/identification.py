@@ -1,7 +1,9 @@
 """What an identification found."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
+
+import numpy as np
 
 from probedesign.frames import Array
 from probedesign.identification.robust import Noise
@@ -132,6 +134,7 @@ class Identification:
         notes: lines for the user.
         residuals: every reading.
         seconds: that it took.
+        why: what contradicts and where to look, where the result is "inconsistent".
     """
 
     result: str
@@ -151,6 +154,21 @@ class Identification:
     notes: tuple[str, ...]
     residuals: tuple[Residual, ...]
     seconds: float
+    why: str = ""
+
+    def contradicted(self, why: str) -> "Identification":
+        """The same with nothing claimed: no number, no interval, no shift.
+
+        Args:
+            why: in words.
+        """
+        found = tuple(
+            Identified(one.name, one.words, one.unit, "not_told", one.design, one.design,
+                       why=one.why or "the tests contradict the design, or each other")
+            for one in self.found
+        )  # fmt: skip
+        return replace(self, result="inconsistent", found=found, correlation=np.empty((0, 0)), correlated=(),
+                       shifts=(), why=why)  # fmt: skip
 
     def of(self, name: str) -> Identified | None:
         """The number of that name, if it was asked for and told."""

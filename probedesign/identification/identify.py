@@ -10,10 +10,11 @@ from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.identification import report
+from probedesign.identification.contradiction import contradiction, hardly_counted
 from probedesign.identification.fit import Fit, Problem, fit
-from probedesign.identification.identification import Identification, Identified
+from probedesign.identification.identification import Identification
 from probedesign.identification.reading import trials_of, weighed_of
-from probedesign.identification.robust import weights
+from probedesign.identification.robust import outliers, weights
 from probedesign.identification.start import first_point, standing
 from probedesign.identification.told import Untold, untold
 from probedesign.identification.trial import Trial
@@ -22,8 +23,6 @@ from probedesign.identification.weighed import Weighed
 
 PATIENT = 3.0
 """Where the search begins a direction may be so many times worse told than at its end: the guess is rough there."""
-STRANGE = 3.0
-"""Readings that scatter so many times their stated noise are no noise: the tests contradict the model."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +82,17 @@ def identify(data: Data, names: Sequence[str] = DEFAULT) -> Identification:
     found, asked, given_up = _search(data, names)
     quantile = report.quantile_of(found)
     numbers, correlation, correlated = report.found_of(found, asked, given_up, names, quantile)
-    outliers = report.outliers_of(found)
-    problem = found.point.problem
-    return Identification(
-        _result(found), data.shared.model.name, data.shared.model.fingerprint, data.where, len(data.trials),
-        sum(len(group.r) for group in found.point.groups), problem.size, numbers, correlation, correlated,
-        found.noise, quantile, outliers, report.shifts_of(found, asked),
-        (*notes, *(one.words for one in given_up), *_remarks(found, numbers)),
+    off = outliers(found.point.groups, found.scales)
+    problem, groups = found.point.problem, found.point.groups
+    whole = Identification(
+        found.result, data.shared.model.name, data.shared.model.fingerprint, data.where, len(data.trials),
+        sum(len(group.r) for group in groups), problem.size, numbers, correlation, correlated,
+        found.noise, quantile, report.outliers_of(off), report.shifts_of(found, asked),
+        (*notes, *(one.words for one in given_up), *hardly_counted(groups, off), *_remarks(found)),
         report.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
+    why = contradiction(groups, off, found.noise)
+    return whole.contradicted(why) if why else whole
 
 
 def _search(data: Data, names: Sequence[str]) -> tuple[Fit, tuple[str, ...], list[Untold]]:
@@ -126,7 +127,8 @@ def _bearable(data: Data, names: Sequence[str]) -> tuple[Data, tuple[str, ...]]:
     lines = tuple(f"{one.name}: not used: the probe gives way under it" for one in lost)
     if not kept or first_point(replace(problem, trials=tuple(kept)), free) is None:
         raise InputError(
-            f"{data.where}: the probe gives way in its tests, whatever E; is it the right design?"
+            f"{data.where}: the probe gives way in its tests, whatever E; is it the right design, and are forces "
+            "in their column's unit?"
         )
     return replace(data, trials=tuple(kept)), (*data.notes, *lines)
 
@@ -149,17 +151,10 @@ def _check_enough(data: Data, names: Sequence[str]) -> None:
         )
 
 
-def _result(found: Fit) -> str:
-    if found.result != "ok":
-        return found.result
-    return "inconsistent" if any(one.scale > STRANGE for one in found.noise) else "ok"
-
-
-def _remarks(found: Fit, numbers: Sequence[Identified]) -> list[str]:
+def _remarks(found: Fit) -> list[str]:
     """What a user should know of a fit."""
-    lines = [
+    return [
         f"{one.kind} scatter {one.scale:.2g} times as much as stated; the intervals count that"
         for one in found.noise
         if one.measured
     ]
-    return lines

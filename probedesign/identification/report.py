@@ -9,7 +9,7 @@ from probedesign.frames import Array
 from probedesign.identification.fit import Fit, solve_at, units_of
 from probedesign.identification.identification import CONFIDENCE, Identified, Outlier, Residual, Shift
 from probedesign.identification.misfit import Group
-from probedesign.identification.robust import ROBUST, distance, outliers
+from probedesign.identification.robust import ROBUST, distance
 from probedesign.identification.told import Untold
 from probedesign.identification.trial import Trial
 from probedesign.identification.unknowns import ASKABLE, PARTS, PRINT, ROOT, Shared, parts_of
@@ -116,10 +116,9 @@ def quantile_of(fit: Fit) -> float:
     return float(t.ppf(share, min(freedom)) if freedom else norm.ppf(share))
 
 
-def outliers_of(fit: Fit) -> tuple[Outlier, ...]:
-    """Readings that noise does not explain."""
-    return tuple(Outlier(group.test, group.kind, group.item, far)
-                 for group, far in outliers(fit.point.groups, fit.scales))  # fmt: skip
+def outliers_of(off: Sequence[tuple[Group, float]]) -> tuple[Outlier, ...]:
+    """Readings that noise does not explain, from `robust.outliers`."""
+    return tuple(Outlier(group.test, group.kind, group.item, far) for group, far in off)
 
 
 def residuals_of(fit: Fit) -> tuple[Residual, ...]:

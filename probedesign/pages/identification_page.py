@@ -24,7 +24,7 @@ def identification_page(found: Identification) -> bytes:
     """
     about = [
         f"{found.data}: {found.tests} tests, {found.numbers} measured numbers for {found.unknowns} unknowns; "
-        f"geometry {found.fingerprint}. Result: {found.result}.",
+        f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
         f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. With the design's dimensions taken as they "
         "are, as the frozen probe takes them; beside it with their tolerances, as of the material.",
         *found.notes,
@@ -85,7 +85,7 @@ def _names(tests: Sequence[str]) -> str:
 
 def _normal(found: Identification) -> Section:
     """Distances against those that normal noise makes."""
-    sizes = {"markers": 3, "touches": 3, "wrenches": 6}
+    sizes = {"markers": 3, "wrenches": 6, "touches": 3}
     lines = {}
     for kind, k in sizes.items():
         far = sorted(r.deviations for r in found.residuals if r.kind == kind)

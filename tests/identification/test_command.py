@@ -42,7 +42,11 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     before = (here / "large.toml").read_bytes()
     assert run(command) == 2
     error = capsys.readouterr().err
-    assert "identified already; --force replaces it" in error and error.count("\n") == 1
+    assert (
+        "identified already: material.youngs_modulus_mpa" in error
+        and "--force replaces" in error
+        and error.count("\n") == 1
+    )
     assert (here / "large.toml").read_bytes() == before
 
     assert run([*command, "--force"]) == 0
@@ -72,6 +76,12 @@ def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:
     assert load_design("mine.toml").youngs_modulus.provenance == "identified"
     assert (here / "large.toml").read_bytes() == before
     assert run(command) == 2 and "exists already" in capsys.readouterr().err
+    for name in ("mine.toml.old", "mine.toml.old2"):
+        old = (here / "mine.toml").read_bytes() + b"# mine\n"
+        (here / "mine.toml").write_bytes(old)
+        assert run([*command, "--force"]) == 0
+        assert (here / name).read_bytes() == old and f"as it was: {name}" in capsys.readouterr().out
+        assert b"# mine" not in (here / "mine.toml").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 from probedesign.design import parse_design
 from probedesign.design_edit import Change, edited
 from probedesign.errors import InputError
+from probedesign.identification.design_changes import check_overwritable
 from tests.identification.conftest import LARGE
 
 DAY = "2026-01-02"
@@ -66,3 +67,28 @@ def test_tables_that_are_no_lines_are_refused(material: str) -> None:
 def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="out of range"):
         edited(SMALL, [Change("tolerances", "youngs_modulus", "0.7")], DAY, "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("stands", "change"),
+    [
+        ("[mount]\nroot_rigid_radii = 0.12\n", Change("mount", "root_rigid_radii", "0.2")),
+        ("[tolerances]\nyoungs_modulus = 0.1\n", Change("tolerances", "youngs_modulus", "0.02")),
+        ("[material]\nstiffness_spread = 0.1\n", Change("material", "stiffness_spread", "0.02")),
+        ('[material]\nyoungs_modulus_mpa = 2.0\nprovenance.youngs_modulus_mpa = "identified"\n',
+         Change("material", "youngs_modulus_mpa", "2.4")),
+    ],
+)  # fmt: skip
+def test_what_stands_there_takes_force(stands: str, change: Change) -> None:
+    text = SMALL + stands
+    design = parse_design(text)
+    with pytest.raises(InputError, match=f"already: {change.table}.{change.key}; --force replaces"):
+        check_overwritable(design, text, (change,), "x.toml", False)
+    check_overwritable(design, text, (change,), "x.toml", True)
+    check_overwritable(parse_design(SMALL), SMALL, (change,), "x.toml", False)  # nothing stands there
+
+
+def test_a_value_that_nobody_identified_takes_no_force() -> None:
+    text = SMALL + "[material]\nyoungs_modulus_mpa = 2.0\n"
+    change = Change("material", "youngs_modulus_mpa", "2.4")
+    check_overwritable(parse_design(text), text, (change,), "x.toml", False)
