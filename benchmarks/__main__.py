@@ -19,13 +19,15 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--minutes", type=float, help="how long live streams, a third of a minute if not said"
     )
+    parser.add_argument("--view", action="store_true", help="live with the page of live --view")
     said = parser.parse_args(arguments)
     unknown = [name for name in said.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
     print_machine()
     for name in said.parts or PARTS:
-        options = {"minutes": said.minutes} if name == "live" and said.minutes is not None else {}
+        asked = {"minutes": said.minutes, "view": said.view or None} if name == "live" else {}
+        options = {option: value for option, value in asked.items() if value is not None}
         import_module(f"benchmarks.{name}").report(**options)
     return 0
 
