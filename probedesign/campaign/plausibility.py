@@ -134,17 +134,20 @@ def _check_range(campaign: Campaign, model: ProbeModel) -> None:
 def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
     """Moments of most tests that no force on this probe makes. In one test weight and touch may cancel out."""
     read = [test for test in campaign.tests if len(test.wrenches)]
-    noise = DEVIATIONS * float(np.sqrt(np.trace(model.noise_base()[3:, 3:])))
+    noise = (
+        DEVIATIONS * float(np.sqrt(3.0 * model.averaging_samples)) * model.noise.moment
+    )  # drift is as large
     over = []
     for test in read:
-        wrench = _base(campaign, test, model)
+        wrench = test.wrenches.mean(axis=0)
+        arm = 0.0 if test.frame == "base" else float(np.linalg.norm(model.T_sensor_base[:3, 3]))
         force, moment = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
-        if moment > LEVER * model.rod.length * force + noise:
+        if moment > LEVER * (model.rod.length + arm) * force + noise:
             over.append((test.name, force, moment))
     if 2 * len(over) > len(read):
         name, force, moment = over[0]
         lever = moment / max(force, TINY)
-        says = f"{force:.4g} N with {moment / N_MM:.4g} N·mm at the base act {lever / MM:.4g} mm away"
+        says = f"{force:.4g} N with {moment / N_MM:.4g} N·mm act {lever / MM:.4g} mm away"
         _fail(
             campaign,
             WRENCHES,
