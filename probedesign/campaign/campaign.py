@@ -21,11 +21,13 @@ class Markers:
         numbers: which of the campaign's markers, from 0, rising, (m,).
         p_world: [m], (m, 3).
         cov_world: of each [m²], (m, 3, 3).
+        file: name of the table that told them.
     """
 
     numbers: NDArray[np.intp]
     p_world: Array
     cov_world: Array
+    file: str
 
     def __len__(self) -> int:
         return len(self.numbers)

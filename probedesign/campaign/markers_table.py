@@ -49,7 +49,7 @@ def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> lis
         own = np.flatnonzero(which == test)
         own = own[np.argsort(numbers[own])]
         cov = std[own, None, None] ** 2 * np.eye(3)
-        found.append(Markers(numbers[own], p[own], cov) if len(own) else None)
+        found.append(Markers(numbers[own], p[own], cov, FILE) if len(own) else None)
     return found
 
 

@@ -77,4 +77,4 @@ def _placed(
     said = ~np.isnan(std)
     spread[which[said], column[said]] = std[said]
     placed = triangulate(cameras, pixels, spread, [str(number + 1) for number in held])
-    return Markers(held, placed.p_world, placed.cov_world)
+    return Markers(held, placed.p_world, placed.cov_world, FILE)

@@ -7,15 +7,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.campaign.campaign import Campaign, Markers, Test, Weighing
+from probedesign.campaign.manifest import FILE as MANIFEST
 from probedesign.campaign.manifest import Manifest, read_manifest
 from probedesign.campaign.markers_table import FILE as MARKERS
 from probedesign.campaign.markers_table import read_markers
 from probedesign.campaign.order import check_order
 from probedesign.campaign.pixels_table import FILE as PIXELS
 from probedesign.campaign.pixels_table import read_pixels
+from probedesign.campaign.plausibility import check_plausible
+from probedesign.campaign.tests_table import FILE as TESTS
 from probedesign.campaign.tests_table import read_tests
 from probedesign.campaign.wrenches_table import read_wrenches
 from probedesign.errors import InputError
+from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, pose
 from probedesign.units import MM
 
@@ -40,7 +44,7 @@ def read_campaign(path: str | Path) -> Campaign:
         if seen is not None:
             std = manifest.base.std_mm * MM
             check_order(
-                f"{folder / MARKERS}: test {row.name}", seen, marker_s, side, row.T_world_base[:3, 3], std
+                f"{folder / seen.file}: test {row.name}", seen, marker_s, side, row.T_world_base[:3, 3], std
             )
     tests = tuple(
         replace(row, wrenches=read, frame=frame, markers=seen)
@@ -63,35 +67,44 @@ def _seen(
     return [a or b for a, b in zip(told, placed, strict=True)], notes
 
 
-def check_probe(campaign: Campaign, name: str, fingerprint: str, length: float) -> None:
-    """Refuse a campaign of another probe.
+def check_probe(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a campaign of another probe, or one that no such probe can give.
 
     Args:
         campaign: the data.
-        name: of the probe it is used for.
-        fingerprint: of that probe's geometry.
-        length: of it [m].
+        model: of the probe it is used for.
 
     Raises:
-        InputError: the fingerprints differ; where the data say none, the names; or a place is beyond the tip.
+        InputError: the fingerprints or the names differ; a place is beyond the tip; or values are in another unit.
     """
-    where = f"{campaign.folder}: these data are of another probe"
-    if campaign.fingerprint is not None and campaign.fingerprint != fingerprint:
-        raise InputError(f"{where}: fingerprint {campaign.fingerprint}, not {fingerprint} of {name}")
-    if campaign.fingerprint is None and campaign.name != name:
-        raise InputError(
-            f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
-        )
+    _check_same(campaign, model)
+    name, length = model.name, model.rod.length
     for number, s in enumerate(campaign.marker_s, 1):
         if s > length * (1.0 + 1e-9):
             beyond = f"marker {number} at s = {s / MM:g} mm is beyond the tip of {name} at {length / MM:g} mm"
-            raise InputError(f"{campaign.folder}: {beyond}; correct markers.s_mm in campaign.toml")
+            raise InputError(f"{campaign.folder / MANIFEST}: {beyond}; correct markers.s_mm in campaign.toml")
     for test in campaign.tests:
         if test.s_contact > length * (1.0 + 1e-9):
             beyond = (
                 f"s_contact_mm = {test.s_contact / MM:g} is beyond the tip of {name} at {length / MM:g} mm"
             )
-            raise InputError(f"{campaign.folder}: test {test.name}: {beyond}; a wrong unit?")
+            raise InputError(f"{campaign.folder / TESTS}: test {test.name}: {beyond}; a wrong unit?")
+    check_plausible(campaign, model)
+
+
+def _check_same(campaign: Campaign, model: ProbeModel) -> None:
+    where = f"{campaign.folder}: these data are of another probe"
+    told, name = campaign.fingerprint, model.name
+    if told is not None and told != model.fingerprint:
+        raise InputError(f"{where}: fingerprint {told}, not {model.fingerprint} of {name}")
+    if campaign.name == name:
+        return
+    if told is not None:
+        both = f"probe = {campaign.name!r}, and fingerprint {told} is that of {name!r}"
+        raise InputError(f"{campaign.folder / MANIFEST}: {both}; correct the one that is wrong")
+    raise InputError(
+        f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
+    )
 
 
 def _markers_of(manifest: Manifest) -> tuple[Array, float | None]:

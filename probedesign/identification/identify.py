@@ -55,7 +55,7 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Data
     Raises:
         InputError: it is of another probe.
     """
-    check_probe(campaign, model.name, model.fingerprint, model.rod.length)
+    check_probe(campaign, model)
     shared = Shared(model, Tolerances.of(model), campaign.std_base, campaign.std_tilt)
     trials, unused = trials_of(campaign, shared)
     return Data(shared, tuple(trials), weighed_of(campaign, flange_volume), str(campaign.folder),

@@ -173,7 +173,7 @@ def validate(
         InputError: the campaign is of another probe, or holds nothing to compare.
     """
     model = estimator.model
-    check_probe(campaign, model.name, model.fingerprint, model.rod.length)
+    check_probe(campaign, model)
     if not any(len(test.wrenches) for test in campaign.tests):
         raise InputError(f"{campaign.folder}: holds no wrenches.csv; there is nothing to estimate from")
     if not any(_seen(test.markers, test.p_contact_world, test.s_contact) for test in campaign.tests):

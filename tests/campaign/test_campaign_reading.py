@@ -1,7 +1,7 @@
 """Data folders: what a spreadsheet may say, and what it may get wrong."""
 
-import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,8 @@ import pytest
 from probedesign.campaign import read_campaign
 from probedesign.campaign.reading import check_probe
 from probedesign.errors import InputError
+from probedesign.prediction.paper_probes import paper_design
+from probedesign.probe import build_probe
 from probedesign.stereo.camera import Camera
 
 TOML = """schema = 1
@@ -187,20 +189,36 @@ def test_folders_and_files_that_are_none(tmp_path, folder):
         read_campaign(folder)
 
 
-def test_data_of_another_probe_are_refused(folder):
+@pytest.fixture(scope="module")
+def large():
+    """The model of the paper's large probe."""
+    return build_probe(paper_design("large")).model
+
+
+def test_data_of_another_probe_are_refused(folder, large):
     campaign = read_campaign(folder)
-    check_probe(campaign, "large", "any", 0.15)  # without a fingerprint the name decides
+    check_probe(campaign, replace(large, fingerprint="any"))  # without a fingerprint the name decides
     with pytest.raises(InputError, match="data are of another probe: 'large', not 'small'"):
-        check_probe(campaign, "small", "any", 0.15)
-    with pytest.raises(InputError, match="s_contact_mm = 60 is beyond the tip of large at 50 mm"):
-        check_probe(campaign, "large", "any", 0.05)
-    with pytest.raises(InputError, match="marker 3 at s = 30 mm is beyond the tip"):
-        check_probe(campaign, "large", "any", 0.025)
-    (folder / "campaign.toml").write_text(
-        TOML.replace("schema = 1", f"schema = 1\nfingerprint = {json.dumps('abc')}")
-    )
+        check_probe(campaign, replace(large, name="small"))
+    (folder / "tests.csv").write_text(TESTS.replace(",60,", ",160,"))
+    with pytest.raises(
+        InputError, match=r"tests\.csv: test a-1: s_contact_mm = 160 is beyond the tip of large at 150"
+    ):
+        check_probe(read_campaign(folder), large)
+    (folder / "campaign.toml").write_text(TOML.replace("30.0]", "30.0, 160.0]"))
+    with pytest.raises(InputError, match=r"campaign\.toml: marker 4 at s = 160 mm is beyond the tip"):
+        check_probe(read_campaign(folder), large)
+
+
+def test_a_fingerprint_is_of_the_probe_that_is_named(folder, large):
+    (folder / "campaign.toml").write_text(TOML.replace("schema = 1", 'schema = 1\nfingerprint = "abc"'))
+    campaign = read_campaign(folder)
     with pytest.raises(InputError, match="fingerprint abc, not def of large"):
-        check_probe(read_campaign(folder), "large", "def", 0.15)
+        check_probe(campaign, replace(large, fingerprint="def"))
+    with pytest.raises(
+        InputError, match="probe = 'large', and fingerprint abc is that of 'small'; correct the one"
+    ):
+        check_probe(campaign, replace(large, name="small", fingerprint="abc"))
 
 
 # cameras
@@ -213,6 +231,11 @@ def test_markers_of_two_pictures_stand_where_they_were_seen(seen):
     np.testing.assert_allclose(found.p_world * 1e3, [(10, 0, 250), (20, 0, 250), (30, 0, 249.5)], atol=1e-4)
     assert (np.linalg.eigvalsh(found.cov_world) > 0.0).all()
     assert [note.split(":")[0] for note in campaign.notes] == ["camera left", "camera right"]
+
+
+def test_markers_of_pictures_are_refused_by_the_name_of_their_table(seen):
+    says = refusal(seen, "campaign.toml", "[10.0, 20.0, 30.0]", "[10.0, 15.0, 20.0]")
+    assert "pixels.csv: test hang: " in says and "markers.csv" not in says
 
 
 def test_a_marker_in_one_picture_only(seen):
