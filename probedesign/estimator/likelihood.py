@@ -1,9 +1,10 @@
 """Maximum likelihood: the contact without friction whose base wrench lies nearest to the reading, in its noise.
 
 Where it may lie one integration tells (`trace.py`); where that leads to no place at all, the scan of the paper's method
-does (`locate.py`). A reading for which the trace leads to places that do not explain it is not searched further: of 2000
-such readings of touches with a bias the scan explained one, of 61,000 estimates without one another (counted once, by
-hand, on the paper's probes), and it costs some thirty times as much. The fit itself is compiled (`fit.py`, `spread.py`, `everywhere.py`).
+does (`locate.py`). A reading for which the trace leads to places that do not explain it is not searched further: of
+2000 such readings of touches with a bias the scan explained one, of 61,000 estimates without one another (counted
+once, by hand, on the paper's probes), and it costs some thirty times as much. The fit itself is compiled (`fit.py`,
+`spread.py`, `everywhere.py`).
 """
 
 from collections.abc import Iterable
