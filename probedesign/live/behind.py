@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Protocol
@@ -17,8 +17,13 @@ MOST = 65_536
 EVERY = 0.5
 """How often everything is handed to the disk [s]: what ends the program takes no more than this along, and what
 waits."""
+GATHERED = 0.05
+"""What comes within so long is written in one go [s]: each waking of the thread would interrupt whoever estimates."""
 PATIENCE = 30.0
 """How long a disk is waited for at the end [s]."""
+
+Job = tuple[int, Callable[[], None]]
+"""How many readings it writes, and how."""
 
 
 class File(Sink, Protocol):
@@ -58,7 +63,7 @@ class Behind:
             every: how often the file is flushed [s].
         """
         self._file, self._name, self._say, self._most, self._every = file, name, say, most, every
-        self._queue: SimpleQueue[tuple[int, Callable[[], None]] | None] = SimpleQueue()
+        self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._put = self._done = 0
         self._counting = threading.Lock()  # lines are told by several threads
         self._missing = [0, 0]
@@ -137,15 +142,24 @@ class Behind:
     def _write(self) -> None:
         flushed = time.monotonic()
         while True:
-            try:
-                job = self._queue.get(timeout=self._every)
-            except Empty:
-                job = (0, self._file.flush)
-            if job is None:
-                self._file.close()
-                return
-            job[1]()
-            self._done += job[0]
+            for job in self._gathered():
+                if job is None:
+                    self._file.close()
+                    return
+                job[1]()
+                self._done += job[0]
             if time.monotonic() - flushed >= self._every:
                 self._file.flush()
                 flushed = time.monotonic()
+
+    def _gathered(self) -> Iterator[Job | None]:
+        """What comes from now on, for a while; nothing if nothing comes until a flush is due."""
+        try:
+            first = self._queue.get(timeout=self._every)
+        except Empty:
+            return
+        if first is not None:
+            time.sleep(GATHERED)
+        yield first
+        for _ in range(self._queue.qsize()):
+            yield self._queue.get_nowait()

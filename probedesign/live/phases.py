@@ -48,42 +48,44 @@ class Steadiness:
         """
         self._whiten = model.whiten
         self._each = max(1, math.ceil(SPAN * rate / MOST))  # readings to a mean
-        self._seen: deque[Array] = deque(maxlen=max(4, math.ceil(SPAN * rate / self._each)))
-        self._poses: deque[Array | None] = deque(maxlen=self._seen.maxlen)
+        n = max(4, math.ceil(SPAN * rate / self._each))
+        self._seen, self._filled = np.zeros((n, 6)), 0  # the last rows are filled
+        self._poses: deque[Array | None] = deque(maxlen=n)
         self._sum, self._count = np.zeros(6), 0
+        self._most = chdtri(6 * (n - 1), 0.5 * CHANCE), chdtri(6, 0.5 * CHANCE)  # scatter, step
 
     def see(self, wrench: Array, T_world_base: Array | None) -> None:
         """Take in a reading at the base, less the free probe's [N, N·m], (6,), and where the base was."""
         self._sum = self._sum + wrench
         self._count += 1
         if self._count == self._each:
-            self._seen.append(self._whiten @ self._sum / math.sqrt(self._each))
+            self._seen[:-1] = self._seen[1:]
+            self._seen[-1] = self._whiten @ self._sum / math.sqrt(self._each)
+            self._filled = min(self._filled + 1, len(self._seen))
             self._poses.append(T_world_base)
             self._sum, self._count = np.zeros(6), 0
 
     def forget(self) -> None:
         """Begin anew: what was seen belongs to another phase."""
-        self._seen.clear()
+        self._filled = 0
         self._poses.clear()
         self._sum, self._count = np.zeros(6), 0
 
     @property
     def full(self) -> bool:
         """Whether a whole span has been seen."""
-        return len(self._seen) == self._seen.maxlen
+        return self._filled == len(self._seen)
 
     @property
     def steady(self) -> bool:
         """Whether a whole span has been seen and nothing in it changed."""
         if not self.full:
             return False
-        seen = np.array(self._seen)
-        n, half = len(seen), len(seen) // 2
-        scatter = float(((seen - seen.mean(axis=0)) ** 2).sum())
-        step = seen[-half:].mean(axis=0) - seen[:half].mean(axis=0)
-        shifted = 0.5 * half * float(step @ step)
-        most = chdtri(6 * (n - 1), 0.5 * CHANCE), chdtri(6, 0.5 * CHANCE)
-        return bool(scatter <= most[0] and shifted <= most[1])
+        n, half = len(self._seen), len(self._seen) // 2
+        apart = self._seen - self._seen.sum(axis=0) / n
+        step = (apart[-half:].sum(axis=0) - apart[:half].sum(axis=0)) / half
+        scatter, shifted = np.vdot(apart, apart), 0.5 * half * np.vdot(step, step)
+        return bool(scatter <= self._most[0] and shifted <= self._most[1])
 
     @property
     def moves(self) -> bool | None:

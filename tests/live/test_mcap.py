@@ -306,7 +306,7 @@ def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
     text = said if isinstance(said, str) else json.dumps(honest | said)
     now = np.array([0])
     file._add(topics.RAW, now, messages.stamped("sensor", now, [[0.0] * 6]))
-    file._add(topics.BLOCK, now, messages.text(text))
+    file._add(topics.BLOCK, now, messages.texts([text]))
     file.close()
     with pytest.raises(InputError, match=told):
         read(tmp_path / "lie.mcap", model)

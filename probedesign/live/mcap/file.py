@@ -12,15 +12,14 @@ import numpy as np
 
 from probedesign.deployment import freeze
 from probedesign.estimator.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.mcap import messages, require, topics
+from probedesign.live.mcap.answers import messages_of
 from probedesign.live.mcap.messages import Nanoseconds
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.pieces import Pieces
 from probedesign.live.pose.timed import TimedPose
-from probedesign.live.row import json_line, row, world_row
 
 PROFILE = "ros2"
 JSON = "application/json"
@@ -35,8 +34,6 @@ MOST = 700
 lock while it is written."""
 _FAR = 4 * 10**18
 """Half of the nanoseconds that are counted in 63 bits."""
-UNTOLD = math.pi**2
-"""Variance of each angle of a contact's orientation [rad²], which is not estimated: half a turn either way."""
 
 
 class McapFile:
@@ -62,6 +59,7 @@ class McapFile:
 
         self._pieces = Pieces(path, force)
         self._held: list[Block] = []
+        self._answers: list[Answer] = []
         self._count = 0
         self._first, self._logged, self._begin = 0, time.time_ns(), (0, 0)
         frozen = freeze(model)
@@ -86,7 +84,8 @@ class McapFile:
         self._count += len(block)
 
     def _write_held(self) -> None:
-        """Every reading as a wrench; then one line with what their headers cannot tell."""
+        """The answers; then every reading as a wrench, and one line with what their headers cannot tell."""
+        self._write_answers()
         if not self._held:
             return
         block, self._held, self._count = _joined(self._held), [], 0
@@ -103,23 +102,16 @@ class McapFile:
             "fault": block.fault,
         }
         self._first += len(block)
-        self._add(topics.BLOCK, stamps[-1:], messages.text(json.dumps(known)))
+        self._add(topics.BLOCK, stamps[-1:], messages.texts([json.dumps(known)]))
 
     def answered(self, answer: Answer) -> None:
-        """What was said, and what was said it from."""
-        stamp = messages.nanoseconds([answer.reading.time])
-        said = row(answer.reading, answer.estimate) | (world_row(answer) if answer.fused is not None else {})
-        pose = answer.T_world_base
-        if np.isfinite(answer.wrench_base).all():
-            wrench = messages.stamped("base", stamp, [answer.wrench_base])
-            self._add(topics.WITHOUT_BIAS, stamp, wrench)
-        if answer.estimate.ok:
-            place = _place(answer.estimate.p_contact_base, answer.estimate.cov_contact_base)
-            self._add(topics.CONTACT, stamp, messages.stamped("base", stamp, [place]))
-        if answer.fused is not None and answer.fused.ok:
-            place = _place(answer.fused.p_contact_world, answer.fused.cov_contact_world)
-            self._add(topics.CONTACT_WORLD, stamp, messages.stamped("world", stamp, [place]))
-        self._add(topics.ESTIMATE, stamp, messages.text(_with_pose(json_line(said), pose)))
+        """Held as long as the readings are."""
+        self._answers.append(answer)
+
+    def _write_answers(self) -> None:
+        answers, self._answers = self._answers, []
+        for topic, stamps, data in messages_of(answers):
+            self._add(topic, stamps, data)
 
     def posed(self, pose: TimedPose) -> None:
         """Where the base was, as it was told."""
@@ -130,7 +122,7 @@ class McapFile:
         """An event."""
         known = time if math.isfinite(time) else None
         stamp = messages.nanoseconds([] if known is None else [time])
-        self._add(topics.EVENT, stamp, messages.text(json.dumps({"time_s": known, "event": line})))
+        self._add(topics.EVENT, stamp, messages.texts([json.dumps({"time_s": known, "event": line})]))
 
     def left_out(self, readings: int, others: int) -> None:
         """Readings and answers that did not come here, as an event and in the count of readings."""
@@ -183,17 +175,3 @@ def _joined(blocks: list[Block]) -> Block:
         for name in ("time", "wrench_sensor", "received")
     )
     return replace(blocks[0], time=time, wrench_sensor=wrench, received=received, truths=())
-
-
-def _place(p: Array, cov: Array) -> list[float]:
-    """A point as a pose with covariance, (43,); nothing is said of its orientation."""
-    whole = UNTOLD * np.eye(6)
-    whole[:3, :3] = cov
-    return [*p.tolist(), 0.0, 0.0, 0.0, 1.0, *whole.ravel().tolist()]
-
-
-def _with_pose(line: str, T_world_base: Array) -> str:
-    """The JSON line with the pose to the last bit, which a quaternion does not tell."""
-    if not np.isfinite(T_world_base).all():
-        return line
-    return json.dumps(json.loads(line) | {"T_world_base": T_world_base.tolist()})

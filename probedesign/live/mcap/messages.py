@@ -89,11 +89,13 @@ def _layout(name: int, doubles: int) -> np.dtype[np.void]:
     ])  # fmt: skip
 
 
-def text(data: str) -> Bytes:
-    """A string message, (1,)."""
-    content = data.encode() + b"\0"
-    message = LITTLE + struct.pack("<I", len(content)) + content
-    return np.frombuffer(message, f"V{len(message)}")
+def texts(data: Sequence[str]) -> Bytes:
+    """String messages, (n,), each filled up with spaces to the length of the longest: JSON does not mind."""
+    contents = [each.encode() for each in data]
+    length = max(map(len, contents))
+    head = LITTLE + struct.pack("<I", length + 1)
+    whole = b"".join(head + content.ljust(length) + b"\0" for content in contents)
+    return np.frombuffer(whole, f"V{len(head) + length + 1}")
 
 
 def read_stamped(data: bytes | memoryview, doubles: int) -> tuple[int, str, tuple[float, ...]]:
