@@ -8,6 +8,7 @@ import numpy as np
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.fit import PLACE
 from probedesign.estimator.likelihood import Fitter
+from probedesign.estimator.locate import Scan
 from probedesign.estimator.observation import Observation
 from probedesign.estimator.weighing import Causes, Weighing
 from probedesign.frames import Array
@@ -18,7 +19,9 @@ ROUNDS = 3
 """How often they are told anew at most."""
 
 
-def locate(causes: Causes, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
+def locate(
+    causes: Causes, seen: Observation, near: Candidate | None = None, scan: Scan | None = None
+) -> list[Candidate]:
     """The contacts of greatest likelihood, weighed by the reading's noise and the probe's tolerances together.
 
     What the tolerances do to a reading depends on where it is touched, so they are weighed as at the place that noise
@@ -28,9 +31,11 @@ def locate(causes: Causes, seen: Observation, near: Candidate | None = None) -> 
         causes: of doubt, under the reading's gravity.
         seen: the reading, with its noise alone.
         near: a neighbouring reading's place, as for `likelihood.locate`.
+        scan: likewise.
     """
     rod = causes.model.rod
-    fitter, weighing = Fitter(rod, _drifted(seen, causes)), Weighing(causes, seen)
+    fitter = Fitter(rod, _drifted(seen, causes), scan or Scan.of(rod, seen))
+    weighing = Weighing(causes, seen)
     place = fitter.likeliest() if near is None else _unknowns(near)
     if place is None:
         near = _likeliest(fitter.scanned())

@@ -13,6 +13,7 @@ from probedesign.errors import InputError
 from probedesign.estimator import doubtful, likelihood, paper
 from probedesign.estimator.estimate import Candidate, Estimate, Result
 from probedesign.estimator.fused import Fused, MomentsAbout
+from probedesign.estimator.locate import Scan
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.observation import Observation
 from probedesign.estimator.tolerances import Tolerances
@@ -132,21 +133,22 @@ class Estimator:
         chi2 = seen.chi2 / self._scatter(readings)
         if not self._exceeds(chi2):
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
+        scan = Scan.of(self.model.rod, seen)
         if method == "paper":
-            return self._decide(paper.locate(self.model.rod, seen), chi2, readings)
+            return self._decide(paper.locate(self.model.rod, seen, scan), chi2, readings)
         start = near.candidates[0] if near is not None and near.candidates else None
-        found = self._likeliest(seen, start)
+        found = self._likeliest(seen, start, scan)
         if found:
             return self._decide(found, chi2, readings)
         # Why there is none the paper's method may tell, but its place is not the one that was asked for.
-        why = self._decide(paper.locate(self.model.rod, seen), chi2, readings)
+        why = self._decide(paper.locate(self.model.rod, seen, scan), chi2, readings)
         return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
 
-    def _likeliest(self, seen: Observation, start: Candidate | None) -> list[Candidate]:
+    def _likeliest(self, seen: Observation, start: Candidate | None, scan: Scan) -> list[Candidate]:
         """The contacts of greatest likelihood, by the noise and, if there are any, the tolerances."""
         if self.tolerances is None:
-            return likelihood.locate(self.model.rod, seen, start)
-        return doubtful.locate(self._causes(seen.gravity), seen, start)
+            return likelihood.locate(self.model.rod, seen, start, scan)
+        return doubtful.locate(self._causes(seen.gravity), seen, start, scan)
 
     def _causes(self, gravity: Array) -> Causes:
         """What may differ under a gravity; the last one is kept."""

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from probedesign.estimator import everywhere, fit, round_end, spread
 from probedesign.estimator.estimate import Candidate
-from probedesign.estimator.locate import candidates, starts
+from probedesign.estimator.locate import Scan
 from probedesign.estimator.observation import Observation
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
@@ -35,15 +35,18 @@ _UNKNOWNS = slice(everywhere.FOUND, everywhere.TOLD)
 _NONE = np.empty((0, everywhere.ROW))
 
 
-def locate(rod: Rod, seen: Observation, near: Candidate | None = None) -> list[Candidate]:
+def locate(
+    rod: Rod, seen: Observation, near: Candidate | None = None, scan: Scan | None = None
+) -> list[Candidate]:
     """The contacts of greatest likelihood.
 
     Args:
         rod: of the probe.
         seen: the reading.
         near: a neighbouring reading's place: only from there is then searched, everywhere only if nothing is there.
+        scan: of the reading, if there is one already.
     """
-    return Fitter(rod, seen).locate(near)
+    return Fitter(rod, seen, scan or Scan.of(rod, seen)).locate(near)
 
 
 @dataclass
@@ -53,11 +56,13 @@ class Fitter:
     Attributes:
         rod: of the probe.
         seen: the reading.
+        scan: of it.
         stalled: where fits ended that found no least misfit but one that explains nothing.
     """
 
     rod: Rod
     seen: Observation
+    scan: Scan
     stalled: list[Candidate] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -101,13 +106,11 @@ class Fitter:
 
     def scanned(self) -> list[Candidate]:
         """What is found from wherever the scan along the probe says."""
-        seen = self.seen
-        told = self.rod, seen.gravity, seen.force, seen.wrench[3:6]
-        places = self.places((tip, seen.force, s) for s, tip in starts(*told))
+        places = self.places((tip, self.scan.force, s) for s, tip in self.scan.starts)
         if not any(self.explains(place) for place in places):
             # The scan may be too coarse where the probe gives way.
-            exact = candidates(*told)
-            places += self.places((eq.tip, seen.force, eq.s_contact) for eq in exact)
+            exact = self.scan.candidates
+            places += self.places((eq.tip, self.scan.force, eq.s_contact) for eq in exact)
         return places
 
     def _everywhere(self, rough: bool) -> Array:

@@ -6,10 +6,12 @@ the side on which errors die out instead of growing through the thin tip (docs/d
 """
 
 import math
-from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from probedesign.estimator.observation import Observation
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
@@ -83,8 +85,9 @@ def _pushed(force: Array, free: Array, tangents: Array) -> int:
 
 def _sines(force: Array, tangents: Array) -> Array:
     """Sine of the angle between a force and each tangent (j, 3); 0 without a force."""
-    size = float(np.linalg.norm(force))
-    sines: Array = np.linalg.norm(np.cross(force, tangents), axis=1) / (size or 1.0)
+    along = tangents @ (force / (math.sqrt(force @ force) or 1.0))
+    whole = (tangents * tangents).sum(axis=1) if force.any() else along**2
+    sines: Array = np.sqrt(np.maximum(whole - along**2, 0.0))
     return sines
 
 
@@ -120,24 +123,50 @@ def refine(
     return best if inside and not blocked else None
 
 
-def starts(rod: Rod, gravity: Array, force: Array, moment: Array) -> Iterator[tuple[float, Array]]:
-    """Arclength [m] and tip (6,) of every local minimum of the scanned misfit."""
-    stations, misfit, tips = scan(rod, gravity, force, moment)
-    before, after = np.append(np.inf, misfit[:-1]), np.append(misfit[1:], np.inf)
-    for i in np.flatnonzero((misfit <= before) & (misfit <= after)):
-        yield float(stations[i]), tips[i]
+@dataclass(frozen=True)
+class Scan:
+    """One reading's scan along the probe, made when it is first asked for: what it says does not depend on how well
+    the reading is known.
 
+    Attributes:
+        rod: of the probe.
+        gravity: base axes [m/s²], (3,).
+        force: base axes [N], (3,).
+        moment: measured, about the base [N·m], (3,).
+    """
 
-def candidates(rod: Rod, gravity: Array, force: Array, moment: Array) -> list[Equilibrium]:
-    """Equilibria at the local minima of the misfit along the probe, best first."""
-    found: list[Equilibrium] = []
-    reach = REACH * rod.length / (STATIONS - 1)
-    for s, tip in starts(rod, gravity, force, moment):
-        low, high = max(s - reach, 0.0), min(s + reach, rod.flank_end)
-        eq = refine(rod, gravity, force, moment, s, low, high, tip)
-        if eq is not None and not any(_same_place(eq, other) for other in found):
-            found.append(eq)
-    return sorted(found, key=lambda eq: float(((eq.wrench_base[3:6] - moment) ** 2).sum()))
+    rod: Rod
+    gravity: Array
+    force: Array
+    moment: Array
+
+    @classmethod
+    def of(cls, rod: Rod, seen: Observation) -> "Scan":
+        """Of a reading."""
+        return cls(rod, seen.gravity, seen.force, seen.wrench[3:6])
+
+    @cached_property
+    def starts(self) -> list[tuple[float, Array]]:
+        """Arclength [m] and tip (6,) of every local minimum of the scanned misfit."""
+        stations, misfit, tips = scan(self.rod, self.gravity, self.force, self.moment)
+        before, after = np.append(np.inf, misfit[:-1]), np.append(misfit[1:], np.inf)
+        least = np.flatnonzero((misfit <= before) & (misfit <= after))
+        return [(float(stations[i]), tips[i]) for i in least]
+
+    @cached_property
+    def candidates(self) -> list[Equilibrium]:
+        """Equilibria at the local minima of the misfit along the probe, best first."""
+        found: list[Equilibrium] = []
+        for s, tip in self.starts:
+            eq = self._refined(s, tip)
+            if eq is not None and not any(_same_place(eq, other) for other in found):
+                found.append(eq)
+        return sorted(found, key=lambda eq: float(((eq.wrench_base[3:6] - self.moment) ** 2).sum()))
+
+    def _refined(self, s: float, tip: Array) -> Equilibrium | None:
+        reach = REACH * self.rod.length / (STATIONS - 1)
+        low, high = max(s - reach, 0.0), min(s + reach, self.rod.flank_end)
+        return refine(self.rod, self.gravity, self.force, self.moment, s, low, high, tip)
 
 
 def _same_place(a: Equilibrium, b: Equilibrium) -> bool:

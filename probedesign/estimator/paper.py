@@ -7,7 +7,7 @@ import numpy as np
 
 from probedesign.estimator.covariance import propagate
 from probedesign.estimator.estimate import Candidate
-from probedesign.estimator.locate import candidates
+from probedesign.estimator.locate import Scan
 from probedesign.estimator.observation import Observation
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
@@ -17,15 +17,15 @@ DOF = 2
 """Three moments, one unknown."""
 
 
-def locate(rod: Rod, seen: Observation) -> list[Candidate]:
+def locate(rod: Rod, seen: Observation, scan: Scan | None = None) -> list[Candidate]:
     """The places where the measured force makes the measured moment, or nearly.
 
     Args:
         rod: of the probe.
         seen: the reading.
+        scan: of it, if there is one already.
     """
-    found = candidates(rod, seen.gravity, seen.force, seen.wrench[3:6])
-    return [_candidate(rod, seen, eq) for eq in found]
+    return [_candidate(rod, seen, eq) for eq in (scan or Scan.of(rod, seen)).candidates]
 
 
 def _candidate(rod: Rod, seen: Observation, eq: Equilibrium) -> Candidate:

@@ -5,7 +5,7 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.estimator.likelihood import Fitter
-from probedesign.estimator.locate import starts
+from probedesign.estimator.locate import Scan
 from probedesign.estimator.observation import Observation
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
@@ -32,7 +32,7 @@ SHAPES = {
 def fitter_of(model, gravity, wrench):
     free = model.rod.solve(gravity).wrench_base
     seen = Observation.of(model, wrench[None], gravity, free)
-    return Fitter(model.rod, seen)
+    return Fitter(model.rod, seen, Scan.of(model.rod, seen))
 
 
 def noisy(model, gravity, count, rng):
@@ -51,7 +51,7 @@ def test_no_place_that_the_scan_finds_is_missed(name, probes, gravity):
     for wrench in noisy(model, gravity, 40, np.random.default_rng(3)):
         fitter = fitter_of(model, gravity, wrench)
         traced, force = fitter.traced(), fitter.seen.force
-        scanned = fitter.places((tip, force, s) for s, tip in starts(model.rod, gravity, force, wrench[3:]))
+        scanned = fitter.places((tip, force, s) for s, tip in Scan(model.rod, gravity, force, wrench[3:]).starts)
         for place in scanned:
             if traced and fitter.explains(place):
                 assert any(fitter._same(place, other) for other in traced)
