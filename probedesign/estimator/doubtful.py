@@ -37,9 +37,6 @@ def locate(
     fitter = Fitter(rod, _drifted(seen, causes), scan or Scan.of(rod, seen))
     weighing = Weighing(causes, seen)
     place = fitter.likeliest() if near is None else _unknowns(near)
-    if place is None:
-        near = _likeliest(fitter.scanned())
-        place = None if near is None else _unknowns(near)
     found: list[Candidate] = []
     for _ in range(ROUNDS):
         if place is None or not weighing.at(place):

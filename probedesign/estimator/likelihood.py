@@ -81,9 +81,14 @@ class Fitter:
         self.seen, self.stalled = replace(self.seen, whiten=whiten), []
 
     def likeliest(self) -> Array | None:
-        """The unknowns of the likeliest of the places that one integration tells, (STATE,); None if it tells none."""
-        rows = [row for row in self._everywhere(rough=True) if row[everywhere.FITTED] <= fit.AT_END]
-        return min(rows, key=_misfit)[_UNKNOWNS] if rows else None
+        """The unknowns of the likeliest of the places that one integration tells or else the scan, (STATE,); None if
+        neither tells any. One that explains nothing as the reading is known may do as it is known to tolerances."""
+        rows = [row for row in self._everywhere(rough=True) if row[everywhere.FITTED] <= fit.STALLED]
+        if rows:
+            found: Array = min(rows, key=_misfit)[_UNKNOWNS]
+            return found
+        place = self.scan.likeliest
+        return None if place is None else np.concatenate([place[1], self.scan.force, (place[0],)])
 
     def locate(self, near: Candidate | None = None) -> list[Candidate]:
         """As the function of that name."""

@@ -148,10 +148,20 @@ class Scan:
     @cached_property
     def starts(self) -> list[tuple[float, Array]]:
         """Arclength [m] and tip (6,) of every local minimum of the scanned misfit."""
-        stations, misfit, tips = scan(self.rod, self.gravity, self.force, self.moment)
+        stations, misfit, tips = self._scanned
         before, after = np.append(np.inf, misfit[:-1]), np.append(misfit[1:], np.inf)
         least = np.flatnonzero((misfit <= before) & (misfit <= after))
         return [(float(stations[i]), tips[i]) for i in least]
+
+    @property
+    def likeliest(self) -> tuple[float, Array] | None:
+        """The one of them whose misfit is least; None if there is no equilibrium at all."""
+        stations, misfit, tips = self._scanned
+        return (float(stations[misfit.argmin()]), tips[misfit.argmin()]) if len(misfit) else None
+
+    @cached_property
+    def _scanned(self) -> tuple[Array, Array, Array]:
+        return scan(self.rod, self.gravity, self.force, self.moment)
 
     @cached_property
     def candidates(self) -> list[Equilibrium]:

@@ -43,6 +43,7 @@ class Chain:
 
     Attributes:
         tare: taken from every reading; None where none was.
+        due: counts the estimates that were due.
     """
 
     def __init__(self, estimator: Estimator, plan: Plan, poses: Poses | None, say: Say) -> None:
@@ -64,7 +65,7 @@ class Chain:
         self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
         self._now = -math.inf
-        self._due = Due(plan.rate, say)
+        self.due = Due(plan.rate, say)
         self._stretch = 0
         self._seen = Seen("", None)
         self._lacks_pose = False
@@ -79,13 +80,15 @@ class Chain:
         if len(block) == 0:
             return
         self._now = float(block.time[-1])
+        held, now = len(self._waiting), monotonic()  # for want of a pose
         if self._poses is not None:
             self._poses.refresh(block)
         self._waiting.extend(self._batches.cut(block))
         if math.isnan(self._rate) and not self._began():
             return
         while self._waiting and not self._awaits_pose(self._waiting[0].reading.time):
-            yield from self._step(self._waiting.popleft())
+            yield from self._step(self._waiting.popleft(), now if held > 0 else -math.inf)
+            held -= 1
 
     def ended(self) -> Iterator[Answer]:
         """Those that are left when the source has ended.
@@ -94,7 +97,7 @@ class Chain:
             InputError: the tare's window was not over, and is no good.
         """
         while self._waiting:
-            yield from self._step(self._waiting.popleft())
+            yield from self._step(self._waiting.popleft(), math.inf)
         if self._taring is not None and not self._taring.asked:
             self._say(describe_tare(self._taring.tare()))
 
@@ -140,8 +143,8 @@ class Chain:
 
     # one batch
 
-    def _step(self, batch: Batch) -> Iterator[Answer]:
-        """The answer of a batch, if one is due."""
+    def _step(self, batch: Batch, ready: float) -> Iterator[Answer]:
+        """The answer of a batch, if one is due; for when it was ready see `Due.wants`."""
         if math.isnan(self._first):
             self._first = batch.reading.time
         whole = replace(batch.reading, fault=batch.reading.fault or self._limit(batch.block))
@@ -154,7 +157,7 @@ class Chain:
         if self._taring is not None and not self._taring.asked:
             return
         self._seen = self._see(Batch(batch.block, reading))
-        if self._due.wants(reading):
+        if self.due.wants(reading, ready):
             yield self._answer(reading if smooth is None else self._placed(smooth))
 
     def _answer(self, reading: Reading) -> Answer:

@@ -6,16 +6,21 @@ from time import monotonic
 
 from probedesign.live.reading import Reading
 
-LATE = 0.2
-"""A reading that waited so long [s] is not located: readings that nothing explains cost the most, and would let those
-after them wait as well. Recorded, watched and fused it is all the same."""
+LATE = 0.015
+"""A reading that waited so long [s] is not located, since newer ones wait behind it: readings that nothing explains
+cost the most, and would let those after them wait as well. Recorded, watched and fused it is all the same."""
 
-CALM = 5.0
-"""How long none is left out [s] before that is told."""
+SPAN, SHARE = 5.0, 0.05
+"""In each span [s] of the source's clock, the share left out from which that is told at once."""
 
 
 class Due:
-    """At most so many estimates a second of the source's clock, and none of a reading that has waited too long."""
+    """At most so many estimates a second of the source's clock, and none of a reading that has waited too long.
+
+    Attributes:
+        wanted: estimates that were due.
+        left_out: those of them whose reading had waited too long.
+    """
 
     def __init__(self, rate: float, say: Callable[[str], None]) -> None:
         """Begin.
@@ -25,11 +30,31 @@ class Due:
             say: takes each line that a user should know.
         """
         self._period, self._due, self._say = 1.0 / rate, -math.inf, say
-        self._left_out, self._last = 0, -math.inf
+        self.wanted = self.left_out = 0
+        self._start, self._before, self._behind = -math.inf, (0, 0), False
 
-    def wants(self, reading: Reading) -> bool:
-        """Whether the reading is to be located."""
-        return self._is_due(reading.time) and not self._late(reading)
+    def wants(self, reading: Reading, ready: float = -math.inf) -> bool:
+        """Whether the reading is to be located.
+
+        Args:
+            reading: that there is.
+            ready: when the base's pose was known at last, if it had to wait for that [s], by `time.monotonic`.
+        """
+        if not self._is_due(reading.time):
+            return False
+        if reading.time - self._start > SPAN:
+            self._tell(reading.time)
+        late = monotonic() - max(reading.received, ready) > LATE  # never so of one that came by no wire
+        self.wanted, self.left_out = self.wanted + 1, self.left_out + late
+        return not late
+
+    def ended(self) -> None:
+        """Tell how many were left out, if any were."""
+        if self.left_out:
+            self._say(
+                f"{self.left_out} of {self.wanted} estimates were left out: each came more than "
+                f"{1e3 * LATE:g} ms late, with newer readings behind it"
+            )
 
     def _is_due(self, time: float) -> bool:
         """A hundredth of a period early will do, so that a source that keeps the very rate loses none to rounding."""
@@ -38,17 +63,16 @@ class Due:
         self._due = self._due + self._period if self._due + self._period > time else time + self._period
         return True
 
-    def _late(self, reading: Reading) -> bool:
-        """Whether it waited too long; one that came by no wire never does. Told when that begins, and how many were
-        left out when it has not been so for a while."""
-        if monotonic() - reading.received > LATE:
-            if not self._left_out:
-                self._say(
-                    f"estimates come more than {LATE:g} s late: some are left out; a lower --rate-hz needs less"
-                )
-            self._left_out, self._last = self._left_out + 1, reading.time
-            return True
-        if self._left_out and reading.time - self._last > CALM:
-            self._say(f"estimates are in time again, {self._left_out} were left out")
-            self._left_out = 0
-        return False
+    def _tell(self, time: float) -> None:
+        """Tell when more than a few are left out, and when that is over."""
+        wanted, left_out = self.wanted - self._before[0], self.left_out - self._before[1]
+        self._start, self._before = time, (self.wanted, self.left_out)
+        behind = left_out > SHARE * wanted
+        if behind and not self._behind:
+            self._say(
+                f"{left_out} of {wanted} estimates left out in {SPAN:g} s: each came more than {1e3 * LATE:g} ms "
+                f"late; a lower --rate-hz needs less"
+            )
+        elif self._behind and not behind:
+            self._say("estimates are in time again")
+        self._behind = behind

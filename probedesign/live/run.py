@@ -53,6 +53,7 @@ def estimate_stream(
                     sink.answered(answer)
                 yield answer
     finally:
+        chain.due.ended()
         if poses is not None:
             poses.close()
 

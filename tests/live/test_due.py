@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.live import due
-from probedesign.live.due import CALM, LATE, Due
+from probedesign.live.due import LATE, SHARE, SPAN, Due
 from probedesign.live.reading import Reading
 
 READING = Reading(0.0, np.zeros(6), np.zeros(3))
@@ -19,6 +19,7 @@ def wanted(at, times, received, monkeypatch):
     for time, late in zip(times, at, strict=True):
         monkeypatch.setattr(due, "monotonic", lambda late=late: 7.0 + late)
         found.append(kept.wants(replace(READING, time=time, received=received)))
+    kept.ended()
     return found, said
 
 
@@ -27,12 +28,29 @@ def test_estimates_keep_the_rate_that_was_asked_for(monkeypatch):
     assert sum(found) == 10 and not said
 
 
-def test_a_reading_that_waited_too_long_is_left_out_and_that_is_told_once(monkeypatch):
-    at = [0.0, LATE + 0.01, 0.0, LATE + 0.5, 0.1, 0.0, 0.0]
-    times = [0.0, 0.01, 0.02, 0.03, 0.04, 0.03 + 1.1 * CALM, 1.0 + CALM]
-    found, said = wanted(at, times, 7.0, monkeypatch)
-    assert found == [True, False, True, False, True, True, True]
-    assert len(said) == 2 and "late" in said[0] and "2 were left out" in said[1]
+def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
+    at = [0.0, LATE + 0.01, 0.0, LATE + 0.5, 0.5 * LATE]
+    found, said = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
+    assert found == [True, False, True, False, True]
+    assert said == [
+        "2 of 5 estimates were left out: each came more than 15 ms late, with newer readings behind it"
+    ]
+
+
+def test_many_left_out_are_told_at_once_and_when_it_is_over(monkeypatch):
+    """A span with none left out, one with twice as many as are borne in silence, one with none."""
+    n = round(SPAN * 100.0)
+    at = np.zeros(3 * n + 10)
+    at[n : 2 * n : round(0.5 / SHARE)] = 2.0 * LATE
+    _, said = wanted(at, 0.01 * np.arange(len(at)), 7.0, monkeypatch)
+    assert len(said) == 3 and "lower --rate-hz" in said[0] and "in time again" in said[1]
+
+
+def test_a_reading_that_waited_for_its_pose_is_as_old_as_that(monkeypatch):
+    kept = Due(100.0, print)
+    monkeypatch.setattr(due, "monotonic", lambda: 8.0)
+    assert kept.wants(replace(READING, received=7.0), ready=8.0 - 0.5 * LATE)
+    assert not kept.wants(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * LATE)
 
 
 def test_a_replay_is_never_late(monkeypatch):
