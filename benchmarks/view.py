@@ -1,6 +1,7 @@
-"""The page of `live --view`: its picture for the documentation, from a real browser, and what it costs the estimator.
+"""The page of `live --view`: its picture for the documentation, from a real browser.
 
-`python -m benchmarks view`; the picture needs playwright and Chromium, and is left out without them.
+`python -m benchmarks view`; it needs playwright and Chromium. What the page costs the estimates `benchmarks live --view`
+tells.
 """
 
 import base64
@@ -15,17 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimator.estimator import Estimator
 from probedesign.live.block import Block
-from probedesign.live.requests import Requests
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
-from probedesign.live.sinks import Sinks
 from probedesign.live.view.keeper import Keeper
-from probedesign.live.view.view import View, setup_of
+from probedesign.live.view.view import setup_of
 from probedesign.live.warm_up import warm_up
 from probedesign.probe import build_probe
 
@@ -36,24 +34,16 @@ SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swifts
 """Chromium without a GPU and as root, as in a container."""
 FADED_IN = float(os.environ.get("PROBEDESIGN_VIEW_SECONDS", "20"))
 """The scene fades in over its first frames, which a processor takes its time for [s]."""
-RATE, SECONDS = 7000.0 / 36.0, 10.0
 
 
 def report() -> None:
-    """Draw the picture and measure the estimator with and without the page."""
-    folder = ROOT / "exports" / "large"
+    """Draw the picture."""
     with tempfile.TemporaryDirectory() as elsewhere:
         bundle = Path(elsewhere) / "large.probe.json"
         write_frozen(build_probe(load_design(ROOT / "designs" / "large.toml")).model, bundle)
         estimator = load_estimator(bundle).with_tolerances()  # as the command has it
         warm_up(estimator, print)
-        draw_page(estimator, folder)
-        rows = [
-            _measured("without", estimator, None),
-            _measured("with, 30 frames a second", estimator, folder),
-        ]
-    head = ["page", "estimates/s", "median [ms]", "99 % [ms]", "99.9 % [ms]", "processor"]
-    print_table(f"estimates from sim: at {RATE:.0f} a second for {SECONDS:g} s: how late", head, rows)
+        draw_page(estimator, ROOT / "exports" / "large")
 
 
 def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: Path = PICTURE) -> None:
@@ -119,21 +109,3 @@ def free_port() -> int:
     with socket.socket() as trial:
         trial.bind(("127.0.0.1", 0))
         return int(trial.getsockname()[1])
-
-
-def _measured(name: str, estimator: Estimator, folder: Path | None) -> list[str]:
-    """How late estimates are after their due time, and what this process used; the page's own is not in it."""
-    said: list[str] = []
-    sinks, requests = Sinks(), Requests()
-    if folder is not None:
-        sinks.add(View(estimator, folder, requests, said.append, port=free_port()))
-    source = Simulation(estimator.model, f"rate_hz={RATE:.3f}&seconds={SECONDS:g}&period_s=10")
-    late, start, used = [], 0.0, time.process_time()
-    for answer in estimate_stream(estimator, source, Plan(), said.append, sinks, requests):
-        start = start or time.monotonic() - answer.reading.time
-        late.append(time.monotonic() - start - answer.reading.time)
-    wall, used = time.monotonic() - start, time.process_time() - used
-    sinks.close()
-    ms = 1e3 * (np.array(late) - min(late))
-    spread = [f"{np.percentile(ms, q):.1f}" for q in (50, 99, 99.9)]
-    return [name, f"{len(late) / wall:.0f}", *spread, f"{used / wall:.0%} of a core"]
