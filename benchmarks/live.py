@@ -41,6 +41,8 @@ TARE = Window(0.0, 3.0)
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
 PARTS = 10
 """Of the run, for what grows."""
+RARELY = 100
+"""Estimates from one look at the memory to the next, since that takes as long as some."""
 
 
 def report(minutes: float = MINUTES, view: bool = False) -> None:
@@ -104,7 +106,8 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
             sinks.add(View(estimator, folder, Requests(), print, counts=lambda: source.counts))
         for answer in estimate_stream(estimator, source, plan, print, sinks):
             late.append(1e3 * (answer.made - answer.reading.received))
-            memory.append(_resident())
+            if len(late) % RARELY == 1:
+                memory.append(_resident())
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu
     counts, parts = source.counts, [float(np.median(part)) for part in np.array_split(late, PARTS)]
     tenth = len(memory) // PARTS

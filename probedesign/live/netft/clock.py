@@ -1,6 +1,6 @@
 """The sensor's own clock: time from a counter of 32 bits that wraps, stands still or starts again."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,15 @@ class Times(NamedTuple):
     new: NDArray[np.bool_]
     time: Array
     restarted: NDArray[np.bool_]
+
+
+def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
+    """From each value to the next, the first from the one before, (n,): as `np.diff`, which takes four times as long
+    for the few values that come at once."""
+    found = np.empty_like(values)
+    found[:1] = values[:1] - before
+    np.subtract(values[1:], values[:-1], out=found[1:])
+    return found
 
 
 class SensorClock:
@@ -56,8 +65,8 @@ class SensorClock:
         if not len(ft):
             return Times(new, np.empty(0), np.empty(0, dtype=bool))
         before = self._last or (int(ft[0]), float(received[0]))
-        ticks = np.diff(ft, prepend=before[0]) % WRAP
-        elapsed = np.maximum(np.diff(received, prepend=before[1]), 0.0)
+        ticks = steps(ft, before[0]) % WRAP
+        elapsed = np.maximum(steps(received, before[1]), 0.0)
         restarted = ticks / SAMPLES_PER_SECOND > elapsed + AHEAD
         bridged = np.maximum(np.rint(elapsed * SAMPLES_PER_SECOND), 1.0).astype(np.int64)
         counted = self._ticks + np.cumsum(np.where(restarted, bridged, ticks))

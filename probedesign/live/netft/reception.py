@@ -12,7 +12,7 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.block import Block, silence
-from probedesign.live.netft.clock import SensorClock
+from probedesign.live.netft.clock import SensorClock, steps
 from probedesign.live.netft.configuration import Configuration
 from probedesign.live.netft.losses import COUNTED, Losses
 from probedesign.live.netft.page import Watch
@@ -88,9 +88,11 @@ class Reception:
         records = records[new]
         if not len(records):
             return
-        status = np.where(np.isin(records.status, HARMLESS), 0, records.status)
+        status = records.status
+        if status.any():
+            status = np.where(np.isin(status, HARMLESS), 0, status)
         before = self._last if isfinite(self._last) else records.received[0]
-        broken = restarted | (np.diff(records.received, prepend=before) > STALE)
+        broken = restarted | (steps(records.received, before) > STALE)
         broken[0] |= self._outage.lasts
         cuts = np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(records)]):
