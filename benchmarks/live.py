@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,7 +81,7 @@ class Watched:
     def __post_init__(self) -> None:
         self.title, self.notes = self.source.title, self.source.notes
 
-    def __iter__(self) -> Iterator[Block]:
+    def __iter__(self) -> Generator[Block, None, None]:
         last, quiet = np.nan, False
         for block in self.source:
             if len(block) == 0 and not quiet:

@@ -1,7 +1,7 @@
 """The page of `live --view`: its picture for the documentation, from a real browser.
 
-`python -m benchmarks view`; it needs playwright and Chromium. What the page costs the estimates `benchmarks live --view`
-tells.
+`python -m benchmarks view`; it needs playwright and Chromium. What the page costs the estimates
+`benchmarks live --view` tells.
 """
 
 import base64
