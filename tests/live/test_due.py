@@ -33,7 +33,7 @@ def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
     found, said = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
     assert found == [True, False, True, False, True]
     assert said == [
-        "2 of 5 estimates were left out: each came more than 15 ms late, with newer readings behind it"
+        "2 of 5 estimates were left out: each came more than 12 ms late, with newer readings behind it"
     ]
 
 
