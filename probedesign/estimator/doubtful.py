@@ -3,15 +3,12 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.fit import PLACE
-from probedesign.estimator.likelihood import Fitter
+from probedesign.estimator.likelihood import Fitter, unknowns_of
 from probedesign.estimator.locate import Scan
 from probedesign.estimator.observation import Observation
 from probedesign.estimator.weighing import Causes, Weighing
-from probedesign.frames import Array
 
 NEAR = 0.05
 """Of the length: how far from the place that they were told for doubts are still taken for the same."""
@@ -36,7 +33,7 @@ def locate(
     rod = causes.model.rod
     fitter = Fitter(rod, _drifted(seen, causes), scan or Scan.of(rod, seen))
     weighing = Weighing(causes, seen)
-    place = fitter.likeliest() if near is None else _unknowns(near)
+    place = fitter.likeliest() if near is None else unknowns_of(near)
     found: list[Candidate] = []
     for _ in range(ROUNDS):
         if place is None or not weighing.at(place):
@@ -46,7 +43,7 @@ def locate(
         best = _likeliest(found)
         if best is None or abs(best.s_contact - place[PLACE]) <= NEAR * rod.length:
             break
-        place = _unknowns(best)
+        place = unknowns_of(best)
     return [_told(weighing, candidate) for candidate in found]
 
 
@@ -60,14 +57,9 @@ def _likeliest(places: list[Candidate]) -> Candidate | None:
     return min(places, key=lambda candidate: candidate.chi2, default=None)
 
 
-def _unknowns(place: Candidate) -> Array:
-    """(STATE,)."""
-    return np.concatenate([place.tip, place.force_base, (place.s_contact,)])
-
-
 def _told(weighing: Weighing, place: Candidate) -> Candidate:
     """With the covariance of its point as tolerances make it; its bow as it was."""
-    if not weighing.at(_unknowns(place)):
+    if not weighing.at(unknowns_of(place)):
         return place
     linear = weighing.cov_point
     return replace(place, cov_contact_base=place.cov_contact_base - place.cov_linear_base + linear,

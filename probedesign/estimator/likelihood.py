@@ -69,6 +69,7 @@ class Fitter:
         """The memory that the kernels work in."""
         self._work = np.empty(everywhere.room_for(len(self.rod.body.knots)))
         self._rows = _NONE
+        self._scanned: list[Candidate] = []
 
     @property
     def _reading(self) -> tuple[Any, ...]:
@@ -87,8 +88,11 @@ class Fitter:
         if rows:
             found: Array = min(rows, key=_misfit)[_UNKNOWNS]
             return found
-        place = self.scan.likeliest
-        return None if place is None else np.concatenate([place[1], self.scan.force, (place[0],)])
+        places = self._from_scan()
+        if places:
+            return unknowns_of(min(places, key=lambda place: place.chi2))
+        least = self.scan.likeliest
+        return None if least is None else np.concatenate([least[1], self.scan.force, (least[0],)])
 
     def locate(self, near: Candidate | None = None) -> list[Candidate]:
         """As the function of that name."""
@@ -111,12 +115,19 @@ class Fitter:
 
     def scanned(self) -> list[Candidate]:
         """What is found from wherever the scan along the probe says."""
-        places = self.places((tip, self.scan.force, s) for s, tip in self.scan.starts)
+        places = self._from_scan()
         if not any(self.explains(place) for place in places):
             # The scan may be too coarse where the probe gives way.
             exact = self.scan.candidates
             places += self.places((eq.tip, self.scan.force, eq.s_contact) for eq in exact)
         return places
+
+    def _from_scan(self) -> list[Candidate]:
+        """Fits from wherever the scan says or, where it was asked before, from what was fitted there."""
+        before = [(place.tip, place.force_base, place.s_contact) for place in self._scanned]
+        starts = ((tip, self.scan.force, s) for s, tip in self.scan.starts)
+        self._scanned = self.places(before or starts)
+        return list(self._scanned)
 
     def _everywhere(self, rough: bool) -> Array:
         """Fits from wherever the trace says or, where it was asked before, from what was fitted there, (n, ROW)."""
@@ -193,6 +204,11 @@ class Fitter:
 
     def _same(self, a: Candidate, b: Candidate) -> bool:
         return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + _ALIKE * min(a.std_s, b.std_s)
+
+
+def unknowns_of(place: Candidate) -> Array:
+    """As the fit has them, (STATE,)."""
+    return np.concatenate([place.tip, place.force_base, (place.s_contact,)])
 
 
 def _misfit(row: Array) -> float:
