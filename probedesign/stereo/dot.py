@@ -80,10 +80,13 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
     def misfit(values: Array) -> Array:
         return np.asarray(_model(values, offsets) - levels)
 
+    def by_values(values: Array) -> Array:
+        return _by_values(values, offsets)
+
     found = least_squares(
         misfit,
         start,
-        lambda values: _by_values(values, offsets),
+        by_values,
         loss="soft_l1",
         f_scale=ROBUST,
         x_scale=np.abs(start) + 0.1,
