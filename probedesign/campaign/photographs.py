@@ -9,6 +9,7 @@ import numpy as np
 
 from probedesign.campaign.cameras import read_cameras
 from probedesign.campaign.campaign import Test
+from probedesign.campaign.kept import Kept, key_of
 from probedesign.campaign.manifest import FILE as MANIFEST
 from probedesign.campaign.manifest import Manifest, read_manifest
 from probedesign.campaign.pixels_table import FILE, IMAGES
@@ -69,6 +70,8 @@ def find_all(
 ) -> tuple[list[Seen], tuple[str, ...]]:
     """Find the dots in all photographs of a campaign.
 
+    What is found is kept in the folder at once: after an interruption the next search goes on from there.
+
     Args:
         folder: of the campaign.
         base_side: side of the pictures where the base is; where it is None, the cameras tell.
@@ -81,6 +84,7 @@ def find_all(
 
     Raises:
         InputError: the campaign says no markers, cameras or base side, has no photographs, or one is refused.
+        KeyboardInterrupt: with how many photographs are kept.
     """
     manifest = read_manifest(folder)
     if manifest.markers is None or manifest.cameras is None:
@@ -91,20 +95,23 @@ def find_all(
     taken = _taken(folder, manifest, read_tests(folder, manifest))
     calibrated = base_side is None or (folder / "control_points.csv").exists()
     cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
+    search = _Search(cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark, Kept(folder), tell,
+                     sum(map(len, taken)))  # fmt: skip
     seen = []
-    for i, photographs in enumerate(taken):
-        tell("dots", i / len(taken))
+    for photographs in taken:
         try:
-            seen.append(_seen(photographs, cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark))
+            seen.append(search.test(photographs))
         except InputError as error:
             if not skip:
                 raise InputError(
                     f"{error} (--skip leaves out the tests whose photographs are refused)"
                 ) from None
             seen.append(Seen(photographs, problem=str(error)))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted{search.words_of_kept}") from None
     if all(one.problem for one in seen):
         raise InputError(seen[0].problem)
-    return seen, notes
+    return seen, (*notes, *search.notes)
 
 
 def write_pixels(folder: Path, seen: list[Seen], force: bool) -> Path:
@@ -122,6 +129,7 @@ def write_pixels(folder: Path, seen: list[Seen], force: bool) -> Path:
         for number, ((u, v), std) in enumerate(zip(found.pixels, found.std_px, strict=True), 1)
     ]
     write_atomically(path, "\n".join([HEADER, *lines, ""]).encode())
+    Kept(folder).remove()
     return path
 
 
@@ -165,27 +173,70 @@ def _taken(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Ph
     return taken
 
 
-def _seen(
-    photographs: tuple[Photograph, ...],
-    cameras: list[Camera],
-    s: Array,
-    base_side: Side | None,
-    dark: bool | None,
-) -> Seen:
-    """The dots of one test, checked by the cameras' agreement if they are calibrated."""
-    by_name = {camera.name: camera for camera in cameras}
-    found = []
-    for one in photographs:
-        base = base_side or by_name[one.camera].project(one.test.T_world_base[:3, 3])
-        found.append(find_markers(one.path, s, base, dark))
-    if not cameras:
-        return Seen(photographs, tuple(found))
-    try:
-        placed = triangulate(
-            [by_name[one.camera] for one in photographs],
-            np.array([one.pixels for one in found]),
-            np.array([one.std_px for one in found]),
-        )
-    except InputError as error:
-        raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
-    return Seen(photographs, tuple(found), float(np.sqrt(np.nanmean(placed.residual_px**2))))
+@dataclass
+class _Search:
+    """The search through all photographs of a campaign.
+
+    Attributes:
+        cameras: that are calibrated.
+        s: arclength of the dots [m], (m,).
+        base_side: None where the cameras tell.
+        dark: whether the dots are darker than the probe; either if None.
+        kept: what was found before.
+        tell: of the progress.
+        total: how many photographs there are.
+        at: how many were looked at.
+    """
+
+    cameras: list[Camera]
+    s: Array
+    base_side: Side | None
+    dark: bool | None
+    kept: Kept
+    tell: Tell
+    total: int
+    at: int = 0
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """That not all photographs were looked at now."""
+        used = self.kept.used
+        return (f"{used} of {self.total} photographs were done before and taken over",) if used else ()
+
+    @property
+    def words_of_kept(self) -> str:
+        """For one who interrupts."""
+        done = len(self.kept)
+        return f"; photographs kept: {done}; the same command goes on from there" if done else ""
+
+    def test(self, photographs: tuple[Photograph, ...]) -> Seen:
+        """The dots of one test, checked by the cameras' agreement if they are calibrated."""
+        by_name = {camera.name: camera for camera in self.cameras}
+        found = [self._photograph(one, by_name.get(one.camera)) for one in photographs]
+        if not self.cameras:
+            return Seen(photographs, tuple(found))
+        try:
+            placed = triangulate(
+                [by_name[one.camera] for one in photographs],
+                np.array([one.pixels for one in found]),
+                np.array([one.std_px for one in found]),
+            )
+        except InputError as error:
+            raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
+        return Seen(photographs, tuple(found), float(np.sqrt(np.nanmean(placed.residual_px**2))))
+
+    def _photograph(self, one: Photograph, camera: Camera | None) -> Found:
+        """The dots of one photograph, found now or before."""
+        self.tell(f"dots of {one.path.name}", self.at / self.total)
+        self.at += 1
+        if self.base_side is None:
+            assert camera is not None, "read_cameras has all that the campaign names"
+            base: Array | Side = camera.project(one.test.T_world_base[:3, 3])
+        else:
+            base = self.base_side
+        key = key_of(one.path, self.s, base, self.dark)
+        found = self.kept.get(key)
+        if found is None:
+            found = find_markers(one.path, self.s, base, self.dark)
+            self.kept.add(key, found)
+        return found

@@ -25,6 +25,7 @@ STRAY = 0.25
 SMALL_PX, SMALL_STD_PX = 7.0, 0.4
 """A smaller dot has no outline to fit when the lens blurs it; the middle of its dark pixels is known to less than half
 a pixel (measured on synthetic photographs)."""
+LEAST_SOFT_PX = 0.1  # no pixel tells a sharper edge
 SOFT_PX = 0.8  # a usual lens' blur, to start from
 ROBUST = 3.0  # grey levels beyond which a pixel counts less: an edge, a speck
 
@@ -79,9 +80,13 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> Dot | None:
     def misfit(values: Array) -> Array:
         return np.asarray(_model(values, offsets) - levels)
 
+    def by_values(values: Array) -> Array:
+        return _by_values(values, offsets)
+
     found = least_squares(
         misfit,
         start,
+        by_values,
         loss="soft_l1",
         f_scale=ROBUST,
         x_scale=np.abs(start) + 0.1,
@@ -127,20 +132,51 @@ def _start(offsets: Array, levels: Array, shape: Array) -> Array | None:
 
 def _model(values: Array, offsets: Array) -> Array:
     """Grey levels of an ellipse with a soft edge on a smooth ground."""
-    x, y = (offsets - values[:2]).T
+    share = 0.5 * erfc(_beyond(values, offsets)[0] / (np.sqrt(2) * _softness(values)))
+    ground, inked = _greys(values, offsets)
+    return np.asarray(ground + share * (inked - ground))
+
+
+def _by_values(values: Array, offsets: Array) -> Array:
+    """Derivatives of the grey levels by the values, (n, k); differences would cost the model k times."""
+    soft = _softness(values)
+    beyond, by_ellipse = _beyond(values, offsets)
+    share = 0.5 * erfc(beyond / (np.sqrt(2) * soft))
+    ground, inked = _greys(values, offsets)
+    by_beyond = (ground - inked) * np.exp(-0.5 * (beyond / soft) ** 2) / (np.sqrt(2 * np.pi) * soft)
+    softer = -by_beyond * beyond / soft * np.sign(values[5]) * (soft > LEAST_SOFT_PX)
+    u, v = offsets.T
+    rest = (1 - share)[:, None] * np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+    varies = share[:, None] * offsets[:, : 2 * (len(values) > 13)]
+    return np.column_stack([by_beyond[:, None] * by_ellipse, softer, share, rest, varies])
+
+
+def _softness(values: Array) -> float:
+    return max(abs(float(values[5])), LEAST_SOFT_PX)
+
+
+def _greys(values: Array, offsets: Array) -> tuple[Array, Array]:
+    """Of the ground and of the dot."""
+    u, v = offsets.T
+    c = values[7:13]
+    ground = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
+    inked = values[6] + (values[13] * u + values[14] * v if len(values) > 13 else np.zeros_like(u))
+    return ground, inked
+
+
+def _beyond(values: Array, offsets: Array) -> tuple[Array, Array]:
+    """How far places lie beyond the outline, to first order [px], (n,), and its derivatives by centre and shape,
+    (n, 5)."""
     a, b, c = values[2:5]
+    x, y = (offsets - values[:2]).T
     p, q = a * x + b * y, b * x + c * y
     away = np.sqrt(p * p + q * q) + 1e-9
-    steep = np.hypot(a * p + b * q, b * p + c * q) / away + 1e-9
-    share = 0.5 * erfc((away - 1) / steep / (np.sqrt(2) * max(abs(values[5]), 0.1)))
-    u, v = offsets.T
-    ground = (
-        values[7]
-        + values[8] * u
-        + values[9] * v
-        + values[10] * u * u
-        + values[11] * u * v
-        + values[12] * v * v
-    )
-    inked = values[6] + (values[13] * u + values[14] * v if len(values) > 13 else 0.0)
-    return np.asarray(ground + share * (inked - ground))
+    g, h = a * p + b * q, b * p + c * q
+    steep = np.hypot(g, h) + 1e-9
+    beyond = (away - 1) * away / steep
+    none = np.zeros_like(x)
+    dp, dq = np.array([none - a, none - b, x, y, none]), np.array([none - b, none - c, none, x, y])
+    dg = a * dp + b * dq + np.array([none, none, p, q, none])
+    dh = b * dp + c * dq + np.array([none, none, none, p, q])
+    by = ((2 * away - 1) * (p * dp + q * dq) / away - beyond * (g * dg + h * dh) / steep) / steep
+    return beyond, by.T

@@ -51,7 +51,9 @@ def test_no_place_that_the_scan_finds_is_missed(name, probes, gravity):
     for wrench in noisy(model, gravity, 40, np.random.default_rng(3)):
         fitter = fitter_of(model, gravity, wrench)
         traced, force = fitter.traced(), fitter.seen.force
-        scanned = fitter.places((tip, force, s) for s, tip in Scan(model.rod, gravity, force, wrench[3:]).starts)
+        scanned = fitter.places(
+            (tip, force, s) for s, tip in Scan(model.rod, gravity, force, wrench[3:]).starts
+        )
         for place in scanned:
             if traced and fitter.explains(place):
                 assert any(fitter._same(place, other) for other in traced)

@@ -73,7 +73,9 @@ def test_calibration_agrees_with_opencv():
     assert ours.distortion == pytest.approx(bends.ravel()[:2], abs=1e-3)
 
 
-@pytest.mark.parametrize(("distortion", "points"), [((), 20), ((), 9), ((-0.05,), 20)])
+@pytest.mark.parametrize(
+    ("distortion", "points"), [pytest.param((), 20, marks=pytest.mark.slow), ((), 9), ((-0.05,), 20)]
+)
 def test_stated_covariance_comes_true(distortion, points):
     """Where the camera has points of the box, against where they are, counted by the camera's own covariance."""
     rng, true, square = np.random.default_rng(2), camera(distortion=distortion), []

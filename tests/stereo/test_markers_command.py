@@ -9,9 +9,11 @@ from sights import BOX, SIZE, camera, probe
 
 pytest.importorskip("cv2")
 
+from probedesign.campaign import photographs
 from probedesign.campaign.reading import read_campaign
 from probedesign.cli.main import run
-from probedesign.stereo.picture import write_png
+from probedesign.stereo.finder import find_markers
+from probedesign.stereo.picture import read_grey, write_png
 from probedesign.stereo.render import render
 from probedesign.stereo.tube import sunk
 
@@ -61,6 +63,45 @@ def test_photographs_become_markers_in_space(data, capsys):
 
     assert run(["markers", str(data)]) == 2
     assert "add --force" in capsys.readouterr().err
+
+
+def test_an_interrupted_search_goes_on_from_what_was_done(data, capsys, monkeypatch):
+    """The second photograph is interrupted; then the first is not looked at again, unless it or an option changed."""
+    looked, interrupted, found = [], {"bent-right.png"}, {}
+
+    def find(path, *asked):
+        looked.append(path.name)
+        if path.name in interrupted:
+            raise KeyboardInterrupt
+        if path.name not in found:  # once is enough: what counts here is when it is asked for
+            found[path.name] = find_markers(path, *asked)
+        return found[path.name]
+
+    def markers(*options):
+        looked.clear()
+        status = run(["markers", str(data), "--no-overlays", *options])
+        return status, list(looked), capsys.readouterr()
+
+    monkeypatch.setattr(photographs, "find_markers", find)
+    left, right = "bent-left.png", "bent-right.png"
+    status, seen, told = markers("--dots", "dark")
+    assert (status, seen) == (1, [left, right])
+    assert "photographs kept: 1" in told.err and not (data / "pixels.csv").exists()
+    assert markers("--dots", "either")[1] == [left, right]
+    assert markers("--dots", "dark")[1] == [right]
+    picture = data / "images" / left
+    write_png(picture, read_grey(picture)[:-1])  # a row less
+    assert markers("--dots", "dark")[1] == [left, right]
+    with (data / "pixels.csv.unfinished").open("a") as file:
+        file.write('{"key": "half a li')
+    interrupted.clear()
+    status, seen, told = markers("--dots", "dark")
+    assert (status, seen) == (0, [right]) and "1 of 2 photographs were done before" in told.out
+    kept = (data / "pixels.csv").read_text()
+    assert not (data / "pixels.csv.unfinished").exists()
+    status, seen, told = markers("--dots", "dark", "--force")
+    assert seen == [left, right] and "before" not in told.out
+    assert (data / "pixels.csv").read_text() == kept  # to the last digit
 
 
 def swap_photographs(data):

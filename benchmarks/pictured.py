@@ -1,0 +1,97 @@
+"""Campaigns seen through cameras that were calibrated once: what their calibration errs by is common to all markers."""
+
+import math
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.laboratory import Kind, draw
+from benchmarks.timing import print_table
+from benchmarks.touches import paper_models
+from probedesign.frames import Array
+from probedesign.identification.identify import Data, identify
+from probedesign.identification.trial import Trial
+from probedesign.stereo.calibrate import calibrate
+from probedesign.stereo.camera import Camera
+from probedesign.stereo.triangulate import triangulate
+from probedesign.units import MM
+
+DRAWS = 40
+CLICK_PX, DOT_PX = 0.5, 0.2
+"""Standard deviation of a clicked control point and of a dot, as docs/stereo.md has them."""
+_EXACT = 1e-9  # m: what the cameras then see is drawn here
+STEREO = Kind("stereo", "two cameras, 20 control points clicked to 0.5 px, dots to 0.2 px",
+              ((0.4, 0.2), (0.55, 0.1), (0.7, 0.06), (0.85, 0.04)),
+              ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), 4, _EXACT, _EXACT, 1.0 * MM)  # fmt: skip
+BOX = np.array([(x, y, z) for x in np.linspace(0, 0.2, 5) for y in (-0.06, 0.06) for z in (-0.06, 0.06)])
+"""The paper's box has 20 points; their places are assumed [m]. Its x is the probe's z."""
+TRUE = tuple(
+    Camera.looking(name, (x, -0.55, 0.25), (0.1, 0.0, 0.0), 3000.0, (1920, 1080))
+    for name, x in (("left", -0.15), ("right", 0.35))
+)
+TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from the world to the box
+
+
+def report() -> None:
+    """Print the table."""
+    rows = []
+    with ProcessPoolExecutor(os.cpu_count()) as workers:
+        for common in (True, False):
+            found = np.array(list(workers.map(_campaign, [common] * DRAWS, range(DRAWS))))
+            off, stated = found[np.isfinite(found).all(axis=1)].T
+            rows.append([
+                "one calibration for all tests" if common else "each place's error its own", str(len(off)),
+                f"{np.sqrt(np.mean(off**2)):.3%}", f"{np.mean(off):.3%}", f"{np.sqrt(np.mean(stated**2)):.3%}",
+                f"{np.mean(np.abs(off) <= 1.959964 * stated):.1%}",
+            ])  # fmt: skip
+    head = ["calibration", "identified", "E off, RMS", "mean", "stated", "within stated 95 %"]
+    print_table(f"{DRAWS} campaigns each, {STEREO.words}; dimensions as designed", head, rows)
+
+
+def _campaign(common: bool, seed: int) -> tuple[float, float]:
+    """Of one campaign: log error of E and its stated deviation."""
+    data, truth = draw(paper_models()["large"], STEREO, 3000 + seed)
+    found = identify(pictured(data, 7000 + seed, common=common), ("E",))
+    E = found.of("E")
+    if found.result != "ok" or E is None or E.std is None:
+        return math.nan, math.nan
+    return math.log(1e6 * E.value / truth.rod.youngs_modulus), E.std / E.value
+
+
+def pictured(data: Data, seed: int, *, common: bool = True) -> Data:
+    """A campaign of exact places as cameras have it.
+
+    Args:
+        data: its markers and touched places without errors.
+        seed: of clicks and dots.
+        common: whether one calibration holds for all tests; else each marker's error is drawn on its own from the
+            covariance that is stated, which is what identification assumes.
+    """
+    rng = np.random.default_rng(seed)
+    cameras = [calibrate(c.name, BOX, c.project(BOX) + CLICK_PX * rng.normal(size=(20, 2))) for c in TRUE]
+    return replace(data, trials=tuple(_seen(trial, cameras, common, rng) for trial in data.trials))
+
+
+def _seen(trial: Trial, cameras: list[Camera], common: bool, rng: np.random.Generator) -> Trial:
+    points, cov = _placed(trial.p_markers_world, cameras, common, rng)
+    trial = replace(trial, p_markers_world=points, cov_markers=cov)
+    if trial.p_touch_world is None:
+        return trial
+    touch, cov = _placed(trial.p_touch_world[None], cameras, common, rng)
+    return replace(trial, p_touch_world=touch[0], std_touch=float(np.sqrt(np.trace(cov[0]) / 3)))
+
+
+def _placed(
+    p_world: Array, cameras: list[Camera], common: bool, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Places as the cameras have them, and their stated covariances."""
+    points = p_world @ TURN.T
+    pixels = np.array([c.project(points) + DOT_PX * rng.normal(size=(len(points), 2)) for c in TRUE])
+    found = triangulate(cameras, pixels, DOT_PX)
+    cov = TURN.T @ found.cov_world @ TURN
+    if common:
+        return found.p_world @ TURN, cov
+    errors = np.einsum("nij,nj->ni", np.linalg.cholesky(cov), rng.normal(size=points.shape))
+    return p_world + errors, cov
