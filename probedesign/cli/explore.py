@@ -2,20 +2,58 @@
 
 import sys
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from probedesign.cli.base_options import BaseOptions
 from probedesign.cli.ending import ending_well
+from probedesign.cli.explored_files import FILES, check_out, write_cloud
 from probedesign.cli.output import counted, print_json, working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
+    from probedesign.estimator.model import ProbeModel
+    from probedesign.exploring.base import Base
     from probedesign.exploring.cloud import Cloud
+    from probedesign.live.pose.poses import Poses
     from probedesign.live.source import Source
 
-FILES = ("points.csv", "points.ply", "points.html", "points.svg")
+
+@Parameter(name="*")
+@dataclass
+class ReadingOptions:
+    """What is read, and how."""
+
+    source: str | None = None
+    """Instead of a recording, as for `live`; ends with the source, at --seconds or with Ctrl-C."""
+    mend: bool = False
+    """Go on with a recording that lacks something: lines, or its end."""
+    topic: str = ""
+    """Of a bag's wrenches, if there are several."""
+    moment_unit: Literal["Nm", "Nmm"] = "Nm"
+    """Of a bag whose publisher does not keep to N·m."""
+    other_probe: bool = False
+    """Read a recording that was made with another probe."""
+
+    def opened(self, recording: Path | None, model: "ProbeModel", poses: "Poses") -> "Source":
+        """The recording or the source, and that its time is that of the poses.
+
+        Raises:
+            InputError: it is not.
+        """
+        from probedesign.exploring.explore import check_poses, play
+        from probedesign.live.recorded import Choice
+        from probedesign.live.source import open_source
+
+        if recording is None:
+            return open_source(str(self.source), model, _say)
+        choice = Choice(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
+        played = play(recording, model, self.mend, choice)
+        check_poses(poses, played.span)
+        return played
 
 
 def explore(
@@ -23,22 +61,17 @@ def explore(
     recording: Path | None = None,
     /,
     *,
-    pose: str = "fixed",
     tare_s: str | None = None,
-    source: str | None = None,
     out: Path | None = None,
     force: bool = False,
     average: int = 1,
     apart_mm: float = 5.0,
-    pose_latency_ms: float = 0.0,
-    gravity_world: str | None = None,
     seconds: float | None = None,
-    mend: bool = False,
-    topic: str = "",
-    moment_unit: Literal["Nm", "Nmm"] = "Nm",
-    other_probe: bool = False,
     manifest: Path | None = None,
+    reading: ReadingOptions | None = None,
+    base: BaseOptions | None = None,
     rehearse: Path | None = None,
+    seed: int = 1,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Turn touches from a moving base into points of the world with their ellipsoids.
@@ -50,39 +83,30 @@ def explore(
     Args:
         bundle: the frozen probe, NAME.probe.json.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
-        pose: of the base: FILE.csv or .jsonl, a ROS 2 bag or udp://:PORT, as for `live`.
         tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
-        source: instead of a recording, as for `live`; ends with the source, at --seconds or with Ctrl-C.
         out: the folder to write.
         force: replace the files that stand there.
         average: take means of so many readings.
         apart_mm: the object's points lie at least so far apart; touches that are surely nearer may be one point. 0
             fuses none.
-        pose_latency_ms: by which a pose arrives later than a reading of the same moment.
-        gravity_world: in the world's axes [m/s²], as 0,0,-9.81, which it is unless said.
         seconds: end so many seconds after the first reading.
-        mend: go on with a recording that lacks something: lines, or its end.
-        topic: of a bag's wrenches, if there are several.
-        moment_unit: of a bag whose publisher does not keep to N·m.
-        other_probe: read a recording that was made with another probe.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
-        rehearse: write the recording and the poses of a simulated card house to this folder, to try with, and end.
+        rehearse: write the recording and the poses of a simulated card house to this folder, to try with, and end;
+            stiffness and base are off as the bundle and the options say.
+        seed: of what is off in it.
         as_json: print one JSON document: the points and all that is to know of them.
     """
-    from probedesign.deployment import load_estimator
-    from probedesign.estimator.unknowns import Unknowns
-    from probedesign.exploring.explore import Exploration, check_apart, check_poses, play
-    from probedesign.exploring.table import document_of, lines_of
+    from probedesign.deployment import load_estimator, load_model
+    from probedesign.exploring.explore import Exploration, check_apart, check_poses
     from probedesign.live.plan import Plan
-    from probedesign.live.pose.spec import open_poses
-    from probedesign.live.recorded import Choice
-    from probedesign.live.source import open_source
     from probedesign.live.tare import parse_window
     from probedesign.live.warm_up import warm_up
 
+    reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearse is not None:
-        return _rehearse(bundle, rehearse, force, manifest)
-    if (recording is None) == (source is None):
+        model = load_model(bundle, manifest)
+        return _rehearse(model, base.base(model), rehearse, seed, force)
+    if (recording is None) == (reading.source is None):
         raise InputError("explore takes a recording, or --source for a run that is live: one of them")
     if tare_s is None:
         raise InputError(
@@ -90,26 +114,20 @@ def explore(
         )
     plan = Plan(parse_window(tare_s), average, seconds=seconds, estimates=False)
     apart = check_apart(apart_mm)
-    _check_out(out, force)
+    if out is not None:
+        check_out(out, force)
     estimator = load_estimator(bundle, manifest)
-    model = estimator.model
-    poses = check_poses(open_poses(pose, pose_latency_ms, gravity_world, _say), None)
+    model, known = estimator.model, base.base(estimator.model)
+    poses = check_poses(base.poses(_say), None)
     with working("loading the rod kernels"):
         warm_up(estimator, _say, fusing=True)
-        opened: Source
-        if recording is not None:
-            opened = played = play(
-                recording, model, mend, Choice(topic, moment_unit=moment_unit, other_probe=other_probe)
-            )
-            check_poses(poses, played.span)
-        else:
-            opened = open_source(str(source), model, _say)
-    for note in (opened.title, *opened.notes, poses.title, *poses.notes):
+        opened = reading.opened(recording, model, poses)
+    for note in (opened.title, *opened.notes, poses.title, *poses.notes, known.line):
         _say(note)
-    exploration = Exploration(estimator, Unknowns.of(model), apart=apart)
+    exploration = Exploration(estimator, known.unknowns(model), known.turn, apart)
     with ending_well(), suppress(KeyboardInterrupt):  # what was touched by then is told
         for touch in exploration.run(opened, plan, poses, _say):
-            if source is not None:
+            if recording is None:
                 _say(f"touch {touch.series.number} is over: {touch.result}")
     if exploration.placeless:
         _say(
@@ -117,12 +135,19 @@ def explore(
         )
     cloud = exploration.cloud()
     if out is not None:
-        _write(out, cloud, f"{model.name} {model.fingerprint}", opened.title)
+        probe = f"{model.name} {model.fingerprint}"
+        write_cloud(out, cloud, probe, [opened.title, f"probe {probe}", _summary(cloud), known.short])
+    _print(cloud, out, as_json)
+
+
+def _print(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
+    from probedesign.exploring.table import document_of, lines_of
+
     if as_json:
         print_json(document_of(cloud))
-    else:
-        print("\n".join(lines_of(cloud)) or "no touch")
-        print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
+        return
+    print("\n".join(lines_of(cloud)) or "no touch")
+    print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
 
 
 def _summary(cloud: "Cloud") -> str:
@@ -132,47 +157,20 @@ def _summary(cloud: "Cloud") -> str:
     return f"{told}{lost}; E by them {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f} of the bundle's"
 
 
-def _write(out: Path, cloud: "Cloud", probe: str, what: str) -> None:
-    from probedesign.exploring.page import page_of
-    from probedesign.exploring.picture import svg_of
-    from probedesign.exploring.ply import ply_of
-    from probedesign.exploring.table import csv_of
-    from probedesign.files import write_atomically
-
-    about = [what, f"probe {probe}", _summary(cloud), "Ellipsoids hold the true point in 95 of 100 cases, as far as "
-             "stiffness, base, robot and bias are known as well as said; ± is the RMS distance."]  # fmt: skip
-    contents = (csv_of(cloud), ply_of(cloud, f"probedesign explore, probe {probe}"),
-                page_of(cloud, "Points touched", about), svg_of(cloud))  # fmt: skip
-    for name, content in zip(FILES, contents, strict=True):
-        write_atomically(out / name, content)
-
-
-def _check_out(out: Path | None, force: bool) -> None:
-    from probedesign.files import check_room
-
-    if out is None:
-        return
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out}: is a file; name a folder")
-    check_room(out / FILES[0])
-    standing = [name for name in FILES if (out / name).exists()]
-    if standing and not force:
-        raise InputError(f"{out}/{standing[0]}: exists; say --force to replace it, or name another folder")
-
-
-def _rehearse(bundle: Path, folder: Path, force: bool, manifest: Path | None) -> None:
+def _rehearse(model: "ProbeModel", base: "Base", folder: Path, seed: int, force: bool) -> None:
     """Write a simulated run to try with."""
     import numpy as np
 
-    from probedesign.deployment import load_model
     from probedesign.exploring.card_house import spots
-    from probedesign.exploring.rehearsal import rehearse
+    from probedesign.exploring.rehearsal import Errors, rehearse
     from probedesign.exploring.rehearsal_files import write_rehearsal
 
-    model = load_model(bundle, manifest)
-    rng = np.random.default_rng(1)
+    if seed < 0:
+        raise InputError(f"--seed {seed} must not be negative")
+    rng = np.random.default_rng(seed)
     with working("touching a card house"):
-        written = write_rehearsal(rehearse(model, spots(), rng), model, folder, rng, force)
+        house = rehearse(model, spots(), rng, Errors.of(model, base))
+        written = write_rehearsal(house, model, folder, rng, force)
     print(f"wrote {', '.join(map(str, written))}")
 
 

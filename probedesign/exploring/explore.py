@@ -11,8 +11,8 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
 from probedesign.estimator.unknowns import EXACT, Unknowns
+from probedesign.exploring.base import Base
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
@@ -152,11 +152,8 @@ class Exploration:
 
     @property
     def _turn(self) -> Array:
-        if self.turn is not None:
-            return np.maximum(self.turn, EXACT)
-        known = Tolerances.of(self.estimator.model)
-        told = np.radians([known.tilt_deg, known.tilt_deg, known.clocking_deg])
-        return np.maximum(told, EXACT)
+        turn = Base.of(self.estimator.model).turn if self.turn is None else self.turn
+        return np.maximum(turn, EXACT)
 
     def _touched(self, series: Series) -> Touched:
         found = touched(series, self.estimator, self.unknowns)

@@ -8,7 +8,9 @@ tells its point p only by them,
 c being the logarithm of the stiffness, the base's offset and its turn; and it tells something of c itself. Two touches
 of one point become one by the same three: that they agree says more of c, and nothing that is common is counted twice.
 A base that is turned by θ more than the poses say carries the point along, θ × p about its origin; what the turn does
-to the readings of one touch is of second order, since gravity's part is read anew beside it.
+to the readings of one touch is of second order, since gravity's part is read anew beside it. Left out: a probe hangs
+down however its base is turned, so that its sag is not carried along, a tenth of the turn's part for the large probe
+(tests/exploring/test_turned_base.py).
 """
 
 from dataclasses import dataclass

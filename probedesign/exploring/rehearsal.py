@@ -8,13 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from probedesign.errors import InputError
 from probedesign.estimator.detector import DRIFT_STEPS
 from probedesign.estimator.model import ProbeModel
+from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import Spot
 from probedesign.exploring.robot_way import Way
-from probedesign.frames import Array
+from probedesign.frames import Array, pose
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.obstacle import Press, press_against_line
 from probedesign.rod.rod import Mode, Rod
@@ -39,12 +41,21 @@ class Errors:
         base_offset: of the base's place, the same all along, on each axis [m].
         base_repeat: of the base's place at each pose for itself, on each axis [m].
         walk: of the bias in a second, in steps of the sensor's resolution; 0.2 from touch to touch.
+        turn: of base and sensor together about the base's axes, the same all along [rad], (3,). The poses do not tell
+            it; where the base goes is taught at the object by feel, so that the presses are as firm as without it.
     """
 
     stiffness: float = 0.01
     base_offset: float = 0.05e-3
     base_repeat: float = 0.01e-3
     walk: float = DRIFT_STEPS
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, model: ProbeModel, base: Base) -> "Errors":
+        """As a bundle and a base are said to be known."""
+        unknowns, (x, y, z) = base.unknowns(model), base.turn.tolist()
+        return cls(unknowns.stiffness, unknowns.base_offset, unknowns.base_repeat, turn=(x, y, z))
 
 
 @dataclass(frozen=True)
@@ -119,8 +130,10 @@ def rehearse(
     errors = errors or Errors()
     factor = float(np.exp(rng.normal(0.0, errors.stiffness)))
     offset = rng.normal(0.0, errors.base_offset, 3)
-    bench = _Bench(model, _stiffened(model.rod, factor), base_turn())
-    way = Way(bench.R, bench.free_true.wrench_base, rng, pace, errors.walk)
+    # Drawn from a stream of its own: with a turn and without, all else is the same.
+    turn = Rotation.from_rotvec(rng.spawn(1)[0].normal(0.0, errors.turn)).as_matrix()
+    bench = _Bench(model, _stiffened(model.rod, factor), base_turn(), turn)
+    way = Way(bench.R_told, bench.free_true.wrench_base, rng, pace, errors.walk)
     touches = [_touch(bench, way, spot, offset, errors, rng) for spot in spots]
     return Rehearsal(way, tuple(touches), bench.free_true.wrench_base, bench.gravity)
 
@@ -132,9 +145,10 @@ def _stiffened(rod: Rod, factor: float) -> Rod:
 class _Bench:
     """The probe as it is known and as it is, hanging free."""
 
-    def __init__(self, model: ProbeModel, true: Rod, R: Array) -> None:
-        self.rod, self.true, self.R = model.rod, true, R
-        self.gravity = R.T @ np.array([0.0, 0.0, -9.81])
+    def __init__(self, model: ProbeModel, true: Rod, R_told: Array, turn: Array) -> None:
+        self.rod, self.true = model.rod, true
+        self.R_told, self.R = R_told, R_told @ turn
+        self.gravity = self.R.T @ np.array([0.0, 0.0, -9.81])
         self.free = self.rod.solve(self.gravity)
         self.free_true = true.solve(self.gravity, mode="reference")
 
@@ -207,14 +221,8 @@ def _touch(
         float(np.linalg.norm(beyond[:, 3:], axis=1).max()),
         min(_clearance(bench, spot, p, press.equilibrium, press.s_surface)
             for p, press in zip(way.last_told(len(presses)), presses, strict=True)),
-        wrenches, np.array([_pose(bench.R, p) for p in way.last_told(len(presses))]),
+        wrenches, np.array([pose(bench.R_told, p) for p in way.last_told(len(presses))]),
     )  # fmt: skip
-
-
-def _pose(R: Array, p: Array) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, p
-    return T
 
 
 def _clearance(bench: _Bench, spot: Spot, p_base: Array, eq: Equilibrium, s_contact: float) -> float:

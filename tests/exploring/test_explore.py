@@ -90,6 +90,16 @@ def test_json_tells_the_same(probe, house, found, capsys):
     assert document["not_located"] == [] and abs(document["stiffness_factor"] - 1.0) < 0.04
 
 
+def test_a_base_that_is_said_to_be_known_makes_smaller_ellipsoids(probe, house, found, capsys):
+    """A turn of 0.2° and 0.5° is half a millimetre at 150 mm; without it what all points share is far less."""
+    still = ["--tilt-deg", "0", "--clocking-deg", "0", "--base-offset-mm", "0.02"]
+    assert run(arguments(probe, house[1], "--json", *still)) == 0
+    told = capsys.readouterr()
+    assert "known to 0.02 mm in common and 0.01 mm from pose to pose, tilt 0°, clocking 0°" in told.err
+    for point, row in zip(json.loads(told.out)["points"], found[1], strict=True):
+        assert point["common_rms_mm"] < 0.5 * float(row["common_rms_mm"])
+
+
 def test_a_source_tells_the_same_as_the_recording(probe, house, found, capsys):
     """The same chain to the bit; a replay is a source like a sensor."""
     folder = house[1]
@@ -143,6 +153,14 @@ def test_nothing_is_replaced_unasked(probe, house, found, capsys):
     assert "--force" in refused(capsys, arguments(probe, house[1], "--out", found[0]))
 
 
-@pytest.mark.parametrize("more", [["--apart-mm", "-1"], ["--source", "sim:"]])
+@pytest.mark.parametrize(
+    "more", [["--apart-mm", "-1"], ["--source", "sim:"], ["--tilt-deg", "nan"], ["--base-offset-mm", "50"]]
+)
 def test_options_that_cannot_be_meant(probe, house, capsys, more):
     refused(capsys, arguments(probe, house[1], *more))
+
+
+def test_a_seed_that_is_none(probe, tmp_path, capsys):
+    assert "--seed -1" in refused(
+        capsys, ["explore", str(probe), "--rehearse", str(tmp_path), "--seed", "-1"]
+    )

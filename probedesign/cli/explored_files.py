@@ -1,0 +1,50 @@
+"""What `explore` writes of a cloud: a table, points, a page and a picture."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from probedesign.errors import InputError
+
+if TYPE_CHECKING:
+    from probedesign.exploring.cloud import Cloud
+
+FILES = ("points.csv", "points.ply", "points.html", "points.svg")
+
+
+def check_out(out: Path, force: bool) -> None:
+    """That the files can be written to a folder.
+
+    Raises:
+        InputError: they cannot, or stand there already.
+    """
+    from probedesign.files import check_room
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out}: is a file; name a folder")
+    check_room(out / FILES[0])
+    standing = [name for name in FILES if (out / name).exists()]
+    if standing and not force:
+        raise InputError(f"{out}/{standing[0]}: exists; say --force to replace it, or name another folder")
+
+
+def write_cloud(out: Path, cloud: "Cloud", probe: str, about: list[str]) -> None:
+    """Write all files.
+
+    Args:
+        out: the folder.
+        cloud: what was found.
+        probe: its name and fingerprint.
+        about: lines that say what it was found from.
+    """
+    from probedesign.exploring.page import page_of
+    from probedesign.exploring.picture import svg_of
+    from probedesign.exploring.ply import ply_of
+    from probedesign.exploring.table import csv_of
+    from probedesign.files import write_atomically
+
+    about = [*about, "Ellipsoids hold the true point in 95 of 100 cases, as far as stiffness, base, robot and bias are "
+             "known as well as said; ± is the RMS distance."]  # fmt: skip
+    contents = (csv_of(cloud), ply_of(cloud, f"probedesign explore, probe {probe}"),
+                page_of(cloud, "Points touched", about), svg_of(cloud))  # fmt: skip
+    for name, content in zip(FILES, contents, strict=True):
+        write_atomically(out / name, content)
