@@ -30,7 +30,9 @@ def svg_of(cloud: Cloud, outlines: Sequence[Array] = (), view: View | None = Non
     view = view or View()
     polygons = [view.seen(polygon) / MM for polygon in outlines]
     p = view.seen(np.array([point.p_world for point in cloud.points]).reshape(-1, 3)) / MM
-    scale, origin = _fit(np.concatenate([p, *polygons]) if len(p) or polygons else np.zeros((1, 2)))
+    reach = np.array([_reach(point, view) for point in cloud.points]).reshape(-1, 2)
+    seen = np.concatenate([p - reach, p + reach, *polygons])
+    scale, origin = _fit(seen if len(seen) else np.zeros((1, 2)))
 
     def at(flat: Array) -> Array:
         placed: Array = (flat - origin) * (scale, -scale) + (0.5 * WIDTH, 0.5 * HEIGHT)
@@ -56,6 +58,13 @@ def _fit(flat: Array) -> tuple[float, Array]:
     span = np.maximum(high - low, FEWEST_MM)
     room = np.array([WIDTH, HEIGHT]) - 2.0 * EDGE
     return float((room / span).min()), 0.5 * (low + high)
+
+
+def _reach(point: Point, view: View) -> Array:
+    """How far its ellipsoid goes to the right and up [mm], (2,)."""
+    flat = view.axes @ point.cov_world @ view.axes.T
+    reach: Array = np.sqrt(WITHIN_95 * np.diag(flat)) / MM
+    return reach
 
 
 def _polygon(flat: Array) -> str:

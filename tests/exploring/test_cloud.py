@@ -1,5 +1,6 @@
 """Touches to points: what is common to all is counted once, vague touches are left apart."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.exploring.cloud import cloud_of
 from probedesign.exploring.located import Located, _by_turn
+from probedesign.exploring.picture import svg_of
 from probedesign.exploring.touched import Touched
 
 PRIOR = np.array([0.01, 0.05e-3, 0.05e-3, 0.05e-3])
@@ -90,3 +92,14 @@ def test_a_turned_base_carries_its_points_along_and_that_is_counted():
     located = Located(p, by, 1e-12 * np.eye(3), np.zeros((3, 3)), np.zeros(3))
     std = np.radians([0.2, 0.2, 0.5])
     assert np.allclose(located.cov(np.diag(std**2)), by @ np.diag(std**2) @ by.T, atol=1e-11)
+
+
+def test_the_picture_holds_every_ellipsoid():
+    """Two vague points that lie near to each other: their ellipsoids are longer than the way between them."""
+    picture = svg_of(cloud_of([touch(1, (0, 0, 0), 5e-3), touch(2, (20e-3, 0, 0), 5e-3)], PRIOR)).decode()
+    width, height = map(float, re.findall(r'<rect width="([\d.]+)" height="([\d.]+)"', picture)[0])
+    found = re.findall(r'translate\(([\d.-]+) ([\d.-]+)\).*?rx="([\d.]+)" ry="([\d.]+)"', picture)
+    assert len(found) == 2
+    for x, y, rx, ry in (map(float, numbers) for numbers in found):
+        least = min(rx, ry)  # however the ellipse is turned, it goes so far each way
+        assert least < x < width - least and least < y < height - least
