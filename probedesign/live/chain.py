@@ -21,7 +21,7 @@ from probedesign.live.answer import Answer
 from probedesign.live.batch import Batch, Batches
 from probedesign.live.block import Block
 from probedesign.live.contacts import Contact, Contacts
-from probedesign.live.due import Due
+from probedesign.live.due import LATE, Due
 from probedesign.live.locate import locate
 from probedesign.live.low_pass import LowPass
 from probedesign.live.plan import Plan
@@ -65,7 +65,7 @@ class Chain:
         self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
         self._now = -math.inf
-        self.due = Due(plan.rate, say)
+        self.due = Due(plan.rate, say, LATE if plan.estimates else math.inf)
         self._stretch = 0
         self._seen = Seen("", None)
         self._lacks_pose = False

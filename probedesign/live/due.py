@@ -23,13 +23,15 @@ class Due:
         left_out: those of them whose reading had waited too long.
     """
 
-    def __init__(self, rate: float, say: Callable[[str], None]) -> None:
+    def __init__(self, rate: float, say: Callable[[str], None], late: float = LATE) -> None:
         """Begin.
 
         Args:
             rate: of estimates [Hz].
             say: takes each line that a user should know.
+            late: from when on a reading has waited too long [s]; infinite where nobody waits for what is made of it.
         """
+        self._late = late
         self._period, self._due, self._say = 1.0 / rate, -math.inf, say
         self.wanted = self.left_out = 0
         self._start, self._before, self._behind = -math.inf, (0, 0), False
@@ -45,7 +47,7 @@ class Due:
             return False
         if reading.time - self._start > SPAN:
             self._tell(reading.time)
-        late = monotonic() - max(reading.received, ready) > LATE  # never so of one that came by no wire
+        late = monotonic() - max(reading.received, ready) > self._late  # never so of one that came by no wire
         self.wanted, self.left_out = self.wanted + 1, self.left_out + late
         return not late
 
@@ -54,7 +56,7 @@ class Due:
         if self.left_out:
             self._say(
                 f"{self.left_out} of {self.wanted} estimates were left out: each came more than "
-                f"{1e3 * LATE:g} ms late, with newer readings behind it"
+                f"{1e3 * self._late:g} ms late, with newer readings behind it"
             )
 
     def _is_due(self, time: float) -> bool:
@@ -71,7 +73,7 @@ class Due:
         behind = left_out > SHARE * wanted
         if behind and not self._behind:
             self._say(
-                f"{left_out} of {wanted} estimates left out in {SPAN:g} s: each came more than {1e3 * LATE:g} ms "
+                f"{left_out} of {wanted} estimates left out in {SPAN:g} s: each came more than {1e3 * self._late:g} ms "
                 f"late; a lower --rate-hz needs less"
             )
         elif self._behind and not behind:

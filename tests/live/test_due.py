@@ -56,3 +56,10 @@ def test_a_reading_that_waited_for_its_pose_is_as_old_as_that(monkeypatch):
 def test_a_replay_is_never_late(monkeypatch):
     found, said = wanted([0.0, 1e6, 0.0], 0.01 * np.arange(3), float("nan"), monkeypatch)
     assert found == [True] * 3 and not said
+
+
+def test_where_nobody_waits_for_estimates_no_reading_is_late(monkeypatch):
+    """`explore` makes points of whole touches, and wants every reading."""
+    kept = Due(100.0, print, np.inf)
+    monkeypatch.setattr(due, "monotonic", lambda: 1e6)
+    assert kept.wants(replace(READING, received=0.0)) and kept.left_out == 0
