@@ -1,5 +1,6 @@
 """What a section looks like: full and round, hollow or flattened. The same along the whole probe, but for its size."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -55,6 +56,10 @@ class CrossSection:
     def full_round(self) -> bool:
         """Whether it is neither."""
         return not (self.hollow or self.flat)
+
+    def reach(self, side: float) -> float:
+        """From the axis to the surface over the half-width along x, in the direction `side` from x to y [rad]."""
+        return 1.0 / math.hypot(math.cos(side), math.sin(side) / self.flatness)
 
     @cached_property
     def factors(self) -> Factors:

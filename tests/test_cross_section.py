@@ -96,3 +96,10 @@ def test_what_is_no_section_is_one_line(proportions):
     with pytest.raises(InputError, match="section") as error:
         CrossSection(**proportions)
     assert str(error.value).isprintable()
+
+
+@pytest.mark.parametrize("section", SECTIONS, ids=str)
+@pytest.mark.parametrize("side", [0.0, 0.4, math.pi / 2.0, 2.5])
+def test_the_surface_lies_on_the_ellipse_in_the_direction_that_is_meant(section, side):
+    x, y = section.reach(side) * math.cos(side), section.reach(side) * math.sin(side)
+    assert x**2 + (y / section.flatness) ** 2 == pytest.approx(1.0, rel=EXACT)

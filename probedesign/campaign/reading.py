@@ -37,7 +37,7 @@ def read_campaign(path: str | Path) -> Campaign:
     manifest = read_manifest(folder)
     rows = read_tests(folder, manifest)
     names = {row.name: i for i, row in enumerate(rows)}
-    wrenches, frame = read_wrenches(folder, names)
+    wrenches, frame, assumed = read_wrenches(folder, names)
     markers, notes = _seen(folder, manifest, names)
     marker_s, side = _markers_of(manifest)
     for row, seen in zip(rows, markers, strict=True):
@@ -50,7 +50,7 @@ def read_campaign(path: str | Path) -> Campaign:
         replace(row, wrenches=read, frame=frame, markers=seen)
         for row, read, seen in zip(rows, wrenches, markers, strict=True)
     )
-    return _campaign(folder, manifest, marker_s, side, tests, notes)
+    return _campaign(folder, manifest, marker_s, side, tests, (*notes, *assumed))
 
 
 def _seen(

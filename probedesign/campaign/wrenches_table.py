@@ -20,7 +20,7 @@ KIND = Kind(
 )
 
 
-def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame]:
+def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame, tuple[str, ...]]:
     """Read `wrenches.csv`, if there is one.
 
     Args:
@@ -28,14 +28,14 @@ def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Fra
         tests: place of each test by name.
 
     Returns:
-        Readings of each test [N, N·m], (n, 6), and the frame they are told in.
+        Readings of each test [N, N·m], (n, 6), the frame they are told in, and what was assumed, a line each.
 
     Raises:
         InputError: it says something wrong; one line.
     """
     path = folder / FILE
     if not path.exists():
-        return [np.zeros((0, 6)) for _ in tests], "base"
+        return [np.zeros((0, 6)) for _ in tests], "base", ()
     rows = read_rows(path, KIND)
     frame = rows.table.frame
     which = np.array(known_test(rows, tests))
@@ -45,4 +45,9 @@ def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Fra
         (name, i if np.isnan(t) else float(t)) for i, (name, t) in enumerate(zip(names, time, strict=True))
     ]
     rows.once(keys, lambda row: f"test {names[row]} at {time[row]:g} s")
-    return [wrench[which == i] for i in range(len(tests))], frame
+    assumed = f"{FILE}: names no frame, the sensor's is assumed; its first line should be `# frame: sensor` or `base`"
+    return (
+        [wrench[which == i] for i in range(len(tests))],
+        frame,
+        () if rows.table.names_frame else (assumed,),
+    )

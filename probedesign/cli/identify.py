@@ -49,14 +49,14 @@ def identify(
     if not as_json:
         _print(found)
         print("wrote", ", ".join(map(str, files)))
+    changes: tuple[Change, ...] = ()
+    path = kept = refused = None
     try:
         changes, path, kept = pipeline.write_identified(found, design, out, write, force)
     except InputError as error:
         if write or out is not None:
             raise
-        changes, path, kept = (), None, None
-        if not as_json:
-            print(error)
+        refused = error
     if as_json:
         print_json(
             {
@@ -71,6 +71,8 @@ def identify(
         _print_changes(changes, path, design)
     if kept is not None and not as_json:
         print(f"kept {out} as it was: {kept}")
+    if refused is not None:  # last, when all that was found is told
+        raise refused
 
 
 def _print(found: "Identification") -> None:

@@ -178,9 +178,11 @@ class Bent:
 
         The section turns with its tangent; a change of its twist, which round rods have none of, is left out.
         """
-        rod, R = self.guess.rod, self.eq.R_at(s)
-        offset = np.interp(s, rod.s, rod.radius)[:, None] * (
-            np.cos(side) * R[:, :, 0] + np.sin(side) * R[:, :, 1]
+        rod, R, section = self.guess.rod, self.eq.R_at(s), self.guess.shared.model.cross_section
+        offset = (
+            section.reach(side)
+            * np.interp(s, rod.s, rod.radius)[:, None]
+            * (np.cos(side) * R[:, :, 0] + np.sin(side) * R[:, :, 1])
         )
         low, high = np.maximum(s - _NEAR, 0.0), np.minimum(s + _NEAR, rod.length)
         across = (low <= self.eq.s_contact) & (self.eq.s_contact < high)  # the shear jumps there

@@ -95,9 +95,10 @@ class Sight:
         return np.asarray(centre + radius[:, None] * outward)
 
     def _marked(self, eq: Equilibrium) -> tuple[Array, Array, Array]:
-        """Centres of the marked sections, way to their side, radii."""
+        """Centres of the marked sections, way to their side, and how far the surface lies there."""
         s = np.minimum(self.marker_s, self.world.rod.length)
         R = eq.R_at(s)
         outward = R[:, :, 0] * math.cos(self.side) + R[:, :, 1] * math.sin(self.side)
         radius = np.interp(s, self.world.rod.s, self.world.rod.radius)
+        radius *= self.world.model.cross_section.reach(self.side)
         return self.world.to_world(eq.p_at(s)), outward @ self.world.T_world_true[:3, :3].T, radius

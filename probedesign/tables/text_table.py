@@ -43,7 +43,12 @@ class TextTable:
         Raises:
             InputError: a comment names another, or two.
         """
-        return _frame(self.path, self.comments)
+        return _frame(self.path, self.comments) or "sensor"
+
+    @property
+    def names_frame(self) -> bool:
+        """Whether a comment does."""
+        return _frame(self.path, self.comments) is not None
 
 
 def read_table(path: Path, what: str, like: str, most_bytes: int | None = None) -> TextTable:
@@ -106,7 +111,7 @@ def read_text(path: Path, what: str, most_bytes: int | None = None, kind: str = 
     return text
 
 
-def _frame(path: Path, comments: list[tuple[int, str]]) -> Frame:
+def _frame(path: Path, comments: list[tuple[int, str]]) -> Frame | None:
     frames: set[Frame] = set()
     for number, line in comments:
         said = re.match(r"\s*#\s*frame\s*[:=](.*)", line, re.IGNORECASE)
@@ -121,4 +126,4 @@ def _frame(path: Path, comments: list[tuple[int, str]]) -> Frame:
                 raise InputError(f"{path}:{number}: frame {shown(other)} is not known; say sensor or base")
     if len(frames) > 1:
         raise InputError(f"{path}: names two frames; a recording has one")
-    return frames.pop() if frames else "sensor"
+    return frames.pop() if frames else None

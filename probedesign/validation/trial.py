@@ -154,9 +154,9 @@ def _markers(
     s = np.minimum(campaign.marker_s[test.markers.numbers], model.rod.length)
     hat, off = shape.p_at(s), np.zeros((len(s), 3))
     if campaign.marker_side is not None:
-        axes, radius = shape.R_at(s), np.interp(s, model.rod.s, model.rod.radius)
-        x, y = np.cos(campaign.marker_side), model.cross_section.flatness * np.sin(campaign.marker_side)
-        off = radius[:, None] * (x * axes[:, :, 0] + y * axes[:, :, 1])
+        side, axes = campaign.marker_side, shape.R_at(s)
+        radius = model.cross_section.reach(side) * np.interp(s, model.rod.s, model.rod.radius)
+        off = radius[:, None] * (math.cos(side) * axes[:, :, 0] + math.sin(side) * axes[:, :, 1])
     return seen, hat + off, off, cov
 
 

@@ -115,6 +115,15 @@ def test_units_of_the_header_do_not_change_what_is_read(folder):
     )
 
 
+def test_a_frame_that_is_not_named_is_assumed_aloud(folder):
+    said = (folder / "wrenches.csv").read_text()
+    lines = [line for line in said.splitlines() if not line.startswith("# frame")]
+    (folder / "wrenches.csv").write_text("# frame: base\n" + "\n".join(lines) + "\n")
+    assert not read_campaign(folder).notes
+    (folder / "wrenches.csv").write_text("\n".join(lines) + "\n")
+    assert [note for note in read_campaign(folder).notes if "names no frame" in note]
+
+
 def test_a_test_may_have_a_base_of_its_own(folder):
     head = "test,base_x_world_mm,base_y_world_mm,base_z_world_mm,base_rx_world_deg,base_ry_world_deg,base_rz_world_deg"
     (folder / "tests.csv").write_text(f"{head}\nhang,,,,,,\na-1,5,6,7,0,0,90\n")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from probedesign import load_design, load_estimator
+from probedesign import load_design, load_estimator, pipeline
 from probedesign.cli.main import run
 from tests.identification.conftest import LARGE, TRUE_E
 from tests.test_pages import assert_whole
@@ -67,6 +67,23 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     assert model.tolerances.youngs_modulus == pytest.approx(spread, rel=0.06)  # two digits are written
     assert model.tolerances.shear_modulus == 0.005  # as it was: the tests did not tell G
     assert model.stiffness_spread == pytest.approx(spread, rel=0.06)  # for fused touches
+
+
+def test_a_contradiction_is_told_and_ends_as_an_error(
+    here: Path, stage_folder: Path, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was found is printed all the same; a script must not take it for a success."""
+    whole = pipeline.identify
+
+    def contradicted(*arguments):
+        found, files = whole(*arguments)
+        return found.contradicted("touches: 9 of 9 hardly count"), files
+
+    monkeypatch.setattr(pipeline, "identify", contradicted)
+    for more in ((), ("--json",)):
+        assert run(["identify", "large.toml", str(stage_folder), "--for", "E", "--no-page", *more]) == 2
+        said = capsys.readouterr()
+        assert "inconsistent" in said.out and "hardly count" in said.err and said.err.count("\n") == 1
 
 
 def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:

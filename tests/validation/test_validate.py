@@ -274,3 +274,16 @@ def test_validate_as_json_is_one_document_and_refusals_one_line(call, made, tmp_
     for arguments in ((bundle, tmp_path), (made / "tests.csv", made)):
         status, out, err = call("validate", *arguments)
         assert (status, out, err.count("\n")) == (2, "", 1) and "Traceback" not in err
+
+
+def test_the_markers_of_a_flattened_probe_lie_on_its_surface(tmp_path):
+    """A print as designed, seen all but exactly from obliquely: what is left of the shape is the sensor's noise, a
+    tenth of what the surface of a round section would be off by (1.8 mm)."""
+    design = paper_design("large")
+    probe = design.probe.model_copy(update={"section": "elliptic", "flatness": 0.5})
+    model = build_probe(design.model_copy(update={"probe": probe})).model
+    folder = make_campaign(model, tmp_path / "flat", Plan(seed=4, exact=True, marker_noise=1e-6)).folder
+    free = [
+        trial for trial in validate(Estimator(model), read_campaign(folder)).trials if trial.kind == "free"
+    ]
+    assert free and max(trial.shape_rms for trial in free) < 0.2e-3
