@@ -5,6 +5,7 @@ from typing import NoReturn
 import numpy as np
 
 from probedesign.campaign.campaign import Campaign, Test
+from probedesign.campaign.manifest import FILE as MANIFEST
 from probedesign.campaign.tests_table import FILE as TESTS
 from probedesign.campaign.wrenches_table import FILE as WRENCHES
 from probedesign.errors import InputError
@@ -23,6 +24,8 @@ LEVER = 3.0
 (assumed)."""
 N_MM = 1e-3
 """[N·m]"""
+GRAM = 1e-3
+"""[kg]"""
 TINY = 1e-12
 """Nothing that a sensor tells from zero [N]."""
 METRES = "metres in a column of millimetres?"
@@ -40,6 +43,7 @@ def check_plausible(campaign: Campaign, model: ProbeModel) -> None:
     Raises:
         InputError: places, a sag, forces or moments cannot be; one line that names file, test, value and remedy.
     """
+    _check_mass(campaign, model)
     _check_arclengths(campaign, model)
     _check_sag(campaign, model)
     _check_contacts(campaign, model)
@@ -47,6 +51,18 @@ def check_plausible(campaign: Campaign, model: ProbeModel) -> None:
     _check_known_forces(campaign, model)
     _check_range(campaign, model)
     _check_lever(campaign, model)
+
+
+def _check_mass(campaign: Campaign, model: ProbeModel) -> None:
+    """A weighing far off what the flexible part weighs as designed; a whole print weighs a few times as much."""
+    if campaign.weighing is None:
+        return
+    mass = campaign.weighing.mass
+    if not model.mass / FAR < mass < model.mass * FAR:
+        raise InputError(
+            f"{campaign.folder}/{MANIFEST}: weighing: mass_g = {mass / GRAM:.4g}, of a probe whose flexible part "
+            f"weighs {model.mass / GRAM:.4g} g as designed; grams?"
+        )
 
 
 def _check_arclengths(campaign: Campaign, model: ProbeModel) -> None:

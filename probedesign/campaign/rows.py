@@ -153,7 +153,7 @@ def read_rows(path: Path, kind: Kind) -> Rows:
 
 
 def _check_columns(table: TextTable, columns: dict[str, Column], kind: Kind) -> None:
-    """Refuse columns that are missing, that nobody knows, and lengths in two units."""
+    """Refuse columns that are missing, that nobody knows, and one kind of quantity in two units."""
     read = {column.index for column in columns.values()}
     for index, name in enumerate(table.header):
         if index not in read and name.lower() not in NOTES:
@@ -164,7 +164,7 @@ def _check_columns(table: TextTable, columns: dict[str, Column], kind: Kind) -> 
     if missing:
         told = ", ".join(_spelt(name, kind) for name in missing)
         table.fail(table.header_number, f"columns are missing: {told}; the header must be like {kind.like}")
-    for what in ("length", "angle"):
+    for what in ("length", "angle", "force", "moment"):
         alike = [column for column in columns.values() if column.kind == what]
         for other in alike[1:]:
             if other.factor != alike[0].factor:

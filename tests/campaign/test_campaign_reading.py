@@ -145,6 +145,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("tests.csv", "a-1", "../a", "is no name; use letters"),
     ("tests.csv", "s_contact_mm", "s_contact", "column 's_contact': names no unit; end its name in one of _mm"),
     ("tests.csv", "s_contact_mm", "s_contact_in", "unit 'in' is not known"),
+    ("wrenches.csv", "My_Nmm", "My_Nm", "mixed units: 'Mx_Nmm' and 'My_Nm'"),
     ("tests.csv", "std_s_mm", "std_s_m", "mixed units: 's_contact_mm' and 'std_s_m'"),
     ("tests.csv", "s_contact_mm", "s_contct_mm", "did you mean 's_contact_mm'?"),
     ("tests.csv", "0.05", "", "tests.csv:3: s_contact_mm stands without a positive standard deviation"),

@@ -165,3 +165,12 @@ def test_both_commands_refuse(models, made):
         data_of(wrong, models["large"], 0.0)
     with pytest.raises(InputError, match="mN in a column of N"):
         validate(Estimator(models["large"]), wrong)
+
+
+def test_a_mass_in_kilograms_is_refused(made, models):
+    campaign = made("large", Plan(seed=3))
+    assert campaign.weighing is not None
+    wrong = replace(campaign, weighing=replace(campaign.weighing, mass=1e-3 * campaign.weighing.mass))
+    check_probe(campaign, models["large"])
+    with pytest.raises(InputError, match=r"mass_g = .* grams\?"):
+        check_probe(wrong, models["large"])
