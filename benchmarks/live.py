@@ -116,12 +116,13 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
     rows = [
         ["records", str(counts["received"]), ""],
         ["estimates a second", f"{len(late) / wall:.0f}", ""],
+        ["made within 20 ms, of all that were due", f"{np.sum(np.array(late) <= 20.0) / due:.2%}", "99.9 %"],
         # the latencies below are of those that were made: none that waited for `due.LATE` is among them
         ["left out since they came too late", f"{max(due - len(late), 0)} of {due}", "none"],
         ["dropped by our queue", str(counts["dropped"]), "0"],
         ["lost before it, in the kernel", lost, "< 1 %"],
-        ["datagram to estimate, median [ms]", f"{np.median(late):.2f}", "≤ 2"],
-        ["datagram to estimate, 99.9 % [ms]", f"{np.percentile(late, 99.9):.1f}", "≤ 20"],
+        ["datagram to estimate, of those made, median [ms]", f"{np.median(late):.2f}", "≤ 2"],
+        ["datagram to estimate, of those made, 99.9 % [ms]", f"{np.percentile(late, 99.9):.1f}", "≤ 20"],
         ["the latest [ms]", f"{max(late):.1f}", ""],
         ["median of the first, the last tenth [ms]", f"{parts[0]:.2f}, {parts[-1]:.2f}", "does not grow"],
         ["memory after a tenth, at the end [MB]", f"{memory[tenth]:.1f}, {memory[-1]:.1f}", "flat"],
