@@ -8,3 +8,5 @@ MILLINEWTON = 1e-3
 """One millinewton [N]."""
 N_MM = 1e-3
 """One newton millimetre [N·m]."""
+GRAM = 1e-3
+"""One gram [kg]."""

@@ -11,7 +11,7 @@ from probedesign.campaign.wrenches_table import FILE as WRENCHES
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, inverse
-from probedesign.units import MM
+from probedesign.units import GRAM, MM, N_MM
 
 DEVIATIONS = 5.0
 """Room for errors of the reference and noise of the sensor, in standard deviations."""
@@ -22,10 +22,6 @@ FAR = 100.0
 LEVER = 3.0
 """So many lengths of the probe from its base no contact force acts, even if part of it is lifted by another
 (assumed)."""
-N_MM = 1e-3
-"""[N·m]"""
-GRAM = 1e-3
-"""[kg]"""
 TINY = 1e-12
 """Nothing that a sensor tells from zero [N]."""
 METRES = "metres in a column of millimetres?"

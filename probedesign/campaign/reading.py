@@ -21,7 +21,7 @@ from probedesign.campaign.wrenches_table import read_wrenches
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, pose
-from probedesign.units import MM
+from probedesign.units import GRAM, MM
 
 
 def read_campaign(path: str | Path) -> Campaign:
@@ -137,7 +137,7 @@ def _campaign(
         tests=tests,
         weighing=None
         if weighed is None
-        else Weighing(1e-3 * weighed.mass_g, 1e-3 * weighed.std_g, weighed.of),
+        else Weighing(GRAM * weighed.mass_g, GRAM * weighed.std_g, weighed.of),
         folder=folder,
         notes=notes,
     )

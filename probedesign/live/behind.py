@@ -144,13 +144,20 @@ class Behind:
         while True:
             for job in self._gathered():
                 if job is None:
+                    self._queue.put(None)  # the end, also for what goes on where closing fails
                     self._file.close()
                     return
                 job[1]()
                 self._done += job[0]
-            if time.monotonic() - flushed >= self._every:
-                self._file.flush()
-                flushed = time.monotonic()
+                flushed = self._flushed(flushed)
+            flushed = self._flushed(flushed)
+
+    def _flushed(self, last: float) -> float:
+        """When the file was last flushed [s]: now, if that is due."""
+        if time.monotonic() - last < self._every:
+            return last
+        self._file.flush()
+        return time.monotonic()
 
     def _gathered(self) -> Iterator[Job | None]:
         """What comes from now on, for a while; nothing if nothing comes until a flush is due."""

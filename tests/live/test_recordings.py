@@ -71,6 +71,19 @@ def test_a_slow_disk_costs_readings_and_says_so(model, tmp_path):
     assert joined(blocks) == joined(written[: behind.readings // 10])
 
 
+def test_a_disk_that_is_full_at_the_very_end_is_told_as_that(model, tmp_path, monkeypatch):
+    """And not, after a long wait, as one that does not answer."""
+    said, file = [], McapFile(tmp_path / "end.mcap", model)
+    behind = Behind(file, "end.mcap", said.append)
+
+    def full():
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(file, "close", full)
+    behind.close()
+    assert len(said) == 1 and "recording ended: No space left on device" in said[0]
+
+
 def test_nothing_is_averaged_over_what_was_left_out(model, tmp_path):
     file = McapFile(tmp_path / "gap.mcap", model)
     for each in (block(0, 5), block(5, 5)):
