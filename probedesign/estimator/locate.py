@@ -31,6 +31,11 @@ ALONG = 0.26
 REACH = 4
 """Stations that a minimum may lie away from where the scan saw it: a probe bent by less than a thousandth of a
 radian feels the scan's own errors."""
+FLAT = 1e-10
+"""Share of the squared misfit that a last step may still take off: a hundred-thousandth of what is left unexplained,
+which the rod's own digits hide."""
+CURVED = 10.0
+"""So many times more or less than a linear moment has, a secant's curvature is taken for that of the misfit."""
 _MAX_ITERATIONS = 60
 _CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
 
@@ -94,7 +99,9 @@ def _sines(force: Array, tangents: Array) -> Array:
 def refine(
     rod: Rod, gravity: Array, force: Array, moment: Array, s: float, low: float, high: float, guess: Array
 ) -> Equilibrium | None:
-    """The equilibrium at the nearest least misfit in [low, high], by Gauss-Newton with exact sensitivities.
+    """The equilibrium at the nearest least misfit in [low, high], by Gauss-Newton with exact sensitivities and, from
+    the second step on, secants of its slope: where no place explains the moment, Gauss and Newton's steps alone come
+    near by the same share of the way each.
 
     A step that overshoots, or that leads where there is no equilibrium (the probe gives way there), is halved.
 
@@ -103,24 +110,31 @@ def refine(
         of the probe's own ends or at the edge of the equilibria: that is no minimum.
     """
     best: Equilibrium | None = None
-    least, at, step, blocked = np.inf, s, 0.0, False
+    least, at, step, blocked, slope = np.inf, s, 0.0, False, np.nan
     for _ in range(_MAX_ITERATIONS):
         eq = rod.solve(gravity, force, s, guess=guess, guess_only=True, columns="load")
         misfit = eq.wrench_base[3:6] - moment
         square = float(misfit @ misfit)
         if eq.sensitivity is not None and square < least:
-            best, least, at, blocked, guess = eq, square, s, False, eq.tip
             a = eq.sensitivity.d_moment[:, 3]
-            slope = float(a @ a)
-            step = -float(a @ misfit) / slope if slope > 0.0 else 0.0
+            last, slope = slope, float(a @ misfit)
+            step = -slope / _curvature(float(a @ a), slope, last, s - at)
+            best, least, at, blocked, guess = eq, square, s, False, eq.tip
         else:
             blocked = blocked or not eq.ok
             step *= 0.5
         s = min(max(at + step, low), high)
-        if best is None or abs(s - at) <= _CLOSE * rod.length:
+        if best is None or abs(s - at) <= _CLOSE * rod.length or abs(slope * step) <= FLAT * least:
             break
     inside = at not in (low, high) or at in (0.0, rod.flank_end) or abs(step) <= _CLOSE * rod.length
     return best if inside and not blocked else None
+
+
+def _curvature(linear: float, slope: float, last: float, way: float) -> float:
+    """Of half the squared misfit by arclength: by the secant from the last place, where there is one and it says that
+    a minimum is near, else as of a linear moment."""
+    secant = (slope - last) / way if way != 0.0 else np.nan
+    return secant if linear / CURVED < secant < CURVED * linear else max(linear, 1e-300)
 
 
 @dataclass(frozen=True)
