@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.campaign.agreement import check_agreement
 from probedesign.campaign.campaign import Campaign, Markers, Test, Weighing
 from probedesign.campaign.manifest import FILE as MANIFEST
 from probedesign.campaign.manifest import Manifest, read_manifest
@@ -90,6 +91,7 @@ def check_probe(campaign: Campaign, model: ProbeModel) -> None:
             )
             raise InputError(f"{campaign.folder / TESTS}: test {test.name}: {beyond}; a wrong unit?")
     check_plausible(campaign, model)
+    check_agreement(campaign, model)
 
 
 def _check_same(campaign: Campaign, model: ProbeModel) -> None:

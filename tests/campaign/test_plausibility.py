@@ -2,46 +2,23 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from probedesign import build_probe, load_design
-from probedesign.campaign import Campaign, read_campaign
+from probedesign.campaign import Campaign
 from probedesign.campaign import campaign as tables
 from probedesign.campaign.reading import check_probe
 from probedesign.errors import InputError
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.identification.identify import data_of
-from probedesign.synthetic.folder import make_campaign
 from probedesign.synthetic.plan import Plan
 from probedesign.validation.validate import validate
 
-DESIGNS = Path(__file__).parents[2] / "designs"
 NAMES = ("small", "medium", "large")
 N_TO_MN = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
 NM_TO_NMM = N_TO_MN[::-1]
-
-
-@pytest.fixture(scope="module")
-def models() -> dict[str, ProbeModel]:
-    return {name: build_probe(load_design(DESIGNS / f"{name}.toml")).model for name in NAMES}
-
-
-@pytest.fixture(scope="module")
-def made(models, tmp_path_factory) -> Callable[..., Campaign]:
-    """A campaign of one of the three probes, made once."""
-    folder, kept = tmp_path_factory.mktemp("made"), dict[str, Campaign]()
-
-    def make(name: str, plan: Plan) -> Campaign:
-        key = f"{name}-{plan.kind}-{plan.exact}-{plan.marker_noise}"
-        if key not in kept:
-            kept[key] = read_campaign(make_campaign(models[name], folder / key, plan).folder)
-        return kept[key]
-
-    return make
 
 
 def changed(campaign: Campaign, change: Callable[[tables.Test], tables.Test]) -> Campaign:

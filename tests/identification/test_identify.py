@@ -43,6 +43,18 @@ def test_G_is_left_at_the_design(found) -> None:
     assert G.std is None and "G: these tests hardly see it" in G.why
 
 
+def test_a_factor_on_all_forces_passes_for_one_on_E(stage: Campaign, model: ProbeModel) -> None:
+    """Touches alone cannot tell; so it is said."""
+    ten = replace(
+        stage,
+        tests=tuple(replace(t, wrenches=10.0 * t.wrenches) for t in stage.tests if not t.free),
+        weighing=None,
+    )
+    told = identify(_data(ten, model), ("E",))
+    E = told.of("E")
+    assert E is None or any("times the design's: are forces" in note for note in told.notes)
+
+
 def test_cameras_tell_E_from_weights_and_touches(cameras: Campaign, model: ProbeModel) -> None:
     E = identify(_data(cameras, model), ("E",)).of("E")
     assert E is not None and abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
