@@ -44,7 +44,7 @@ class Contact:
             told += ", never settled"
         if self.fused is not None and self.fused.ok:
             x, y, z = (1e3 * float(value) for value in self.fused.p_contact_world)
-            return f"{told}: ({x:.2f}, {y:.2f}, {z:.2f}) mm in the world, ± {1e3 * self.fused.rms:.2f} mm"
+            return f"{told}: ({x:z.2f}, {y:z.2f}, {z:z.2f}) mm in the world, ± {1e3 * self.fused.rms:.2f} mm"
         if self.fused is not None:
             told += f": as one point of the world {self.fused.result}"
         if self.estimate is not None:

@@ -131,4 +131,4 @@ def _stds(cov: Array) -> Array:
 
 
 def _numbers(values: Array, unit: float, digits: int = 1) -> str:
-    return "(" + ", ".join(f"{float(value) / unit:.{digits}f}" for value in values) + ")"
+    return "(" + ", ".join(f"{float(value) / unit:z.{digits}f}" for value in values) + ")"
