@@ -151,10 +151,10 @@ def _print(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
 
 
 def _summary(cloud: "Cloud") -> str:
-    touches = sum(len(point.touches) for point in cloud.points)
-    told = f"{counted(len(cloud.points), 'point')} by {touches} touch{'' if touches == 1 else 'es'}"
-    lost = f", {len(cloud.unlocated)} not located" if cloud.unlocated else ""
-    return f"{told}{lost}; E by them {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f} of the bundle's"
+    located, lost = sum(len(point.touches) for point in cloud.points), len(cloud.unlocated)
+    by = f"{located}{f' of {located + lost}' if lost else ''} touch{'' if located + lost == 1 else 'es'}"
+    told = f"{counted(len(cloud.points), 'point')} by {by}"
+    return f"{told}; E by them {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f} of the bundle's"
 
 
 def _rehearse(model: "ProbeModel", base: "Base", folder: Path, seed: int, force: bool) -> None:

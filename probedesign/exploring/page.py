@@ -13,7 +13,7 @@ from probedesign.exploring.camera import View
 from probedesign.exploring.cloud import WITHIN_95, Cloud, Point
 from probedesign.exploring.colour import colour_of
 from probedesign.exploring.picture import FEWEST_MM, NORMAL, svg_of
-from probedesign.exploring.table import PAIRS, line_of
+from probedesign.exploring.table import PAIRS, line_of, unlocated_lines
 from probedesign.frames import Array
 from probedesign.units import MILLINEWTON, MM
 
@@ -92,7 +92,4 @@ def _table(cloud: Cloud) -> str:
 
 
 def _unlocated(cloud: Cloud) -> str:
-    if not cloud.unlocated:
-        return ""
-    told = ", ".join(f"touch {t.series.number} ({t.result})" for t in cloud.unlocated)
-    return f"<p>Not located: {escape(told)}.</p>"
+    return "".join(f"<p>{escape(line)}.</p>" for line in unlocated_lines(cloud))

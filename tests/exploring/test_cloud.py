@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from probedesign.exploring.cloud import cloud_of
 from probedesign.exploring.located import Located, _by_turn
 from probedesign.exploring.picture import svg_of
-from probedesign.exploring.touched import Touched
+from probedesign.exploring.table import lines_of
+from probedesign.exploring.touched import NEVER_SETTLED, Touched
 
 PRIOR = np.array([0.01, 0.05e-3, 0.05e-3, 0.05e-3])
 BY_STIFFNESS = np.array([0.0, 0.05, 0.0])
@@ -103,3 +104,10 @@ def test_the_picture_holds_every_ellipsoid():
     for x, y, rx, ry in (map(float, numbers) for numbers in found):
         least = min(rx, ry)  # however the ellipse is turned, it goes so far each way
         assert least < x < width - least and least < y < height - least
+
+
+def test_touches_without_a_place_are_told_by_number_and_reason():
+    """A line for both, of a code and of what it means."""
+    lost = [Touched(SimpleNamespace(number=n, start=float(n)), NEVER_SETTLED) for n in (2, 5)]
+    (line,) = lines_of(cloud_of(lost, PRIOR))
+    assert "touch 2 at 2.00 s, 5 at 5.00 s: never_settled" in line and "stand" in line
