@@ -85,7 +85,7 @@ def _table(cloud: Cloud) -> str:
     for number, point in enumerate(cloud.points, 1):
         common = math.sqrt(float(np.trace(point.cov_common))) / MM
         numbers = ", ".join(str(touch.series.number) for touch in point.touches)
-        cells = (str(number), *(f"{value:.2f}" for value in (*point.p_world / MM, point.rms / MM, common)),
+        cells = (str(number), *(f"{value:z.2f}" for value in (*point.p_world / MM, point.rms / MM, common)),
                  f"{point.force / MILLINEWTON:.1f}", numbers)  # fmt: skip
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"

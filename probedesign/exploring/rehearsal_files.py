@@ -1,5 +1,6 @@
 """A rehearsal as files: what `explore` reads, and the truth beside it."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def _poses(rehearsal: Rehearsal) -> str:
     lines = [",".join(NAMES)]
     for pose in rehearsal.way.poses():
         numbers = (pose.time, *(value / MM for value in pose.p), *pose.q)
-        lines.append(",".join(f"{number:.9g}" for number in numbers))
+        lines.append(_cells(numbers))
     return "\n".join(lines) + "\n"
 
 
@@ -70,5 +71,10 @@ def _truth(rehearsal: Rehearsal) -> str:
     lines = [",".join(TRUTH)]
     for touch in rehearsal.touches:
         numbers = (touch.start, *(touch.p_world / MM), touch.spot.fraction, touch.force)
-        lines.append(",".join(f"{number:.9g}" for number in numbers) + f",{int(touch.spot.again)}")
+        lines.append(_cells(numbers) + f",{int(touch.spot.again)}")
     return "\n".join(lines) + "\n"
+
+
+def _cells(numbers: Iterable[float]) -> str:
+    """To the ninth decimal, behind which rounding stands: millimetres, seconds and newtons to a billionth."""
+    return ",".join(f"{round(number, 9):z.9g}" for number in numbers)

@@ -52,7 +52,7 @@ def lines_of(cloud: Cloud) -> list[str]:
 def line_of(number: int, point: Point) -> str:
     """A point in one line."""
     x, y, z = point.p_world / MM
-    told = f"point {number:3d}  ({x:8.2f}, {y:8.2f}, {z:8.2f}) mm  ± {point.rms / MM:.2f} mm"
+    told = f"point {number:3d}  ({x:z8.2f}, {y:z8.2f}, {z:z8.2f}) mm  ± {point.rms / MM:.2f} mm"
     return f"{told}, to {point.force / MILLINEWTON:.1f} mN, touch {_numbers(point)}"
 
 
@@ -94,4 +94,4 @@ def _numbers(point: Point) -> str:
 def _cell(value: object) -> str:
     if value is None:
         return ""
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    return f"{value:z.9g}" if isinstance(value, float) else str(value)

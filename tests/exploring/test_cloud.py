@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.exploring.cloud import cloud_of
 from probedesign.exploring.located import Located, _by_turn
+from probedesign.exploring.page import page_of
 from probedesign.exploring.picture import svg_of
-from probedesign.exploring.table import lines_of
+from probedesign.exploring.ply import ply_of
+from probedesign.exploring.table import csv_of, lines_of
 from probedesign.exploring.touched import NEVER_SETTLED, Touched
 
 PRIOR = np.array([0.01, 0.05e-3, 0.05e-3, 0.05e-3])
@@ -104,6 +106,15 @@ def test_the_picture_holds_every_ellipsoid():
     for x, y, rx, ry in (map(float, numbers) for numbers in found):
         least = min(rx, ry)  # however the ellipse is turned, it goes so far each way
         assert least < x < width - least and least < y < height - least
+
+
+def test_what_is_nought_has_no_sign():
+    """A nanometre to the left of the origin, told in hundredths or ten-thousandths of a millimetre."""
+    cloud = cloud_of([touch(1, (-1e-9, -1e-9, -0.0), 0.2e-3)], PRIOR)
+    for text in (*lines_of(cloud), csv_of(cloud).decode(), ply_of(cloud, "").decode()):
+        assert not re.search(r"-0(\.0*)?\b(?![.\d])", text)
+    cells = re.findall(r"<td>(.*?)</td>", page_of(cloud, "Points", []).decode())
+    assert cells[1:4] == ["0.00", "0.00", "0.00"]
 
 
 def test_touches_without_a_place_are_told_by_number_and_reason():
