@@ -97,7 +97,8 @@ def explore(
         as_json: print one JSON document: the points and all that is to know of them.
     """
     from probedesign.deployment import load_estimator, load_model
-    from probedesign.exploring.explore import Exploration, check_apart, check_poses
+    from probedesign.exploring.explore import Exploration, Played, check_apart, check_poses
+    from probedesign.exploring.scene import Scene
     from probedesign.live.plan import Plan
     from probedesign.live.tare import parse_window
     from probedesign.live.warm_up import warm_up
@@ -136,7 +137,8 @@ def explore(
     cloud = exploration.cloud()
     if out is not None:
         probe = f"{model.name} {model.fingerprint}"
-        write_cloud(out, cloud, probe, [opened.title, f"probe {probe}", _summary(cloud), known.short])
+        scene = Scene(cloud, opened.truth if isinstance(opened, Played) else ())
+        write_cloud(out, scene, probe, [opened.title, f"probe {probe}", _summary(cloud), known.short])
     _print(cloud, out, as_json)
 
 

@@ -13,6 +13,7 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.unknowns import EXACT, Unknowns
 from probedesign.exploring.base import Base
+from probedesign.exploring.card_house import true_outlines
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
@@ -37,11 +38,13 @@ class Played:
         title: one line that says what it is.
         notes: what a user should know of it.
         held: its readings.
+        truth: outlines of what was touched [m], (k, 3) each, where it is a rehearsal.
     """
 
     title: str
     notes: tuple[str, ...]
     held: tuple[Block, ...]
+    truth: tuple[Array, ...] = ()
 
     def __iter__(self) -> Generator[Block, None, None]:
         yield from self.held
@@ -76,7 +79,8 @@ def play(path: Path, model: ProbeModel, mend: bool = False, choice: Choice | Non
         raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
     if not any(len(block) for block in held):
         raise InputError(f"{path}: holds no readings")
-    return Played(f"{path}, {recorded.what}", tuple(dict.fromkeys((*recorded.notes, *lacking))), held)
+    notes = tuple(dict.fromkeys((*recorded.notes, *lacking)))
+    return Played(f"{path}, {recorded.what}", notes, held, true_outlines(recorded.source))
 
 
 def check_poses(poses: Poses | None, span: tuple[float, float] | None) -> Poses:

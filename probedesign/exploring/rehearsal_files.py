@@ -7,6 +7,7 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.exploring.card_house import SOURCE
 from probedesign.exploring.rehearsal import Rehearsal
 from probedesign.files import write_atomically
 from probedesign.live.csv_file import CsvFile
@@ -44,11 +45,7 @@ def write_rehearsal(
         if path.exists() and not force:
             raise InputError(f"{path}: exists; say --force to replace it, or name another folder")
     kind = CsvFile if recording.endswith(".csv") else None
-    file = (
-        kind(paths[0], force)
-        if kind is not None
-        else McapFile(paths[0], model, force, {"source": "card house"})
-    )
+    file = kind(paths[0], force) if kind is not None else McapFile(paths[0], model, force, {"source": SOURCE})
     try:
         for block in rehearsal.way.blocks(model, rng):
             file.read(block)
