@@ -18,6 +18,7 @@ from probedesign.cli.rehearsal_options import RehearsalOptions
 if TYPE_CHECKING:
     from probedesign.estimator.estimator import Estimator
     from probedesign.exploring.explore import Exploration
+    from probedesign.frames import Array
     from probedesign.live.plan import Plan
     from probedesign.live.pose.poses import Poses
     from probedesign.live.source import Source
@@ -54,7 +55,7 @@ def explore(
         as_json: print one JSON document: the points and all that is to know of them.
     """
     from probedesign.deployment import load_estimator, load_model
-    from probedesign.exploring.explore import Exploration, Played, check_apart
+    from probedesign.exploring.explore import Exploration, check_apart
     from probedesign.exploring.scene import Scene
 
     reading, base, rehearsal = (
@@ -80,8 +81,7 @@ def explore(
     if out is not None:
         probe = f"{model.name} {model.fingerprint}"
         about = [opened.title, f"probe {probe}", summary(cloud), known.short]
-        truth = opened.truth if isinstance(opened, Played) else ()
-        write_cloud(out, Scene(cloud, truth), probe, about)
+        write_cloud(out, Scene(cloud, _truth(opened)), probe, about)
     print_cloud(cloud, out, as_json)
 
 
@@ -116,6 +116,15 @@ def _run(exploration: "Exploration", opened: "Source", plan: "Plan", poses: "Pos
         _say(
             f"{exploration.placeless} of {exploration.readings} readings have no pose of the base and count for nothing"
         )
+
+
+def _truth(opened: "Source") -> "tuple[Array, ...]":
+    """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
+    from probedesign.exploring.card_house import true_outlines
+    from probedesign.exploring.explore import Played
+    from probedesign.live.replay import Replay
+
+    return true_outlines(opened.recorded_from) if isinstance(opened, Played | Replay) else ()
 
 
 def _say(note: str) -> None:

@@ -13,7 +13,6 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.unknowns import EXACT, Unknowns
 from probedesign.exploring.base import Base
-from probedesign.exploring.card_house import true_outlines
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
@@ -38,13 +37,13 @@ class Played:
         title: one line that says what it is.
         notes: what a user should know of it.
         held: its readings.
-        truth: outlines of what was touched [m], (k, 3) each, where it is a rehearsal.
+        recorded_from: what it was read from, by its own words; empty where it does not say.
     """
 
     title: str
     notes: tuple[str, ...]
     held: tuple[Block, ...]
-    truth: tuple[Array, ...] = ()
+    recorded_from: str = ""
 
     def __iter__(self) -> Generator[Block, None, None]:
         yield from self.held
@@ -80,7 +79,7 @@ def play(path: Path, model: ProbeModel, mend: bool = False, choice: Choice | Non
     if not any(len(block) for block in held):
         raise InputError(f"{path}: holds no readings")
     notes = tuple(dict.fromkeys((*recorded.notes, *lacking)))
-    return Played(f"{path}, {recorded.what}", notes, held, true_outlines(recorded.source))
+    return Played(f"{path}, {recorded.what}", notes, held, recorded.source)
 
 
 def check_poses(poses: Poses | None, span: tuple[float, float] | None) -> Poses:
