@@ -58,12 +58,8 @@ def explore(
     from probedesign.exploring.explore import Exploration, check_apart
     from probedesign.exploring.scene import Scene
 
-    reading, base, rehearsal = (
-        reading or ReadingOptions(),
-        base or BaseOptions(),
-        rehearsal or RehearsalOptions(),
-    )
-    if rehearsal.rehearse is not None:
+    reading, base = reading or ReadingOptions(), base or BaseOptions()
+    if rehearsal is not None and rehearsal.rehearse is not None:
         model = load_model(bundle, manifest)
         written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
         return print(f"wrote {', '.join(map(str, written))}")
@@ -77,9 +73,8 @@ def explore(
         _say(note)
     exploration = Exploration(estimator, known.unknowns(model), known.turn, apart)
     _run(exploration, opened, plan, poses, tells=recording is None)
-    cloud = exploration.cloud()
+    cloud, probe = exploration.cloud(), f"{model.name} {model.fingerprint}"
     if out is not None:
-        probe = f"{model.name} {model.fingerprint}"
         about = [opened.title, f"probe {probe}", summary(cloud), known.short]
         write_cloud(out, Scene(cloud, _truth(opened)), probe, about)
     print_cloud(cloud, out, as_json)
