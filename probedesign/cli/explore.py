@@ -2,58 +2,26 @@
 
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from probedesign.cli.base_options import BaseOptions
 from probedesign.cli.ending import ending_well
-from probedesign.cli.explored_files import FILES, check_out, write_cloud
-from probedesign.cli.output import counted, print_json, working
-from probedesign.errors import InputError
+from probedesign.cli.explored_files import check_out, write_cloud
+from probedesign.cli.explored_lines import print_cloud, summary
+from probedesign.cli.output import working
+from probedesign.cli.reading_options import ReadingOptions
+from probedesign.cli.rehearsal_options import RehearsalOptions
 
 if TYPE_CHECKING:
-    from probedesign.estimator.model import ProbeModel
-    from probedesign.exploring.base import Base
-    from probedesign.exploring.cloud import Cloud
+    from probedesign.estimator.estimator import Estimator
+    from probedesign.exploring.explore import Exploration
+    from probedesign.frames import Array
+    from probedesign.live.plan import Plan
     from probedesign.live.pose.poses import Poses
     from probedesign.live.source import Source
-
-
-@Parameter(name="*")
-@dataclass
-class ReadingOptions:
-    """What is read, and how."""
-
-    source: str | None = None
-    """Instead of a recording, as for `live`; ends with the source, at --seconds or with Ctrl-C."""
-    mend: bool = False
-    """Go on with a recording that lacks something: lines, or its end."""
-    topic: str = ""
-    """Of a bag's wrenches, if there are several."""
-    moment_unit: Literal["Nm", "Nmm"] = "Nm"
-    """Of a bag whose publisher does not keep to N·m."""
-    other_probe: bool = False
-    """Read a recording that was made with another probe."""
-
-    def opened(self, recording: Path | None, model: "ProbeModel", poses: "Poses") -> "Source":
-        """The recording or the source, and that its time is that of the poses.
-
-        Raises:
-            InputError: it is not.
-        """
-        from probedesign.exploring.explore import check_poses, play
-        from probedesign.live.recorded import Choice
-        from probedesign.live.source import open_source
-
-        if recording is None:
-            return open_source(str(self.source), model, _say)
-        choice = Choice(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
-        played = play(recording, model, self.mend, choice)
-        check_poses(poses, played.span)
-        return played
 
 
 def explore(
@@ -61,17 +29,13 @@ def explore(
     recording: Path | None = None,
     /,
     *,
-    tare_s: str | None = None,
     out: Path | None = None,
     force: bool = False,
-    average: int = 1,
     apart_mm: float = 5.0,
-    seconds: float | None = None,
     manifest: Path | None = None,
     reading: ReadingOptions | None = None,
     base: BaseOptions | None = None,
-    rehearse: Path | None = None,
-    seed: int = 1,
+    rehearsal: RehearsalOptions | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Turn touches from a moving base into points of the world with their ellipsoids.
@@ -83,95 +47,79 @@ def explore(
     Args:
         bundle: the frozen probe, NAME.probe.json.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
-        tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
         out: the folder to write.
         force: replace the files that stand there.
-        average: take means of so many readings.
         apart_mm: the object's points lie at least so far apart; touches that are surely nearer may be one point. 0
             fuses none.
-        seconds: end so many seconds after the first reading.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
-        rehearse: write the recording and the poses of a simulated card house to this folder, to try with, and end;
-            stiffness and base are off as the bundle and the options say.
-        seed: of what is off in it.
         as_json: print one JSON document: the points and all that is to know of them.
     """
     from probedesign.deployment import load_estimator, load_model
-    from probedesign.exploring.explore import Exploration, check_apart, check_poses
-    from probedesign.live.plan import Plan
-    from probedesign.live.tare import parse_window
-    from probedesign.live.warm_up import warm_up
+    from probedesign.exploring.explore import Exploration, check_apart
+    from probedesign.exploring.scene import Scene
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
-    if rehearse is not None:
+    if rehearsal is not None and rehearsal.rehearse is not None:
         model = load_model(bundle, manifest)
-        return _rehearse(model, base.base(model), rehearse, seed, force)
-    if (recording is None) == (reading.source is None):
-        raise InputError("explore takes a recording, or --source for a run that is live: one of them")
-    if tare_s is None:
-        raise InputError(
-            "a touch is told from the sensor's bias by a tare: say --tare-s START:END, when the probe is free"
-        )
-    plan = Plan(parse_window(tare_s), average, seconds=seconds, estimates=False)
-    apart = check_apart(apart_mm)
+        written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
+        return print(f"wrote {', '.join(map(str, written))}")
+    plan, apart = reading.plan(recording), check_apart(apart_mm)
     if out is not None:
         check_out(out, force)
     estimator = load_estimator(bundle, manifest)
     model, known = estimator.model, base.base(estimator.model)
-    poses = check_poses(base.poses(_say), None)
-    with working("loading the rod kernels"):
-        warm_up(estimator, _say, fusing=True)
-        opened = reading.opened(recording, model, poses)
+    opened, poses = _opened(estimator, recording, reading, base)
     for note in (opened.title, *opened.notes, poses.title, *poses.notes, known.line):
         _say(note)
     exploration = Exploration(estimator, known.unknowns(model), known.turn, apart)
-    with ending_well(), suppress(KeyboardInterrupt):  # what was touched by then is told
+    _run(exploration, opened, plan, poses, tells=recording is None)
+    cloud, probe = exploration.cloud(), f"{model.name} {model.fingerprint}"
+    if out is not None:
+        about = [opened.title, f"probe {probe}", summary(cloud), known.short]
+        write_cloud(out, Scene(cloud, _truth(opened)), probe, about)
+    print_cloud(cloud, out, as_json)
+
+
+def _opened(
+    estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions
+) -> "tuple[Source, Poses]":
+    """Readings and poses, and everything compiled before the first is read."""
+    from probedesign.exploring.explore import check_poses
+    from probedesign.live.warm_up import warm_up
+
+    poses = check_poses(base.poses(_say), None)
+    with working("loading the rod kernels"):
+        warm_up(estimator, _say, fusing=True)
+        return reading.opened(recording, estimator.model, poses, _say), poses
+
+
+def _run(exploration: "Exploration", opened: "Source", plan: "Plan", poses: "Poses", tells: bool) -> None:
+    """Until the source ends or Ctrl-C; what was touched by then is told.
+
+    Args:
+        exploration: takes the touches.
+        opened: gives readings.
+        plan: what to do with them.
+        poses: of the base.
+        tells: say of each touch when it is over.
+    """
+    with ending_well(), suppress(KeyboardInterrupt):
         for touch in exploration.run(opened, plan, poses, _say):
-            if recording is None:
+            if tells:
                 _say(f"touch {touch.series.number} is over: {touch.result}")
     if exploration.placeless:
         _say(
             f"{exploration.placeless} of {exploration.readings} readings have no pose of the base and count for nothing"
         )
-    cloud = exploration.cloud()
-    if out is not None:
-        probe = f"{model.name} {model.fingerprint}"
-        write_cloud(out, cloud, probe, [opened.title, f"probe {probe}", _summary(cloud), known.short])
-    _print(cloud, out, as_json)
 
 
-def _print(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
-    from probedesign.exploring.table import document_of, lines_of
+def _truth(opened: "Source") -> "tuple[Array, ...]":
+    """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
+    from probedesign.exploring.card_house import true_outlines
+    from probedesign.exploring.explore import Played
+    from probedesign.live.replay import Replay
 
-    if as_json:
-        print_json(document_of(cloud))
-        return
-    print("\n".join(lines_of(cloud)) or "no touch")
-    print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
-
-
-def _summary(cloud: "Cloud") -> str:
-    touches = sum(len(point.touches) for point in cloud.points)
-    told = f"{counted(len(cloud.points), 'point')} by {touches} touch{'' if touches == 1 else 'es'}"
-    lost = f", {len(cloud.unlocated)} not located" if cloud.unlocated else ""
-    return f"{told}{lost}; E by them {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f} of the bundle's"
-
-
-def _rehearse(model: "ProbeModel", base: "Base", folder: Path, seed: int, force: bool) -> None:
-    """Write a simulated run to try with."""
-    import numpy as np
-
-    from probedesign.exploring.card_house import spots
-    from probedesign.exploring.rehearsal import Errors, rehearse
-    from probedesign.exploring.rehearsal_files import write_rehearsal
-
-    if seed < 0:
-        raise InputError(f"--seed {seed} must not be negative")
-    rng = np.random.default_rng(seed)
-    with working("touching a card house"):
-        house = rehearse(model, spots(), rng, Errors.of(model, base))
-        written = write_rehearsal(house, model, folder, rng, force)
-    print(f"wrote {', '.join(map(str, written))}")
+    return true_outlines(opened.recorded_from) if isinstance(opened, Played | Replay) else ()
 
 
 def _say(note: str) -> None:

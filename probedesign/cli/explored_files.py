@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.exploring.cloud import Cloud
+    from probedesign.exploring.scene import Scene
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg")
 
@@ -27,12 +27,12 @@ def check_out(out: Path, force: bool) -> None:
         raise InputError(f"{out}/{standing[0]}: exists; say --force to replace it, or name another folder")
 
 
-def write_cloud(out: Path, cloud: "Cloud", probe: str, about: list[str]) -> None:
+def write_cloud(out: Path, scene: "Scene", probe: str, about: list[str]) -> None:
     """Write all files.
 
     Args:
         out: the folder.
-        cloud: what was found.
+        scene: what was found, and the truth if a simulation tells it.
         probe: its name and fingerprint.
         about: lines that say what it was found from.
     """
@@ -44,7 +44,7 @@ def write_cloud(out: Path, cloud: "Cloud", probe: str, about: list[str]) -> None
 
     about = [*about, "Ellipsoids hold the true point in 95 of 100 cases, as far as stiffness, base, robot and bias are "
              "known as well as said; ± is the RMS distance."]  # fmt: skip
-    contents = (csv_of(cloud), ply_of(cloud, f"probedesign explore, probe {probe}"),
-                page_of(cloud, "Points touched", about), svg_of(cloud))  # fmt: skip
+    contents = (csv_of(scene.cloud), ply_of(scene.cloud, f"probedesign explore, probe {probe}"),
+                page_of(scene, "Points touched", about), svg_of(scene))  # fmt: skip
     for name, content in zip(FILES, contents, strict=True):
         write_atomically(out / name, content)

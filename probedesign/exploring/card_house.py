@@ -18,6 +18,8 @@ LEAN = math.radians(15.0)
 """Of a card from the vertical. Assumed: such tents stand."""
 RIDGE = 30e-3
 """Of a lower tent from the middle of the house [m]. Assumed."""
+SOURCE = "card house"
+"""What a rehearsal's recording says that it was read from: by that it is known."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,18 @@ def card_house() -> tuple[Card, ...]:
     across = _card("roof", (-0.5 * CARD[1], floor), (0.5 * CARD[1], floor))
     return (*_tent("left tent", -RIDGE, 0.0), *_tent("right tent", RIDGE, 0.0), across,
             *_tent("upper tent", 0.0, floor))  # fmt: skip
+
+
+def true_outlines(source: str) -> tuple[Array, ...]:
+    """What was touched in a recording, where that is known: in a rehearsal.
+
+    Args:
+        source: that the recording says it was read from.
+
+    Returns:
+        The cards' corners [m], (4, 3) each, their front edges first; nothing of any other recording.
+    """
+    return tuple(card.corners for card in card_house()) if source == SOURCE else ()
 
 
 _HEIGHTS = {

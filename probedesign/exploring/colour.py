@@ -16,3 +16,8 @@ def colour_of(rms_mm: float) -> tuple[int, int, int]:
         round(float(np.interp(at, range(len(SCALE)), part))) for part in zip(*SCALE, strict=True)
     )
     return red, green, blue
+
+
+def hex_of(rms_mm: float) -> str:
+    """The same as #rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*colour_of(rms_mm))

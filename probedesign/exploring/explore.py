@@ -37,11 +37,13 @@ class Played:
         title: one line that says what it is.
         notes: what a user should know of it.
         held: its readings.
+        recorded_from: what it was read from, by its own words; empty where it does not say.
     """
 
     title: str
     notes: tuple[str, ...]
     held: tuple[Block, ...]
+    recorded_from: str = ""
 
     def __iter__(self) -> Generator[Block, None, None]:
         yield from self.held
@@ -76,7 +78,8 @@ def play(path: Path, model: ProbeModel, mend: bool = False, choice: Choice | Non
         raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
     if not any(len(block) for block in held):
         raise InputError(f"{path}: holds no readings")
-    return Played(f"{path}, {recorded.what}", tuple(dict.fromkeys((*recorded.notes, *lacking))), held)
+    notes = tuple(dict.fromkeys((*recorded.notes, *lacking)))
+    return Played(f"{path}, {recorded.what}", notes, held, recorded.source)
 
 
 def check_poses(poses: Poses | None, span: tuple[float, float] | None) -> Poses:

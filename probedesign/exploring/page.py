@@ -11,10 +11,11 @@ import numpy as np
 
 from probedesign.exploring.camera import View
 from probedesign.exploring.cloud import WITHIN_95, Cloud, Point
-from probedesign.exploring.colour import colour_of
-from probedesign.exploring.picture import FEWEST_MM, NORMAL, svg_of
-from probedesign.exploring.table import PAIRS, line_of
-from probedesign.frames import Array
+from probedesign.exploring.colour import hex_of
+from probedesign.exploring.legend import STROKE_COLOUR, SWATCH, TRUTH_COLOUR, legend
+from probedesign.exploring.picture import NORMAL, svg_of
+from probedesign.exploring.scene import TIMES, Scene
+from probedesign.exploring.table import PAIRS, line_of, unlocated_lines
 from probedesign.units import MILLINEWTON, MM
 
 SCRIPT = Path(__file__).with_name("turning.js")
@@ -23,50 +24,76 @@ body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", sans-serif; color: 
   margin: 8mm auto; padding: 0 4mm }
 h1 { font-size: 18pt; margin: 0 } .about { color: #444; margin: 1mm 0 3mm }
 canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab; display: block }
-#said { color: #333; min-height: 1.4em; margin: 1mm 0 5mm; font-size: 9.5pt }
+#said { color: #333; min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }
+#times { margin: 0 0 1.5mm } #times label { margin-left: 3mm } #times input { vertical-align: -1px }
+.legend { list-style: none; padding: 0; margin: 0 0 5mm; color: #333; font-size: 9.5pt }
+.legend svg { vertical-align: -2px; margin-right: 1.5mm }
 table { border-collapse: collapse; font-size: 9.5pt }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb; white-space: nowrap }
 thead th { border-bottom: 1pt solid #111 }
-@media print { canvas { display: none } }
+.still { display: none }
 """
+STILL = "canvas, #times, #said, .legend { display: none } .still { display: block }"
+"""On paper and without a script: the still picture, which has its own legend."""
+HINT = "Drag to turn, wheel to zoom, double click to begin anew; point at a point to read it."
 HEAD = ("point", "x [mm]", "y [mm]", "z [mm]", "± [mm]", "of it common [mm]", "force [mN]", "touches")
 
 
-def page_of(cloud: Cloud, title: str, about: Sequence[str], outlines: Sequence[Array] = ()) -> bytes:
+def page_of(scene: Scene, title: str, about: Sequence[str]) -> bytes:
     """The page.
 
     Args:
-        cloud: what was found.
+        scene: what is shown.
         title: of the page.
         about: lines under it: what the numbers rest on.
-        outlines: polygons that are known of the object [m], (k, 3) each.
     """
-    lines = "<br>".join(map(escape, about))
-    data = json.dumps(_data(cloud, outlines), allow_nan=False).replace("<", "\\u003c")
-    still = svg_of(cloud, outlines).decode()
+    data = json.dumps(_data(scene), allow_nan=False).replace("<", "\\u003c")
     return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n<body><h1>{escape(title)}'
-        f'</h1>\n<p class="about">{lines}</p>\n<canvas id="cloud" role="img" aria-label="points and their ellipsoids">'
-        f'</canvas><noscript>{still}</noscript>\n<p id="said">Drag to turn, wheel to zoom, double click to begin anew.'
-        f"</p>\n{_table(cloud)}{_unlocated(cloud)}\n"
+        f'{_head(escape(title))}\n<body><h1>{escape(title)}</h1>\n<p class="about">'
+        f"{'<br>'.join(map(escape, about))}</p>\n{_magnified(scene.times)}\n"
+        '<canvas id="cloud" role="img" aria-label="points and their ellipsoids"></canvas>'
+        f'<div class="still">{svg_of(scene).decode()}</div>\n<p id="said">{HINT}</p>\n{_legend(bool(scene.truth))}\n'
+        f"{_table(scene.cloud)}{_unlocated(scene.cloud)}\n"
         f'<script type="application/json" id="data">{data}</script>\n'
         f"<script>\n{SCRIPT.read_text()}</script></body></html>\n"
     ).encode()
 
 
-def _data(cloud: Cloud, outlines: Sequence[Array]) -> dict[str, Any]:
-    view = View()
-    points = np.array([point.p_world for point in cloud.points]).reshape(-1, 3)
-    everything = (
-        np.concatenate([points, *outlines]) / MM if len(points) or len(outlines) else np.zeros((1, 3))
+def _head(title: str) -> str:
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE}@media print {{ {STILL} }}</style>'
+        f"<noscript><style>{STILL}</style></noscript></head>"
     )
-    middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
-    radius = max(float(np.linalg.norm(everything - middle, axis=1).max()), 0.5 * FEWEST_MM)
+
+
+def _magnified(shown: int) -> str:
+    """The choice of how large ellipsoids are drawn."""
+    choices = "".join(
+        f'<label><input type="radio" name="times" value="{times}"{" checked" if times == shown else ""}>'
+        f"×{times}{' (in scale)' if times == 1 else ''}</label>"
+        for times in TIMES
+    )
+    return f'<form id="times">Ellipsoids drawn {choices}</form>'
+
+
+def _legend(truth: bool) -> str:
+    wide, high = SWATCH
+    lines = "".join(
+        f'<li><svg width="{wide}" height="{high}" aria-hidden="true">{entry.mark}</svg> {escape(entry.words)}</li>'
+        for entry in legend("drawn as many times its size as chosen above", truth)
+    )
+    return f'<ul class="legend">{lines}</ul>'
+
+
+def _data(scene: Scene) -> dict[str, Any]:
+    view = View()
     return {
-        "azimuth": view.azimuth, "elevation": view.elevation, "middle": middle.tolist(), "radius": radius,
-        "within": math.sqrt(WITHIN_95), "normal": NORMAL, "outlines": [(polygon / MM).tolist() for polygon in outlines],
-        "points": [_point(number, point) for number, point in enumerate(cloud.points, 1)],
+        "azimuth": view.azimuth, "elevation": view.elevation, "middle": scene.middle_mm.tolist(),
+        "radius": scene.radius_mm, "within": math.sqrt(WITHIN_95), "normal": NORMAL, "hint": HINT,
+        "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
+        "stroke_colour": STROKE_COLOUR,
+        "points": [_point(number, point) for number, point in enumerate(scene.cloud.points, 1)],
     }  # fmt: skip
 
 
@@ -74,7 +101,7 @@ def _point(number: int, point: Point) -> dict[str, Any]:
     cov = point.cov_world / MM**2
     return {
         "p": (point.p_world / MM).tolist(), "cov": [float(cov[i, j]) for _, i, j in PAIRS],
-        "colour": "#{:02x}{:02x}{:02x}".format(*colour_of(point.rms / MM)), "said": line_of(number, point),
+        "colour": hex_of(point.rms / MM), "said": line_of(number, point),
         "normal": None if point.direction is None else point.direction.tolist(),
     }  # fmt: skip
 
@@ -85,14 +112,11 @@ def _table(cloud: Cloud) -> str:
     for number, point in enumerate(cloud.points, 1):
         common = math.sqrt(float(np.trace(point.cov_common))) / MM
         numbers = ", ".join(str(touch.series.number) for touch in point.touches)
-        cells = (str(number), *(f"{value:.2f}" for value in (*point.p_world / MM, point.rms / MM, common)),
+        cells = (str(number), *(f"{value:z.2f}" for value in (*point.p_world / MM, point.rms / MM, common)),
                  f"{point.force / MILLINEWTON:.1f}", numbers)  # fmt: skip
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
 def _unlocated(cloud: Cloud) -> str:
-    if not cloud.unlocated:
-        return ""
-    told = ", ".join(f"touch {t.series.number} ({t.result})" for t in cloud.unlocated)
-    return f"<p>Not located: {escape(told)}.</p>"
+    return "".join(f"<p>{escape(line)}.</p>" for line in unlocated_lines(cloud))

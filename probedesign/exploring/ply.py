@@ -35,6 +35,6 @@ def ply_of(cloud: Cloud, title: str) -> bytes:
         rms = point.rms / MM
         assert math.isfinite(rms), "a point without a covariance is none"
         red, green, blue = colour_of(rms)
-        told = f"{x:.4f} {y:.4f} {z:.4f} {red} {green} {blue} {rms:.4f} {point.force:.6f}"
+        told = f"{x:z.4f} {y:z.4f} {z:z.4f} {red} {green} {blue} {rms:.4f} {point.force:.6f}"
         lines.append(f"{told} {len(point.touches)}")
     return ("\n".join(lines) + "\n").encode("ascii", "replace")

@@ -1,11 +1,13 @@
 """A rehearsal as files: what `explore` reads, and the truth beside it."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.exploring.card_house import SOURCE
 from probedesign.exploring.rehearsal import Rehearsal
 from probedesign.files import write_atomically
 from probedesign.live.csv_file import CsvFile
@@ -43,11 +45,7 @@ def write_rehearsal(
         if path.exists() and not force:
             raise InputError(f"{path}: exists; say --force to replace it, or name another folder")
     kind = CsvFile if recording.endswith(".csv") else None
-    file = (
-        kind(paths[0], force)
-        if kind is not None
-        else McapFile(paths[0], model, force, {"source": "card house"})
-    )
+    file = kind(paths[0], force) if kind is not None else McapFile(paths[0], model, force, {"source": SOURCE})
     try:
         for block in rehearsal.way.blocks(model, rng):
             file.read(block)
@@ -62,7 +60,7 @@ def _poses(rehearsal: Rehearsal) -> str:
     lines = [",".join(NAMES)]
     for pose in rehearsal.way.poses():
         numbers = (pose.time, *(value / MM for value in pose.p), *pose.q)
-        lines.append(",".join(f"{number:.9g}" for number in numbers))
+        lines.append(_cells(numbers))
     return "\n".join(lines) + "\n"
 
 
@@ -70,5 +68,10 @@ def _truth(rehearsal: Rehearsal) -> str:
     lines = [",".join(TRUTH)]
     for touch in rehearsal.touches:
         numbers = (touch.start, *(touch.p_world / MM), touch.spot.fraction, touch.force)
-        lines.append(",".join(f"{number:.9g}" for number in numbers) + f",{int(touch.spot.again)}")
+        lines.append(_cells(numbers) + f",{int(touch.spot.again)}")
     return "\n".join(lines) + "\n"
+
+
+def _cells(numbers: Iterable[float]) -> str:
+    """To the ninth decimal, behind which rounding stands: millimetres, seconds and newtons to a billionth."""
+    return ",".join(f"{round(number, 9):z.9g}" for number in numbers)

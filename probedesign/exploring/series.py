@@ -7,11 +7,18 @@ import numpy as np
 
 from probedesign.exploring.dwell import Dwell
 from probedesign.live.answer import Answer
+from probedesign.live.contacts import Contact
+from probedesign.live.phases import SPAN
 
 FREE_SPAN = 2.0
 """How much of a free probe's readings next to a touch counts [s]: the bias walks on."""
 MOST = 20
 """Dwells of one touch that count; of more, so many evenly chosen."""
+
+AGAIN = SPAN
+"""A touch that is lost before the base stood in it, and told again within less than this [s], is one: where it begins,
+its force lies in the noise still, and one mean may tell it and the next not. For so long `live` says released, not
+free."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +26,7 @@ class Series:
     """One touch.
 
     Attributes:
-        number: of it, from 1, as `live` counts.
+        number: of it, from 1.
         start: when it was told [s].
         before: the free probe just before it; None if it did not stand.
         dwells: where the base stood while it touched, in the order of time.
@@ -37,7 +44,8 @@ class Gathering:
     """Gathers series while the answers of a chain come, which must hold every reading."""
 
     def __init__(self) -> None:
-        self._number, self._start = 0, np.nan
+        self._count, self._start = 0, np.nan
+        self._told, self._last = 0, np.nan  # by the number that `live` gives; 0 where none is gathered
         self._before: Dwell | None = None
         self._older: Dwell | None = None
         self._dwells: list[Dwell] = []
@@ -48,11 +56,13 @@ class Gathering:
         if answer.phase == "" or not np.isfinite(answer.wrench_base).all():
             return
         present = answer.contacts[-1] if answer.contacts and answer.contacts[-1].lasts else None
-        if present is not None and present.number != self._number:
-            yield from self.ended()
-            self._number, self._start = present.number, present.start
-            self._before = _longer(self._before, self._older)
+        if present is not None and present.number != self._told:
+            if not self._goes_on(present):
+                yield from self.ended()
+                self._begin(present)
+            self._told = present.number
         if present is not None:
+            self._last = answer.reading.time
             if answer.phase == "settled":
                 self._settled(answer)
         elif answer.phase == "free":
@@ -60,13 +70,22 @@ class Gathering:
 
     def ended(self) -> Iterator[Series]:
         """The series that is not complete yet, if one."""
-        if self._number:
+        if self._told:
             after = self._after if self._after is not None and self._after.counts else None
             dwells = tuple(_some([dwell for dwell in self._dwells if dwell.counts]))
-            yield Series(self._number, self._start, self._before, dwells, after)
+            yield Series(self._count, self._start, self._before, dwells, after)
             if after is not None:
                 self._before, self._older = after, None
-        self._number, self._dwells, self._after = 0, [], None
+        self._told, self._dwells, self._after = 0, [], None
+
+    def _goes_on(self, present: Contact) -> bool:
+        """Whether what is told now is the touch that was just lost, as it begins."""
+        stood = any(dwell.counts for dwell in self._dwells)
+        return self._told != 0 and not stood and present.start - self._last < AGAIN
+
+    def _begin(self, present: Contact) -> None:
+        self._count, self._start = self._count + 1, present.start
+        self._before = _longer(self._before, self._older)
 
     def _settled(self, answer: Answer) -> None:
         if self._dwells and self._dwells[-1].holds(answer.T_world_base):
@@ -76,7 +95,7 @@ class Gathering:
 
     def _freely(self, answer: Answer) -> Iterator[Series]:
         """A reading of the free probe, whose base stands: after a touch or before one."""
-        if not self._number:
+        if not self._told:
             self._waiting(answer)
             return
         after = self._after

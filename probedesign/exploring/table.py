@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.exploring.cloud import Cloud, Point
-from probedesign.exploring.touched import Touched
+from probedesign.exploring.touched import MEANINGS, Touched
 from probedesign.frames import Array
 from probedesign.units import MILLINEWTON, MM
 
@@ -46,19 +46,24 @@ def document_of(cloud: Cloud) -> dict[str, Any]:
 def lines_of(cloud: Cloud) -> list[str]:
     """For people."""
     found = [line_of(number, point) for number, point in enumerate(cloud.points, 1)]
-    return found + [unlocated_line(touch) for touch in cloud.unlocated]
+    return found + unlocated_lines(cloud)
 
 
 def line_of(number: int, point: Point) -> str:
     """A point in one line."""
     x, y, z = point.p_world / MM
-    told = f"point {number:3d}  ({x:8.2f}, {y:8.2f}, {z:8.2f}) mm  ± {point.rms / MM:.2f} mm"
+    told = f"point {number:3d}  ({x:z8.2f}, {y:z8.2f}, {z:z8.2f}) mm  ± {point.rms / MM:.2f} mm"
     return f"{told}, to {point.force / MILLINEWTON:.1f} mN, touch {_numbers(point)}"
 
 
-def unlocated_line(touch: Touched) -> str:
-    """A touch without a place in one line."""
-    return f"touch {touch.series.number:3d}  at {touch.series.start:.2f} s: no place, {touch.result}"
+def unlocated_lines(cloud: Cloud) -> list[str]:
+    """The touches without a place: a line a result, with their numbers and times and what it means."""
+    lines = []
+    for result in dict.fromkeys(touch.result for touch in cloud.unlocated):
+        series = [touch.series for touch in cloud.unlocated if touch.result == result]
+        which = ", ".join(f"{one.number} at {one.start:.2f} s" for one in series)
+        lines.append(f"no place: touch {which}: {result}, {MEANINGS[result]}")
+    return lines
 
 
 def _located(number: int, point: Point) -> Row:
@@ -89,4 +94,4 @@ def _numbers(point: Point) -> str:
 def _cell(value: object) -> str:
     if value is None:
         return ""
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    return f"{value:z.9g}" if isinstance(value, float) else str(value)

@@ -6,6 +6,7 @@ import numpy as np
 
 from probedesign.estimator.answer import told
 from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
+from probedesign.estimator.estimate import RESULTS
 from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.fused import Fused
 from probedesign.estimator.fusion import Fusion
@@ -21,9 +22,11 @@ OPEN_STEPS = 10.0
 """Of the bias, in steps of the sensor's resolution, where the free probe beside the touch ties it down: as good as not
 known. An hour of the assumed walk makes 3 (`detector.DRIFT_STEPS`)."""
 NEVER_SETTLED = "never_settled"
-"""The base did not stand while it touched, or the readings did not."""
-RESULTS = ("ok", "too_light", "ambiguous", "inconsistent", "unobservable", "out_of_range", "not_converged",
-           NEVER_SETTLED)  # fmt: skip
+MEANINGS: dict[str, str] = {
+    **{str(result): meaning for result, meaning in RESULTS.items()},
+    NEVER_SETTLED: "the base or the readings did not stand while it touched",
+}
+"""Of each result, in words."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Touched:
 
     Attributes:
         series: it.
-        result: one of `RESULTS`.
+        result: one of `MEANINGS`.
         located: the touched point of the object, with "ok".
         force: the strongest of its dwells' [N]; NaN unless ok.
         direction: of that force on the probe in the world, unit, (3,).

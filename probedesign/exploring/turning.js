@@ -1,6 +1,6 @@
-// Points, their 95 % ellipsoids and outlines, turned by the mouse: parallel lines stay parallel, nothing is loaded.
+// Points, their 95 % ellipsoids and what was truly touched, turned by the mouse: parallel lines stay parallel, nothing is loaded.
 const canvas = document.getElementById("cloud"), pen = canvas.getContext("2d"), said = document.getElementById("said");
-const data = JSON.parse(document.getElementById("data").textContent);
+const sizes = document.getElementById("times"), data = JSON.parse(document.getElementById("data").textContent);
 const bars = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 let azimuth, elevation, zoom, held = null, shown = -1;
 
@@ -28,11 +28,15 @@ function draw() {
     const q = [p[0] - data.middle[0], p[1] - data.middle[1], p[2] - data.middle[2]];
     return [wide / 2 + scale * dot(q, right), high / 2 - scale * dot(q, up), dot(q, near)];
   };
-  for (const polygon of data.outlines) {
+  const times = Number(new FormData(sizes).get("times")), size = data.within * times * scale;
+  const trace = corners => {
     pen.beginPath();
-    polygon.forEach((p, i) => { const [x, y] = at(p); i ? pen.lineTo(x, y) : pen.moveTo(x, y); });
-    pen.closePath(); pen.fillStyle = "rgba(201,185,138,0.10)"; pen.fill();
-    pen.strokeStyle = "#a08c5a"; pen.lineWidth = 0.8; pen.stroke();
+    corners.forEach((p, i) => { const [x, y] = at(p); i ? pen.lineTo(x, y) : pen.moveTo(x, y); });
+  };
+  pen.strokeStyle = data.truth_colour; pen.fillStyle = "rgba(201,185,138,0.10)";
+  for (const polygon of data.truth) {
+    trace(polygon); pen.closePath(); pen.fill(); pen.lineWidth = 0.6; pen.stroke();
+    trace(polygon.slice(0, 2)); pen.lineWidth = 2; pen.stroke();
   }
   const placed = data.points.map((point, i) => [at(point.p), point, i]).sort((a, b) => a[0][2] - b[0][2]);
   pen.font = "11px Helvetica, Arial, sans-serif";
@@ -41,10 +45,10 @@ function draw() {
     if (point.normal) {
       pen.beginPath(); pen.moveTo(x, y);
       pen.lineTo(x + data.normal * dot(point.normal, right), y - data.normal * dot(point.normal, up));
-      pen.strokeStyle = "#999"; pen.lineWidth = 1; pen.stroke();
+      pen.strokeStyle = data.stroke_colour; pen.lineWidth = 1; pen.stroke();
     }
     pen.beginPath();
-    pen.ellipse(x, y, data.within * long * scale, Math.max(data.within * short * scale, 0.4), -angle, 0, 2 * Math.PI);
+    pen.ellipse(x, y, long * size, Math.max(short * size, 0.4), -angle, 0, 2 * Math.PI);
     pen.fillStyle = point.colour + (lit ? "88" : "40"); pen.fill();
     pen.strokeStyle = point.colour; pen.lineWidth = lit ? 2 : 1; pen.stroke();
     pen.beginPath(); pen.arc(x, y, 2, 0, 2 * Math.PI); pen.fillStyle = point.colour; pen.fill();
@@ -57,7 +61,9 @@ function draw() {
   });
   const bar = bars.filter(b => b * scale <= 0.25 * wide).pop() || bars[0];
   pen.fillStyle = "#111"; pen.fillRect(wide - 24 - bar * scale, high - 24, bar * scale, 2);
-  pen.textAlign = "right"; pen.fillText(bar + " mm", wide - 24, high - 30); pen.textAlign = "left";
+  pen.textAlign = "right"; pen.fillText(bar + " mm", wide - 24, high - 30);
+  pen.fillText(times > 1 ? `ellipsoids drawn ${times} times as large` : "ellipsoids in scale", wide - 24, high - 8);
+  pen.textAlign = "left";
   return placed;
 }
 function tell(event) {
@@ -68,7 +74,7 @@ function tell(event) {
     if (far < best) { best = far; found = i; }
   }
   if (found !== shown) { shown = found; draw(); }
-  said.textContent = found < 0 ? "Drag to turn, wheel to zoom, double click to begin anew." : data.points[found].said;
+  said.textContent = found < 0 ? data.hint : data.points[found].said;
 }
 canvas.addEventListener("pointerdown", event => { held = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
 canvas.addEventListener("pointerup", () => { held = null; });
@@ -86,5 +92,6 @@ canvas.addEventListener("wheel", event => {
   draw();
 }, {passive: false});
 canvas.addEventListener("dblclick", () => { rest(); draw(); });
-window.addEventListener("resize", draw);
+sizes.addEventListener("change", () => draw());
+window.addEventListener("resize", () => draw());
 rest(); draw();

@@ -56,6 +56,7 @@ class Recorded:
         notes: what a user should know before it is read.
         blocks: its readings, in the sensor frame.
         lacking: what is missing in it, as far as it was read.
+        source: that it was read from, by its own words; empty where it does not say.
     """
 
     path: Path
@@ -64,6 +65,7 @@ class Recorded:
     notes: tuple[str, ...]
     blocks: Callable[[], Iterator[Block]]
     lacking: Callable[[], tuple[str, ...]] = field(default=lambda: ())
+    source: str = ""
 
 
 def open_recording(path: Path, model: ProbeModel, choice: Choice | None = None) -> Recorded:
@@ -126,8 +128,9 @@ def _own(bag: Attached, model: ProbeModel, choice: Choice) -> Recorded:
         return tuple(told)
 
     about = bag.metadata[OURS]
-    what = f"recorded {plain(about.get('started', ''))} from {plain(about.get('source', ''))}"
-    return Recorded(bag.path, what, "sensor", notes, lambda: _checked(bag.path, blocks), lacking)
+    source = plain(about.get("source", ""))
+    what = f"recorded {plain(about.get('started', ''))} from {source}"
+    return Recorded(bag.path, what, "sensor", notes, lambda: _checked(bag.path, blocks), lacking, source)
 
 
 def _check_probe(bag: Attached, model: ProbeModel, choice: Choice) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ class Replay:
     Attributes:
         title: one line that says what it is.
         notes: what a user should know of the file.
+        recorded_from: what the recording was read from, by its own words; empty where it does not say.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class Replay:
         choice = Choice(other_probe=numbers["other_probe"] == 1, **words)  # type: ignore[arg-type]  # checked
         self._recorded = open_recording(path, model, choice)
         self.title = f"replay of {path}, {self._recorded.what}"
-        self.notes = self._recorded.notes
+        self.notes, self.recorded_from = self._recorded.notes, self._recorded.source
 
     def __iter__(self) -> Generator[Block, None, None]:
         return paced(blocks_of(self._readings(), MOST, TICK * self._speed), self._speed)

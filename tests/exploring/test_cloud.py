@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from probedesign.exploring.card_house import SOURCE, card_house, spots, true_outlines
 from probedesign.exploring.cloud import cloud_of
 from probedesign.exploring.located import Located, _by_turn
+from probedesign.exploring.page import page_of
 from probedesign.exploring.picture import svg_of
-from probedesign.exploring.touched import Touched
+from probedesign.exploring.ply import ply_of
+from probedesign.exploring.scene import Scene
+from probedesign.exploring.table import csv_of, lines_of
+from probedesign.exploring.touched import NEVER_SETTLED, Touched
 
 PRIOR = np.array([0.01, 0.05e-3, 0.05e-3, 0.05e-3])
 BY_STIFFNESS = np.array([0.0, 0.05, 0.0])
@@ -96,10 +101,54 @@ def test_a_turned_base_carries_its_points_along_and_that_is_counted():
 
 def test_the_picture_holds_every_ellipsoid():
     """Two vague points that lie near to each other: their ellipsoids are longer than the way between them."""
-    picture = svg_of(cloud_of([touch(1, (0, 0, 0), 5e-3), touch(2, (20e-3, 0, 0), 5e-3)], PRIOR)).decode()
+    picture = svg_of(
+        Scene(cloud_of([touch(1, (0, 0, 0), 5e-3), touch(2, (20e-3, 0, 0), 5e-3)], PRIOR))
+    ).decode()
     width, height = map(float, re.findall(r'<rect width="([\d.]+)" height="([\d.]+)"', picture)[0])
-    found = re.findall(r'translate\(([\d.-]+) ([\d.-]+)\).*?rx="([\d.]+)" ry="([\d.]+)"', picture)
+    found = re.findall(r'translate\(([\d.-]+) ([\d.-]+)\) rotate.*?rx="([\d.]+)" ry="([\d.]+)"', picture)
     assert len(found) == 2
     for x, y, rx, ry in (map(float, numbers) for numbers in found):
         least = min(rx, ry)  # however the ellipse is turned, it goes so far each way
         assert least < x < width - least and least < y < height - least
+
+
+def test_what_is_nought_has_no_sign():
+    """A nanometre to the left of the origin, told in hundredths or ten-thousandths of a millimetre."""
+    cloud = cloud_of([touch(1, (-1e-9, -1e-9, -0.0), 0.2e-3)], PRIOR)
+    for text in (*lines_of(cloud), csv_of(cloud).decode(), ply_of(cloud, "").decode()):
+        assert not re.search(r"-0(\.0*)?\b(?![.\d])", text)
+    cells = re.findall(r"<td>(.*?)</td>", page_of(Scene(cloud), "Points", []).decode())
+    assert cells[1:4] == ["0.00", "0.00", "0.00"]
+
+
+def test_touches_without_a_place_are_told_by_number_and_reason():
+    """A line for both, of a code and of what it means."""
+    lost = [Touched(SimpleNamespace(number=n, start=float(n)), NEVER_SETTLED) for n in (2, 5)]
+    (line,) = lines_of(cloud_of(lost, PRIOR))
+    assert "touch 2 at 2.00 s, 5 at 5.00 s: never_settled" in line and "stand" in line
+
+
+@pytest.mark.parametrize(("std", "times"), [(5e-3, 1), (0.5e-3, 5), (0.1e-3, 10)])
+def test_ellipsoids_are_drawn_as_large_as_is_needed_to_see_them_and_that_is_told(std, times):
+    """Two points 200 mm apart; a half-axis of 2.8 deviations is to be 2 mm, a fiftieth of the scene's radius."""
+    scene = Scene(cloud_of([touch(i, ((-1) ** i * 0.1, 0, 0), std, lever=0.0) for i in (1, 2)], PRIOR))
+    assert scene.times == times
+    told = "in scale" if times == 1 else f"drawn {times} times as large"
+    assert told in svg_of(scene).decode()
+    assert f'value="{times}" checked' in page_of(scene, "Points", []).decode()
+
+
+def test_the_truth_is_drawn_and_called_so_only_where_it_is_known():
+    """A rehearsal's recording says what it was read from; the edges of its cards hold the points that were touched."""
+    cloud = cloud_of([touch(1, (0, 0, 0), 0.2e-3)], PRIOR)
+    known, unknown = Scene(cloud, true_outlines(SOURCE)), Scene(cloud, true_outlines("netft://192.168.1.1"))
+    for draw in (svg_of, lambda scene: page_of(scene, "Points", [])):
+        assert draw(known).count(b"<polygon") == len(card_house()) and b"simulated truth" in draw(known)
+        assert b"<polygon" not in draw(unknown) and b"truth, not measured" not in draw(unknown)
+    for spot in spots():
+        away = [np.cross(spot.p_world - card[0], _along(card)) for card in known.truth]
+        assert min(np.linalg.norm(off) for off in away) < 1e-12  # rounding
+
+
+def _along(card):
+    return (card[1] - card[0]) / np.linalg.norm(card[1] - card[0])
