@@ -87,6 +87,12 @@ def _print(found: "Identification") -> None:
         print(f"  and {len(found.outliers) - 5} more outliers, in residuals.csv")
     for shift in found.shifts:
         print(f"  not counted: {shift.cause}: {shift.of} {shift.percent:+.2g} %")
+    for one in found.found:
+        if any(shift.of == one.name for shift in found.shifts):
+            within = f"95 % within {one.low_in_all:.4g} ... {one.high_in_all:.4g}"
+            print(
+                f"  with each of these as one standard deviation: {one.name} to {one.share_in_all:.2%}, {within}"
+            )
     for note in found.notes:
         print(f"  note: {note}")
 
@@ -99,7 +105,7 @@ def _told(one: "Identified") -> str:
     if one.std_of_print > 1.1 * one.std:
         of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with their tolerances"
         text += f" with the design's dimensions; {of_print}"
-    return text
+    return f"{text}; {one.doubt}" if one.doubt else text
 
 
 def _with_unit(value: float, unit: str) -> str:
@@ -111,3 +117,5 @@ def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Pat
     print(f"wrote {path}; its old values stay as comments:" if path else would)
     for change in changes:
         print(f"  [{change.table}] {change.key} = {change.text}")
+    if path is None:
+        print(f"nothing is written: deploy would freeze {design} as it is; take --write, or --out for a copy")

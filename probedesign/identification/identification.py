@@ -29,6 +29,11 @@ class Identified:
         design: the design's value; 0 for a pose.
         value_of_print, std_of_print, low_of_print, high_of_print: the same where the diameters are known as well as
             the design's tolerances have them: of the material rather than of the probe.
+        std_in_all, low_in_all, high_in_all: of `value` with what `std` does not count: each of the shifts that the
+            identification lists of it taken for one standard deviation, independent of the others. A design gets these.
+        by_diameter: power of the base diameter with which `value` goes, where all diameters are other than designed
+            together; None where that was not asked of the tests.
+        doubt: what must be said beside the number; empty if nothing.
         why: what the tests tell instead, where it is not told.
     """
 
@@ -45,7 +50,18 @@ class Identified:
     std_of_print: float | None = None
     low_of_print: float | None = None
     high_of_print: float | None = None
+    std_in_all: float | None = None
+    low_in_all: float | None = None
+    high_in_all: float | None = None
+    by_diameter: float | None = None
+    doubt: str = ""
     why: str = ""
+
+    @property
+    def share_in_all(self) -> float:
+        """`std_in_all` as a share of the value."""
+        assert self.std_in_all is not None
+        return self.std_in_all / self.value
 
     @property
     def identified(self) -> bool:

@@ -1,6 +1,8 @@
 """From the end of a search to numbers with their intervals, and what they do not count."""
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import norm, t
@@ -40,15 +42,17 @@ def found_of(fit: Fit, asked: Sequence[str], given_up: Sequence[Untold], names: 
     x, cov = fit.point.guess.x[active], fit.cov
     print_ = [i for i, place in enumerate(active) if place >= PRINT]
     held, cov_held = x[at], cov[np.ix_(at, at)]
+    powers: list[float | None] = [None] * len(at)
     if print_:
-        lever = np.linalg.solve(cov[np.ix_(print_, print_)], cov[np.ix_(print_, at)]).T
+        lever: Array = np.asarray(np.linalg.solve(cov[np.ix_(print_, print_)], cov[np.ix_(print_, at)]).T)
         held = held - lever @ x[print_]
         cov_held = cov_held - lever @ cov[np.ix_(print_, at)]
+        powers = _powers(shared, int(active[print_[0]]), places, lever)
     std = np.sqrt(np.diag(cov_held))
     found = {}
     for i, place in enumerate(places):
         own = (held[i], std[i], x[at[i]], float(np.sqrt(cov[at[i], at[i]])))
-        found[PARTS[place]] = _identified(shared, place, own, quantile)
+        found[PARTS[place]] = replace(_identified(shared, place, own, quantile), by_diameter=powers[i])
     why = {one.name: one.words for one in given_up}
     for name in names:
         if name in why:
@@ -59,6 +63,26 @@ def found_of(fit: Fit, asked: Sequence[str], given_up: Sequence[Untold], names: 
         cov_held / np.outer(std, std),
         tuple(PARTS[p] for p in places),
     )
+
+
+def _powers(shared: Shared, first: int, places: Sequence[int], lever: Array) -> list[float | None]:
+    """Of the base diameter, with which logarithms go where all diameters differ together; None where those are no
+    unknown of the fit, or it is no logarithm.
+
+    Args:
+        shared: what the tests share.
+        first: place of the first of the print's own unknowns that moved.
+        places: of the numbers.
+        lever: of the numbers by the print's unknowns, (n, q).
+    """
+    t = shared.tolerances
+    if first != PRINT or max(t.diameter_mm, t.diameter_share) == 0.0:
+        return [None] * len(places)
+    base = shared.print_rows[0, 0]
+    return [
+        float(row[0] / base) if _scale_of(shared, place)[4] else None
+        for place, row in zip(places, lever, strict=True)
+    ]
 
 
 def _scale_of(shared: Shared, place: int) -> tuple[str, str, float, float, bool]:
@@ -141,8 +165,10 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
 
 
 def shifts_of(fit: Fit, asked: Sequence[str]) -> tuple[Shift, ...]:
-    """What root, gain and millimetre would do to E, to first order, were they a little other."""
-    if "E" not in asked:
+    """What root, gain and millimetre would do to moduli, density and diameters, to first order, were they a little
+    other."""
+    moved = [name for name in asked if ASKABLE[name].logarithm]
+    if not moved:
         return ()
     problem, point = fit.point.problem, fit.point
     active = np.flatnonzero(problem.active)
@@ -163,8 +189,32 @@ def shifts_of(fit: Fit, asked: Sequence[str]) -> tuple[Shift, ...]:
     for cause, column in columns.items():
         if column.any():
             change = -np.linalg.lstsq(rows * units, column)[0] * units
-            found.append(Shift(cause, "E", 100.0 * float(np.expm1(change[0]))))
+            at = {name: int(np.searchsorted(active, PARTS.index(name))) for name in moved}
+            found += [Shift(cause, name, 100.0 * float(np.expm1(change[i]))) for name, i in at.items()]
     return tuple(found)
+
+
+def counted_in_all(
+    numbers: Sequence[Identified], shifts: Sequence[Shift], quantile: float
+) -> tuple[Identified, ...]:
+    """The numbers with their standard deviations and intervals in all: the fit's and each shift of theirs, as if
+    independent.
+
+    Args:
+        numbers: as the fit tells them.
+        shifts: what it does not count.
+        quantile: of the intervals.
+    """
+    return tuple(_in_all(one, shifts, quantile) if one.identified else one for one in numbers)
+
+
+def _in_all(one: Identified, shifts: Sequence[Shift], quantile: float) -> Identified:
+    assert one.std is not None
+    std = math.hypot(one.std, *(one.value * 1e-2 * shift.percent for shift in shifts if shift.of == one.name))
+    low, high = one.value - quantile * std, one.value + quantile * std
+    if one.name in ASKABLE and ASKABLE[one.name].logarithm:
+        low, high = (one.value * math.exp(sign * quantile * std / one.value) for sign in (-1.0, 1.0))
+    return replace(one, std_in_all=std, low_in_all=low, high_in_all=high)
 
 
 def _by_gain(fit: Fit) -> Array:
