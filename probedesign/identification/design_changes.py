@@ -48,7 +48,6 @@ def changes_of(found: Identification, design: Design, day: str) -> tuple[Change,
     told = [one for one in found.found if one.identified and one.name in (*MATERIAL, ROOT)]
     if not told:
         raise InputError(f"{found.data}: tells nothing that a design holds; ask for E, G, density or root")
-    _check_diameters(found)
     changes = [_value(one, found, day) for one in told]
     changes += [Change("material.provenance", MATERIAL[one.name], '"identified"')
                 for one in told if one.name in MATERIAL]  # fmt: skip
@@ -116,16 +115,6 @@ def _before_in(text: str, change: Change) -> object:
 
 def _told(change: Change) -> object:
     return tomllib.loads(f"v = {change.text}")["v"]
-
-
-def _check_diameters(found: Identification) -> None:
-    """Refuse moduli of other diameters than the design's."""
-    diameters = found.of("diameters")
-    if diameters is not None:
-        raise InputError(
-            f"{found.data}: all else goes with diameters {diameters.value:.4g} times the design's, and those stay as "
-            "they are; to write E for the design's, leave diameters out of --for"
-        )
 
 
 def _value(one: Identified, found: Identification, day: str) -> Change:

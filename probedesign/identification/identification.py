@@ -23,7 +23,8 @@ class Identified:
         words: what it is.
         unit: of all that follow; empty for plain factors.
         result: "identified", or "not_told": then `value` is the design's and nothing else is said.
-        value: with the design's diameters taken as they are, as the frozen probe takes them.
+        value: with the design's diameters taken as they are, as the frozen probe takes them, even where those are asked
+            for as well.
         std: of it.
         low, high: 95 % of it.
         design: the design's value; 0 for a pose.
@@ -186,6 +187,17 @@ class Identification:
         return replace(self, result="inconsistent", found=found, correlation=np.empty((0, 0)), correlated=(),
                        shifts=(), why=why)  # fmt: skip
 
+    @property
+    def dimensions(self) -> str:
+        """What the second interval of each number is with."""
+        return "tolerances of dimensions" if self.of("diameters") is None else "the diameters found"
+
+    @property
+    def causes(self) -> dict[str, tuple[Shift, ...]]:
+        """The shifts by their cause."""
+        causes = dict.fromkeys(shift.cause for shift in self.shifts)
+        return {cause: tuple(shift for shift in self.shifts if shift.cause == cause) for cause in causes}
+
     def of(self, name: str) -> Identified | None:
         """The number of that name, if it was asked for and told."""
         return next((one for one in self.found if one.name == name and one.identified), None)
@@ -214,4 +226,5 @@ class Identification:
         """Plain, for JSON."""
         document = asdict(self)
         document["correlation"] = self.correlation.tolist()
+        document["residuals"] = [{**row, "unit": UNITS[row["kind"]]} for row in document["residuals"]]
         return document

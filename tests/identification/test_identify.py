@@ -43,8 +43,13 @@ def test_G_is_left_at_the_design(found) -> None:
     assert G.std is None and "G: these tests hardly see it" in G.why
 
 
-def test_cameras_tell_E_from_weights_and_touches(cameras: Campaign, model: ProbeModel) -> None:
-    E = identify(_data(cameras, model), ("E",)).of("E")
+@pytest.fixture(scope="module")
+def told_by_cameras(cameras: Campaign, model: ProbeModel):
+    return identify(_data(cameras, model), ("E",))
+
+
+def test_cameras_tell_E_from_weights_and_touches(told_by_cameras) -> None:
+    E = told_by_cameras.of("E")
     assert E is not None and abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
     assert E.std / E.value < 0.02
 
@@ -59,6 +64,22 @@ def test_E_and_diameters_are_not_told_apart_by_stiffness(stage: Campaign, model:
     assert diameters.result == "not_told"
     assert "E·diameters^4" in diameters.why
     assert told.of("E") is not None
+
+
+def test_E_is_that_of_the_designs_diameters_even_where_those_are_asked_for(
+    cameras: Campaign, told_by_cameras, model: ProbeModel
+) -> None:
+    """It is what a design gets, and no design gets other diameters."""
+    alone = told_by_cameras.of("E")
+    found = identify(_data(cameras, model), ("E", "diameters"))
+    E, diameters = found.of("E"), found.of("diameters")
+    assert alone is not None and E is not None and diameters is not None
+    assert (
+        abs(E.value - alone.value) < 0.1 * alone.std
+    )  # the same readings; both searches end within a twentieth
+    assert E.std == pytest.approx(alone.std, rel=0.02)
+    assert E.value_of_print * diameters.value**4 == pytest.approx(E.value, rel=0.01)  # weight goes with d²
+    assert E.by_diameter == pytest.approx(-4.0, abs=0.3)
 
 
 def test_sag_alone_tells_E_over_density(model: ProbeModel) -> None:
