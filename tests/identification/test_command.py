@@ -8,6 +8,7 @@ import pytest
 
 from probedesign import load_design, load_estimator, pipeline
 from probedesign.cli.main import run
+from probedesign.identification.identification import UNITS
 from tests.identification.conftest import LARGE, TRUE_E
 from tests.test_pages import assert_whole
 
@@ -25,6 +26,7 @@ def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_
     assert run(["identify", "large.toml", str(stage_folder), "--for", "E"]) == 0
     said = capsys.readouterr().out
     assert "--write would change large.toml" in said and "[material] youngs_modulus_mpa = 2." in said
+    assert "deploy would freeze large.toml as it is" in said
     assert (here / "large.toml").read_bytes() == before
     folder = here / "exports/large/identification"
     page = (folder / "identification.html").read_text()
@@ -34,6 +36,7 @@ def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_
     document = json.loads((folder / "identification.json").read_text())
     assert len(rows) == 1 + len(document["residuals"])
     assert document["found"][0]["result"] == "identified"
+    assert {row["unit"] for row in document["residuals"]} <= set(UNITS.values())
 
 
 def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, capsys) -> None:
