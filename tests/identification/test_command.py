@@ -28,6 +28,8 @@ def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_
     assert "--write would change large.toml" in said and "[material] youngs_modulus_mpa = 2." in said
     assert "deploy would freeze large.toml as it is" in said
     assert (here / "large.toml").read_bytes() == before
+    assert run(["deploy", "large.toml"]) == 0  # with the old E, and not without a word
+    assert ", where the design has 2.32: identify writes" in capsys.readouterr().out
     folder = here / "exports/large/identification"
     page = (folder / "identification.html").read_text()
     assert_whole(page)
@@ -53,6 +55,7 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     assert (here / "large.toml").read_bytes() == before
 
     assert run([*command, "--force"]) == 0
+    assert pipeline.identified_apart(here / "large.toml") == ""
     found = json.loads(capsys.readouterr().out)["found"][0]
     design = load_design("large.toml")
     assert design.youngs_modulus.value == pytest.approx(
