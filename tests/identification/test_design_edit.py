@@ -44,6 +44,9 @@ def test_a_value_that_stands_there_already_is_left_alone() -> None:
     text = LARGE.read_text()
     change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
     assert edited(text, [change], DAY, "large.toml") == text
+    once = edited(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    again = edited(once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    assert again == once  # the same line is no old one
 
 
 def test_line_ends_of_windows_stay() -> None:
