@@ -93,7 +93,7 @@ def _print(found: "Identification") -> None:
             print(
                 f"  with each of these as one standard deviation: {one.name} to {one.share_in_all:.2%}, {within}"
             )
-    for note in found.notes:
+    for note in (*found.doubts, *found.notes):
         print(f"  note: {note}")
 
 
@@ -105,7 +105,7 @@ def _told(one: "Identified", dimensions: str) -> str:
     if one.std_of_print > 1.1 * one.std:
         of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with {dimensions}"
         text += f" with the design's dimensions; {of_print}"
-    return f"{text}; {one.doubt}" if one.doubt else text
+    return text
 
 
 def _with_unit(one: "Identified") -> str:

@@ -9,14 +9,15 @@ from probedesign.rod.rod import Rod
 from probedesign.units import MPA
 
 BARELY = 0.5
-"""Of `Askable.told`, the standard deviation that tells nothing: from here on a number is told barely. Assumed."""
+"""Of `Askable.told`, the standard deviation that tells nothing: from here on, with what the fit does not count, a
+number is told barely. Assumed."""
 
 
 def hedged(numbers: Sequence[Identified], rod: Rod) -> tuple[Identified, ...]:
     """The numbers with their doubts.
 
     Args:
-        numbers: all that was asked for.
+        numbers: all that was asked for, counted in all.
         rod: of the probe as designed.
     """
     E = next((one.value for one in numbers if one.name == "E"), rod.youngs_modulus / MPA)
@@ -31,12 +32,12 @@ def hedged(numbers: Sequence[Identified], rod: Rod) -> tuple[Identified, ...]:
 
 def _barely(one: Identified) -> str:
     """Whether it is a factor's logarithm, and told nearly too badly to be told at all."""
-    told = ASKABLE.get(one.name)
-    if told is None or not told.logarithm or one.std is None or one.std < BARELY * told.told * one.value:
+    asked = ASKABLE.get(one.name)
+    if asked is None or not asked.logarithm or one.share_in_all < BARELY * asked.told:
         return ""
     return (
-        f"barely told: its standard deviation is {one.std / one.value:.2g} of it, and above {told.told:g} it "
-        "would be left at the design's"
+        f"barely told: its standard deviation in all is {one.share_in_all:.0%}, and {asked.told:.0%} by the fit alone "
+        "would leave it at the design's"
     )
 
 

@@ -193,6 +193,11 @@ class Identification:
         return "tolerances of dimensions" if self.of("diameters") is None else "the diameters found"
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        """What must be said beside the numbers, a line for each that has any."""
+        return tuple(f"{one.name}: {one.doubt}" for one in self.found if one.doubt)
+
+    @property
     def causes(self) -> dict[str, tuple[Shift, ...]]:
         """The shifts by their cause."""
         causes = dict.fromkeys(shift.cause for shift in self.shifts)

@@ -31,6 +31,7 @@ def identification_page(found: Identification) -> bytes:
         f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. First that of the fit, with the design's "
         "dimensions taken as they are, as the frozen probe takes them; then with what the fit does not count, listed "
         f"below: a design gets that; then the fit's with {found.dimensions}, as of the material.",
+        *found.doubts,
         *found.notes,
     ]
     sections = [_by_test(found), _normal(found)] if any(one.kind in KINDS for one in found.residuals) else []
@@ -64,13 +65,12 @@ def _row(one: Identified) -> list[str]:
     if not one.identified:
         return [one.name, "not told", "", "", "", design, one.why]
     ends = ((one.low, one.high), (one.low_in_all, one.high_in_all), (one.low_of_print, one.high_of_print))
-    words = f"{one.words}; {one.doubt}" if one.doubt else one.words
     return [
         one.name,
         f"{one.value:.4g} {one.unit}",
         *(f"{a:.4g} ... {b:.4g}" for a, b in ends),
         design,
-        words,
+        one.words,
     ]
 
 
@@ -180,7 +180,7 @@ def _correlation(found: Identification) -> Section:
             fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
             fill = _SELF if i == j else fill
             chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
-            chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.75 and i != j else "#111")
+            chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.6 and i != j else "#111")
     chart.legend += [Entry("too great together", "#ff0000"), Entry("one too great, one too small", "#0000ff"),
                      Entry("itself", _SELF)]  # fmt: skip
     return Section("What goes together?", "Correlation of the errors, the print's dimensions as designed but for those "

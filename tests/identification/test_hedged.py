@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign import load_design
-from probedesign.cli.identify import _told
+from probedesign.cli.identify import _print
 from probedesign.estimator.model import ProbeModel
 from probedesign.identification.design_changes import changes_of
 from probedesign.identification.hedged import hedged
@@ -42,13 +42,15 @@ def told(model: ProbeModel, *numbers: Identified, shifts: tuple[Shift, ...] = ()
         (0.753, 0.006, ("not told apart from the design's E/3.05",), ("barely", "E/3 ")),
     ],
 )
-def test_G_that_E_tells_as_well_is_said_to(value, share, said, unsaid, model: ProbeModel) -> None:
+def test_G_that_E_tells_as_well_is_said_to(value, share, said, unsaid, model: ProbeModel, capsys) -> None:
     found = told(model, number("E", 2.32, 0.002, 2.32), number("G", value, share, 0.761))
     G, design = found.found[1], load_design(LARGE)
     note = next(c.note for c in changes_of(found, design, "2026-01-02") if c.key == "shear_modulus_mpa")
-    places = (_told(G, ""), identification_page(found).decode().replace("&#x27;", "'"), note)
+    _print(found)
+    console = capsys.readouterr().out
+    places = (console, identification_page(found).decode().replace("&#x27;", "'"), note)
     assert all(words in place for words in said for place in places)
-    assert not any(words in place for words in unsaid for place in (_told(G, ""), note))
+    assert not any(words in place for words in unsaid for place in (console, note))
     assert f"{G.low:.4g} ... {G.high:.4g} in 95 %" in note
 
 
