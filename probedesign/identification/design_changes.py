@@ -137,6 +137,7 @@ def _before(design: Design) -> float:
 def _spread(one: Identified, day: str) -> Change:
     """Standard deviation, relative, in all."""
     assert one.std is not None
-    fit = f"identified {day}: {one.std / one.value:.2g} by the fit"
-    rest = "" if one.std == one.std_in_all else ", the rest what it does not count: root, gain, millimetre"
-    return Change("tolerances", TOLERANCES[one.name], f"{one.share_in_all:.2g}", fit + rest)
+    note = f"identified {day}: {one.std / one.value:.2g} by the fit"
+    if one.std != one.std_in_all:
+        note += ", the rest what it does not count, each cause as one standard deviation"
+    return Change("tolerances", TOLERANCES[one.name], f"{one.share_in_all:.2g}", note)
