@@ -228,9 +228,11 @@ def _spread(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _tolerances(data: dict[str, Any] | None) -> Tolerances | None:
-    """How well the probe is known; files written before that was told say nothing."""
+    """How well the probe is known; files written before that was told say nothing, others not how E goes with the
+    diameters."""
     if data is None:
         return None
+    data = {"youngs_modulus_by_diameter": 0.0, **data}
     known = {entry.name for entry in fields(Tolerances)}
     if set(data) != known or not isinstance(data["tared"], bool):
         raise InputError(f"tolerances: must hold {', '.join(sorted(known))}")

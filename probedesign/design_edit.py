@@ -70,7 +70,8 @@ def _changed(lines: list[str], change: Change, when: str) -> list[str]:
     assignment = re.compile(rf"""\s*["']?{re.escape(change.key)}["']?\s*=""")
     for i in range(start + 1, end):
         if assignment.match(lines[i]):
-            if lines[i].split("#")[0].split() == change.line.split("#")[0].split() and not change.note:
+            same = lines[i].split("#")[0].split() == change.line.split("#")[0].split()
+            if lines[i] == change.line or (same and not change.note):
                 return lines
             return [*lines[:i], f"# until {when}: {lines[i].strip()}", change.line, *lines[i + 1 :]]
     while end > start + 1 and not lines[end - 1].strip():

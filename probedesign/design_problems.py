@@ -22,6 +22,9 @@ def parse_toml(text: str, model: type[Model], where: str) -> Model:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
         raise InputError(f"{where}: not valid TOML: {one_line(str(error))}") from None
+    if not data:
+        needed = [f.alias or name for name, f in model.model_fields.items() if f.is_required()]
+        raise InputError(f"{where}: says nothing; it needs {', '.join(needed)}")
     return check_toml(data, model, text, where)
 
 
@@ -68,8 +71,14 @@ def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> 
         message = str(cause)
     else:
         message = _explain(key, item, detail, model)
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return _line_of(key, text), one_line(message) + more
+    return _line_of(key, text), f"{one_line(message)}{_others(details)}"
+
+
+def _others(details: list[Any]) -> str:
+    """The keys of what else is wrong: of all but the first."""
+    keys = dict.fromkeys(".".join(map(str, detail["loc"])) for detail in details[1:])
+    told = one_line(", ".join(keys))
+    return f" (wrong besides: {told})" if keys else ""
 
 
 def _explain(key: str, item: str, detail: Any, model: type[BaseModel]) -> str:
@@ -80,9 +89,8 @@ def _explain(key: str, item: str, detail: Any, model: type[BaseModel]) -> str:
             return f"unknown key {quoted(key)}{_did_you_mean(key, model)}"
         case "missing":
             return f"{key}{item} is missing"
-        case "greater_than_equal" | "less_than_equal":
-            low, high = _range_of(key, model)
-            return f"{wrong} is out of range; allowed is {low} ... {high}"
+        case "greater_than_equal" | "less_than_equal" | "greater_than" | "less_than":
+            return f"{wrong} is out of range; allowed is {_range_of(key, model)}"
         case "finite_number":
             return f"{wrong} is not a finite number"
         case "literal_error":
@@ -159,8 +167,8 @@ def _did_you_mean(key: str, model: type[BaseModel]) -> str:
     return f"; known here: {', '.join(k.rpartition('.')[2] for k in siblings)}"
 
 
-def _range_of(key: str, model: type[BaseModel]) -> tuple[str, str]:
-    """Lowest and highest value of a bounded key, as text."""
+def _range_of(key: str, model: type[BaseModel]) -> str:
+    """Lowest and highest value of a bounded key."""
     table, _, last = key.rpartition(".")
     field = _fields(model, table).get(last)
     metadata: list[Any] = [] if field is None else list(field.metadata)
@@ -168,9 +176,12 @@ def _range_of(key: str, model: type[BaseModel]) -> tuple[str, str]:
         metadata += getattr(argument, "__metadata__", ())
     flat = [m for item in metadata for m in (*getattr(item, "metadata", ()), item)]
     low = next((m.ge for m in flat if hasattr(m, "ge")), None)
-    low = next((m.gt for m in flat if hasattr(m, "gt")), None) if low is None else low
+    above = next((m.gt for m in flat if hasattr(m, "gt")), None)
     high = next((m.le for m in flat if hasattr(m, "le")), None)
-    return ("-inf" if low is None else f"{low:g}", "inf" if high is None else f"{high:g}")
+    most = "inf" if high is None else f"{high:g}"
+    if above is not None:
+        return f"above {above:g}, up to {most}"
+    return f"{'-inf' if low is None else f'{low:g}'} ... {most}"
 
 
 def _line_of(key: str, text: str) -> int | None:

@@ -272,6 +272,7 @@ class TolerancesTable(Table):
 
     drift_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
     youngs_modulus: Share | None = None
+    youngs_modulus_by_diameter: Annotated[float, Field(ge=-20.0, le=20.0)] | None = None
     shear_modulus: Share | None = None
     density: Share | None = None
     diameter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None

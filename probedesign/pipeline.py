@@ -400,3 +400,12 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
         check_manifest(probe.geometry.fingerprint, manifest)
     write_frozen(probe.model, path)
     return path
+
+
+def identified_apart(design_path: Path) -> str:
+    """Design, exports/NAME/identification → which identified numbers the design does not have, in words."""
+    from probedesign.identification.unwritten import unwritten
+
+    probe = probe_of(design_path)
+    file = EXPORTS / probe.design.name / "identification/identification.json"
+    return unwritten(probe.design, probe.geometry.fingerprint, file)

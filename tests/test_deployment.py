@@ -217,6 +217,13 @@ def test_a_probe_frozen_before_there_were_other_sections_still_loads(frozen, mod
     assert back.rod.factors == (1.0, 1.0, 1.0, 1.0)
 
 
+def test_a_probe_frozen_before_E_could_go_with_diameters_still_loads(frozen, model, path):
+    data = copy.deepcopy(frozen)
+    del data["tolerances"]["youngs_modulus_by_diameter"], data["checksum"]
+    path.write_text(json.dumps({**data, "checksum": deployment._checksum(data)}))
+    assert load_model(path).tolerances == model.tolerances
+
+
 def test_another_section_cannot_pass_for_a_round_one(path):
     hollow = json.loads(json.dumps(freeze(probe_with("hollow").model)))
     refused(path, json.dumps(as_once_written(hollow)), "fingerprint")

@@ -432,3 +432,16 @@ def test_a_sensor_by_model_or_calibration():
     assert sensor_keys("si-25-0.25") == {"model": "nano17", "calibration": "si-25-0.25"}
     with pytest.raises(InputError, match=r"known: nano17, si-12-0\.12"):
         sensor_keys("mini40")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("# only words\n", "x.toml: says nothing; it needs schema, name, probe"),
+        ("schema = 1\n", "x.toml: name is missing (wrong besides: probe)"),
+    ],
+)
+def test_a_file_that_says_too_little_is_told_what_it_lacks(text, told):
+    with pytest.raises(InputError) as error:
+        parse_design(text, "x.toml")
+    assert str(error.value) == told

@@ -39,11 +39,10 @@ def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> lis
     names = rows.texts("test")
     rows.once(list(zip(names, numbers.tolist(), strict=True)),
               lambda row: f"test {names[row]}, marker {numbers[row] + 1}")  # fmt: skip
-    p, std = rows.full(*PLACE), rows.numbers("std")[:, 0]
     said = manifest.markers.std_mm if manifest.markers is not None else None
+    p, needed = rows.full(*PLACE), np.full(len(rows), said is None)
+    std = rows.spread("std", needed, "no std_mm here, nor markers.std_mm in campaign.toml; say one of them")
     std = np.where(np.isnan(std), np.nan if said is None else said * MM, std)
-    for row in np.flatnonzero(~(std > 0.0))[:1]:
-        rows.fail(int(row), "no positive std_mm here, nor markers.std_mm in campaign.toml; say one of them")
     found: list[Markers | None] = []
     for test in range(len(tests)):
         own = np.flatnonzero(which == test)

@@ -48,9 +48,7 @@ def read_pixels(
     names, cameras_of = rows.texts("test"), camera_of(rows, manifest)
     keys: list[tuple[object, ...]] = list(zip(names, cameras_of, numbers.tolist(), strict=True))
     rows.once(keys, lambda row: f"test {names[row]}, camera {cameras_of[row]}, marker {numbers[row] + 1}")
-    uv, std = rows.full(*PIXEL), rows.numbers("std")[:, 0]
-    for row in np.flatnonzero(std <= 0.0)[:1]:
-        rows.fail(int(row), "std_px must be positive, or empty")
+    uv, std = rows.full(*PIXEL), rows.spread("std", np.zeros(len(rows), dtype=bool), "")
     cameras, notes = read_cameras(folder, manifest)
     order = [camera.name for camera in cameras]
     camera_index = np.array([order.index(name) for name in cameras_of])

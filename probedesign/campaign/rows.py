@@ -102,6 +102,26 @@ class Rows:
             self.fail(int(row), f"{self.columns[quantities[place]].name} is empty; write the number")
         return values
 
+    def spread(self, quantity: str, needed: NDArray[np.bool_], missing: str) -> Array:
+        """A standard deviation of each row, (n,); NaN where its cell is empty.
+
+        Args:
+            quantity: its column.
+            needed: rows that must have one, (n,).
+            missing: what is wrong with a row that has none, and its remedy.
+
+        Raises:
+            InputError: one is not above 0, or a needed one is missing.
+        """
+        values = self.numbers(quantity)[:, 0]
+        for row in np.flatnonzero(values <= 0.0)[:1]:
+            column = self.columns[quantity]
+            said = f"{column.name} = {self.cells[row][column.index].strip()}"
+            self.fail(int(row), f"{said} is no standard deviation; write one above 0")
+        for row in np.flatnonzero(needed & np.isnan(values))[:1]:
+            self.fail(int(row), missing)
+        return values
+
     def whole(self, *quantities: str) -> tuple[Array, NDArray[np.bool_]]:
         """Numbers that a row has all of or none: (n, len(quantities)), and which rows have them, (n,).
 

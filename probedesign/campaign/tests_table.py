@@ -48,13 +48,11 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     force, loaded = rows.whole(*FORCE)
     contact, seen = rows.whole(*CONTACT)
     poses = _poses(rows, manifest)
-    s, std_s = rows.numbers("s_contact", "std_s").T
-    sag, std_sag = rows.numbers("tip_sag", "std_sag").T
-    std_contact = rows.numbers("std_contact")[:, 0]
+    s, sag = rows.numbers("s_contact", "tip_sag").T
+    std_s = _spread(rows, ~np.isnan(s), "s_contact", "std_s")
+    std_contact = _spread(rows, seen, "contact_x_world", "std_contact")
+    std_sag = _spread(rows, ~np.isnan(sag), "tip_sag", "std_sag")
     words = rows.texts("direction")
-    _check_spread(rows, ~np.isnan(s), std_s, "s_contact", "std_s")
-    _check_spread(rows, seen, std_contact, "contact_x_world", "std_contact")
-    _check_spread(rows, ~np.isnan(sag), std_sag, "tip_sag", "std_sag")
     _check_places(rows, s)
     for i, word in enumerate(words):
         if len(word) > MOST_WORD or not word.isprintable():
@@ -105,13 +103,11 @@ def _poses(rows: Rows, manifest: Manifest) -> list[Array]:
             for v, yes in zip(values, given, strict=True)]  # fmt: skip
 
 
-def _check_spread(rows: Rows, given: NDArray[np.bool_], spread: Array, what: str, name: str) -> None:
-    """A place without its standard deviation is of no use; none is guessed."""
-    for row in np.flatnonzero(given & ~(spread > 0.0))[:1]:
-        remedy = f"say in {name}_mm how well it is known"
-        rows.fail(
-            int(row), f"{rows.columns[what].name} stands without a positive standard deviation; {remedy}"
-        )
+def _spread(rows: Rows, given: NDArray[np.bool_], what: str, name: str) -> Array:
+    """Of a place, which is of no use without it; none is guessed."""
+    place = rows.columns[what].name if what in rows.columns else what
+    remedy = f"say in {name}_mm how well it is known"
+    return rows.spread(name, given, f"{place} stands without a standard deviation; {remedy}")
 
 
 def _check_places(rows: Rows, s: Array) -> None:

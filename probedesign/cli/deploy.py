@@ -26,4 +26,12 @@ def deploy(
 
     with working("freezing the probe"):
         path = pipeline.deploy(design, out)
-    print_json({"file": path}) if as_json else print(f"wrote {path}")
+        apart = pipeline.identified_apart(design)
+    if as_json:
+        print_json({"file": path, "identified_apart": apart})
+        return
+    print(f"wrote {path}")
+    if apart:
+        print(
+            f"note: frozen as {design} has it; identified were {apart}: identify writes that with --write or --out"
+        )

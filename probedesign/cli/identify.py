@@ -78,32 +78,38 @@ def identify(
 def _print(found: "Identification") -> None:
     head = f"{found.name}  geometry {found.fingerprint}  {counted(found.tests, 'test')} of {found.data}"
     print(f"{head}: {found.result}")
-    print_table({one.name: _told(one) for one in found.found})
+    print_table({one.name: _told(one, found.dimensions) for one in found.found})
     for outlier in found.outliers[:5]:
         print(
             f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations off; it hardly counts"
         )
     if len(found.outliers) > 5:
         print(f"  and {len(found.outliers) - 5} more outliers, in residuals.csv")
-    for shift in found.shifts:
-        print(f"  not counted: {shift.cause}: {shift.of} {shift.percent:+.2g} %")
-    for note in found.notes:
+    for cause, of in found.causes.items():
+        print(f"  not counted: {cause}: {', '.join(f'{one.of} {one.percent:+.2g} %' for one in of)}")
+    for one in found.found:
+        if any(shift.of == one.name for shift in found.shifts):
+            within = f"95 % within {one.low_in_all:.4g} ... {one.high_in_all:.4g}"
+            print(
+                f"  with each of these as one standard deviation: {one.name} to {one.share_in_all:.2%}, {within}"
+            )
+    for note in (*found.doubts, *found.notes):
         print(f"  note: {note}")
 
 
-def _told(one: "Identified") -> str:
+def _told(one: "Identified", dimensions: str) -> str:
     if not one.identified:
-        return f"{_with_unit(one.value, one.unit)}, the design's: not told by these tests"
-    text = f"{_with_unit(one.value, one.unit)}, 95 % within {one.low:.4g} ... {one.high:.4g}"
+        return f"{_with_unit(one)}, the design's: not told by these tests"
+    text = f"{_with_unit(one)}, 95 % within {one.low:.4g} ... {one.high:.4g}"
     assert one.std is not None and one.std_of_print is not None
     if one.std_of_print > 1.1 * one.std:
-        of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with their tolerances"
+        of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with {dimensions}"
         text += f" with the design's dimensions; {of_print}"
     return text
 
 
-def _with_unit(value: float, unit: str) -> str:
-    return f"{value:.4g} {unit}".rstrip()
+def _with_unit(one: "Identified") -> str:
+    return f"{one.value:.4g} {one.unit or f'({one.words})'}"
 
 
 def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:
@@ -111,3 +117,5 @@ def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Pat
     print(f"wrote {path}; its old values stay as comments:" if path else would)
     for change in changes:
         print(f"  [{change.table}] {change.key} = {change.text}")
+    if path is None:
+        print(f"nothing is written: deploy would freeze {design} as it is; take --write, or --out for a copy")

@@ -49,6 +49,8 @@ class Answers:
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
     """Of each cause that is the rod's own, one standard deviation: the parameters from log E on, a row each.
 
+    Where E was identified with the design's diameters, it goes with all of them together.
+
     Args:
         rod: of the model.
         tolerances: how well it is known.
@@ -63,7 +65,7 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         "E": t.youngs_modulus * unit[0:1],
         "G": t.shear_modulus * unit[1:2],
         "density": t.density * unit[2:3],
-        "diameter": (common @ unit[4:])[None],
+        "diameter": (common @ unit[4:] + t.youngs_modulus_by_diameter * common[0] * unit[0])[None],
         "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[4:],
         "length": length * unit[3:4],
         "creep": t.creep * (unit[0:1] + unit[1:2] + hung * unit[2:3]),

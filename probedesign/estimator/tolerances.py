@@ -1,5 +1,6 @@
 """How well a probe, its mount and its sensor are known: standard deviations, each with where it comes from."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -12,6 +13,7 @@ SOURCES = {
     "drift_steps": "assumed, as in fusion",
     "youngs_modulus": "assumed: prints of one resin differ so; 0.005 where E is identified",
     "shear_modulus": "assumed, as E",
+    "youngs_modulus_by_diameter": "assumed: E is known apart from the diameters",
     "density": "datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one standard deviation",
     "diameter_mm": "assumed: no tolerance is published for Elastic 50A; half of ±0.15 mm",
     "diameter_share": "assumed: half of ±0.5 %, where that is more",
@@ -36,6 +38,9 @@ class Tolerances:
         drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
             resolution; `Estimator.since_tare` lets it grow with the root of time.
         youngs_modulus, shear_modulus, density: relative, each by itself.
+        youngs_modulus_by_diameter: no standard deviation: the power of the base diameter with which E goes where all
+            diameters are other than designed together. About -4 where E was identified with the design's diameters,
+            for it is E·d⁴ that was measured; 0: E is known apart from them.
         diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
         diameter_scatter_mm: of each knot's diameter for itself.
         length_mm, length_share: of the length, the greater of both.
@@ -65,11 +70,14 @@ class Tolerances:
     creep: float = 0.01
     robot_mm: float = 0.05
     tared: bool = True
+    youngs_modulus_by_diameter: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises InputError where a standard deviation is none."""
+        """Raises InputError where a standard deviation is none, or the power is not finite."""
+        if not math.isfinite(self.youngs_modulus_by_diameter):
+            raise InputError(f"youngs_modulus_by_diameter = {self.youngs_modulus_by_diameter} must be finite")
         for entry in fields(self):
-            value = getattr(self, entry.name)
+            value = 0.0 if entry.name == "youngs_modulus_by_diameter" else getattr(self, entry.name)
             if not 0.0 <= value < float("inf"):
                 raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
 
@@ -97,7 +105,7 @@ class Tolerances:
     @property
     def exact(self) -> bool:
         """Whether one reading is of a probe that is all as the model says."""
-        return replace(self, robot_mm=0.0, tared=True) == Tolerances.none()
+        return replace(self, robot_mm=0.0, tared=True, youngs_modulus_by_diameter=0.0) == Tolerances.none()
 
     def sources(self) -> dict[str, str]:
         """Where each comes from, by name."""

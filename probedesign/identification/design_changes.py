@@ -18,13 +18,21 @@ MATERIAL = {
 """Keys of `[material]`."""
 TOLERANCES = {"E": "youngs_modulus", "G": "shear_modulus", "density": "density"}
 """Keys of `[tolerances]`."""
+GOES_WITH = {
+    "E": ("material.youngs_modulus_mpa", "material.stiffness_spread", "tolerances.youngs_modulus",
+          "tolerances.youngs_modulus_by_diameter"),
+    "G": ("material.shear_modulus_mpa", "tolerances.shear_modulus"),
+    "density": ("material.density_kg_m3", "tolerances.density"),
+}  # fmt: skip
+"""What an identification of each replaces in a design where it was not identified before."""
 
 
 def changes_of(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
     """The lines that a design gets; poses and gravity are of the bench and not of the probe.
 
-    The interval written is that with the design's diameters as they are, which the frozen probe carries too: of E and
-    diameters it is E·d⁴ that was measured.
+    The value written is that with the design's diameters as they are, which the frozen probe carries too: of E and
+    diameters it is E·d⁴ that was measured, and `youngs_modulus_by_diameter` says so. The standard deviations written
+    have in them what the fit's intervals do not count.
 
     Args:
         found: the numbers.
@@ -43,18 +51,23 @@ def changes_of(found: Identification, design: Design, day: str) -> tuple[Change,
     changes = [_value(one, found, day) for one in told]
     changes += [Change("material.provenance", MATERIAL[one.name], '"identified"')
                 for one in told if one.name in MATERIAL]  # fmt: skip
-    spreads = {TOLERANCES[one.name]: _share(one) for one in told if one.name in TOLERANCES}
-    if "youngs_modulus" in spreads:
-        changes.append(Change("material", "stiffness_spread", f"{spreads['youngs_modulus']:.2g}",
-                              f"identified {day}: of E, for fusing touches"))  # fmt: skip
-        if (
-            "shear_modulus" not in spreads and design.tolerances.shear_modulus is None
-        ):  # else it would follow stiffness_spread, and nobody measured it
-            spreads["shear_modulus"] = _before(design)
-    changes += [
-        Change("tolerances", key, f"{value:.2g}", _source(key, told, day)) for key, value in spreads.items()
-    ]
-    return tuple(changes)
+    changes += [_spread(one, day) for one in told if one.name in TOLERANCES]
+    E, G = found.of("E"), found.of("G")
+    return (*changes, *(_of_E(E, design, G is None, day) if E is not None else ()))
+
+
+def _of_E(E: Identified, design: Design, alone: bool, day: str) -> list[Change]:
+    """What else goes with E: the spread of fused touches, how it goes with the diameters, and the tolerance of G,
+    which would follow that spread, if the tests told E alone."""
+    changes = [Change("material", "stiffness_spread", f"{E.share_in_all:.2g}",
+                      f"identified {day}: of E, as in [tolerances], for fusing touches")]  # fmt: skip
+    if E.by_diameter is not None:
+        changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
+                              f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
+    if alone and design.tolerances.shear_modulus is None:
+        changes.append(Change("tolerances", "shear_modulus", f"{_before(design):.2g}",
+                              "as before: the tests did not tell it"))  # fmt: skip
+    return changes
 
 
 def check_overwritable(
@@ -62,7 +75,8 @@ def check_overwritable(
 ) -> None:
     """Refuse to replace what someone set or identified before, unless told to.
 
-    A material's value that is not identified yet is what an identification is for.
+    A material's value that is not identified yet is what an identification is for, and what says how well it is
+    known goes with it.
 
     Args:
         design: as it stands.
@@ -84,11 +98,11 @@ def check_overwritable(
 
 
 def _open(change: Change, design: Design) -> bool:
-    """Whether the change is of a material's value that is not identified yet, or says that it is now."""
+    """Whether the change says that a value is identified now, or is of one that is not yet, or goes with it."""
     if change.table == "material.provenance":
         return True
-    named = change.table == "material" and change.key in MATERIAL.values()
-    return named and getattr(design.material.provenance, change.key) != "identified"
+    name = next((name for name, keys in GOES_WITH.items() if f"{change.table}.{change.key}" in keys), None)
+    return name is not None and getattr(design.material.provenance, MATERIAL[name]) != "identified"
 
 
 def _before_in(text: str, change: Change) -> object:
@@ -104,16 +118,13 @@ def _told(change: Change) -> object:
 
 
 def _value(one: Identified, found: Identification, day: str) -> Change:
-    note = f"identified {day}, {found.tests} tests: {one.low:.4g} ... {one.high:.4g} in 95 %, with these diameters"
+    ends = f"{one.low_in_all:.4g} ... {one.high_in_all:.4g}"
+    doubt = f"; {one.doubt}" if one.doubt else ""
+    note = f"identified {day}, {found.tests} tests: {ends} in 95 %, with these diameters{doubt}"
     table = "mount" if one.name == ROOT else "material"
     return Change(
         table, "root_rigid_radii" if one.name == ROOT else MATERIAL[one.name], f"{one.value:.4g}", note
     )
-
-
-def _share(one: Identified) -> float:
-    assert one.std is not None
-    return one.std / one.value
 
 
 def _before(design: Design) -> float:
@@ -123,6 +134,10 @@ def _before(design: Design) -> float:
     return usual if spread is None else spread
 
 
-def _source(key: str, told: list[Identified], day: str) -> str:
-    names = [TOLERANCES[one.name] for one in told if one.name in TOLERANCES]
-    return f"identified {day}" if key in names else "as before: the tests did not tell it"
+def _spread(one: Identified, day: str) -> Change:
+    """Standard deviation, relative, in all."""
+    assert one.std is not None
+    note = f"identified {day}: {one.std / one.value:.2g} by the fit"
+    if one.std != one.std_in_all:
+        note += ", the rest what it does not count, each cause as one standard deviation"
+    return Change("tolerances", TOLERANCES[one.name], f"{one.share_in_all:.2g}", note)

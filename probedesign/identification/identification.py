@@ -23,12 +23,18 @@ class Identified:
         words: what it is.
         unit: of all that follow; empty for plain factors.
         result: "identified", or "not_told": then `value` is the design's and nothing else is said.
-        value: with the design's diameters taken as they are, as the frozen probe takes them.
+        value: with the design's diameters taken as they are, as the frozen probe takes them, even where those are asked
+            for as well.
         std: of it.
         low, high: 95 % of it.
         design: the design's value; 0 for a pose.
         value_of_print, std_of_print, low_of_print, high_of_print: the same where the diameters are known as well as
             the design's tolerances have them: of the material rather than of the probe.
+        std_in_all, low_in_all, high_in_all: of `value` with what `std` does not count: each of the shifts that the
+            identification lists of it taken for one standard deviation, independent of the others. A design gets these.
+        by_diameter: power of the base diameter with which `value` goes, where all diameters are other than designed
+            together; None where that was not asked of the tests.
+        doubt: what must be said beside the number; empty if nothing.
         why: what the tests tell instead, where it is not told.
     """
 
@@ -45,7 +51,18 @@ class Identified:
     std_of_print: float | None = None
     low_of_print: float | None = None
     high_of_print: float | None = None
+    std_in_all: float | None = None
+    low_in_all: float | None = None
+    high_in_all: float | None = None
+    by_diameter: float | None = None
+    doubt: str = ""
     why: str = ""
+
+    @property
+    def share_in_all(self) -> float:
+        """`std_in_all` as a share of the value."""
+        assert self.std_in_all is not None
+        return self.std_in_all / self.value
 
     @property
     def identified(self) -> bool:
@@ -170,6 +187,22 @@ class Identification:
         return replace(self, result="inconsistent", found=found, correlation=np.empty((0, 0)), correlated=(),
                        shifts=(), why=why)  # fmt: skip
 
+    @property
+    def dimensions(self) -> str:
+        """What the second interval of each number is with."""
+        return "tolerances of dimensions" if self.of("diameters") is None else "the diameters found"
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What must be said beside the numbers, a line for each that has any."""
+        return tuple(f"{one.name}: {one.doubt}" for one in self.found if one.doubt)
+
+    @property
+    def causes(self) -> dict[str, tuple[Shift, ...]]:
+        """The shifts by their cause."""
+        causes = dict.fromkeys(shift.cause for shift in self.shifts)
+        return {cause: tuple(shift for shift in self.shifts if shift.cause == cause) for cause in causes}
+
     def of(self, name: str) -> Identified | None:
         """The number of that name, if it was asked for and told."""
         return next((one for one in self.found if one.name == name and one.identified), None)
@@ -198,4 +231,5 @@ class Identification:
         """Plain, for JSON."""
         document = asdict(self)
         document["correlation"] = self.correlation.tolist()
+        document["residuals"] = [{**row, "unit": UNITS[row["kind"]]} for row in document["residuals"]]
         return document

@@ -13,6 +13,7 @@ from probedesign.estimator.tolerances import Tolerances
 from probedesign.identification import report
 from probedesign.identification.contradiction import contradiction, hardly_counted
 from probedesign.identification.fit import Fit, Problem, fit
+from probedesign.identification.hedged import hedged
 from probedesign.identification.identification import Identification
 from probedesign.identification.reading import trials_of, weighed_of
 from probedesign.identification.robust import outliers, weights
@@ -86,12 +87,14 @@ def identify(data: Data, names: Sequence[str] = DEFAULT) -> Identification:
     found, asked, given_up = _search(data, names)
     quantile = report.quantile_of(found)
     numbers, correlation, correlated = report.found_of(found, asked, given_up, names, quantile)
+    shifts = report.shifts_of(found, asked)
+    numbers = hedged(report.counted_in_all(numbers, shifts, quantile), data.shared.model.rod)
     off = outliers(found.point.groups, found.scales)
     problem, groups = found.point.problem, found.point.groups
     whole = Identification(
         found.result, data.shared.model.name, data.shared.model.fingerprint, data.where, len(data.trials),
         sum(len(group.r) for group in groups), problem.size, numbers, correlation, correlated,
-        found.noise, quantile, report.outliers_of(off), report.shifts_of(found, asked),
+        found.noise, quantile, report.outliers_of(off), shifts,
         (*notes, *(one.words for one in given_up), *hardly_counted(groups, off), *_remarks(found)),
         report.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip

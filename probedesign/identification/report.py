@@ -1,12 +1,15 @@
 """From the end of a search to numbers with their intervals, and what they do not count."""
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import norm, t
 
 from probedesign.frames import Array
 from probedesign.identification.fit import Fit, solve_at, units_of
+from probedesign.identification.held import DIAMETERS, cov_held, held_of
 from probedesign.identification.identification import CONFIDENCE, Identified, Outlier, Residual, Shift
 from probedesign.identification.misfit import Group
 from probedesign.identification.robust import ROBUST, distance
@@ -35,30 +38,15 @@ def found_of(fit: Fit, asked: Sequence[str], given_up: Sequence[Untold], names: 
         quantile: of the intervals.
     """
     shared, places = fit.point.problem.shared, parts_of(asked)
-    active = np.flatnonzero(fit.point.problem.active)
-    at = [int(np.searchsorted(active, place)) for place in places]
-    x, cov = fit.point.guess.x[active], fit.cov
-    print_ = [i for i, place in enumerate(active) if place >= PRINT]
-    held, cov_held = x[at], cov[np.ix_(at, at)]
-    if print_:
-        lever = np.linalg.solve(cov[np.ix_(print_, print_)], cov[np.ix_(print_, at)]).T
-        held = held - lever @ x[print_]
-        cov_held = cov_held - lever @ cov[np.ix_(print_, at)]
-    std = np.sqrt(np.diag(cov_held))
-    found = {}
-    for i, place in enumerate(places):
-        own = (held[i], std[i], x[at[i]], float(np.sqrt(cov[at[i], at[i]])))
-        found[PARTS[place]] = _identified(shared, place, own, quantile)
+    found = {PARTS[place]: _identified(fit, place, quantile) for place in places}
     why = {one.name: one.words for one in given_up}
     for name in names:
         if name in why:
             found |= {part: _untold(shared, PARTS.index(part), why[name]) for part in ASKABLE[name].parts}
     order = [PARTS[place] for place in parts_of(names)]
-    return (
-        tuple(found[part] for part in order),
-        cov_held / np.outer(std, std),
-        tuple(PARTS[p] for p in places),
-    )
+    cov = cov_held(fit, places)
+    std = np.sqrt(np.diag(cov))
+    return tuple(found[part] for part in order), cov / np.outer(std, std), tuple(PARTS[p] for p in places)
 
 
 def _scale_of(shared: Shared, place: int) -> tuple[str, str, float, float, bool]:
@@ -71,7 +59,7 @@ def _scale_of(shared: Shared, place: int) -> tuple[str, str, float, float, bool]
     if part == "density":
         return "density", "kg/m³", rod.density, 1.0, True
     if part == "diameters":
-        return "factor on all diameters", "", 1.0, 1.0, True
+        return "all diameters over the design's", "", 1.0, 1.0, True
     if part == ROOT:
         return (
             "compliance that the base lacks, in base radii",
@@ -88,20 +76,21 @@ def _scale_of(shared: Shared, place: int) -> tuple[str, str, float, float, bool]
     return words, "deg", 0.0, 180.0 / np.pi, False
 
 
-def _identified(
-    shared: Shared, place: int, own: tuple[float, float, float, float], quantile: float
-) -> Identified:
-    """`own`: value and standard deviation with the design's diameters, and with diameters that are not known."""
-    words, unit, design, scale, logarithm = _scale_of(shared, place)
+def _identified(fit: Fit, place: int, quantile: float) -> Identified:
+    """One number with the design's dimensions, and with dimensions that are not known."""
+    words, unit, design, scale, logarithm = _scale_of(fit.point.problem.shared, place)
 
     def told(value: float, std: float) -> tuple[float, float, float, float]:
         ends = [value, value - quantile * std, value + quantile * std]
         v, low, high = (design * float(np.exp(e)) if logarithm else design + scale * float(e) for e in ends)
         return v, float(v * std if logarithm else scale * std), low, high
 
-    value, std, low, high = told(own[0], own[1])
-    of_print = told(own[2], own[3])
-    return Identified(PARTS[place], words, unit, "identified", value, design, std, low, high, *of_print)
+    held = held_of(fit, place)
+    value, std, low, high = told(held.value, held.std)
+    i = int(fit.point.problem.active[:place].sum())
+    of_print = told(float(fit.point.guess.x[place]), float(np.sqrt(fit.cov[i, i])))
+    return Identified(PARTS[place], words, unit, "identified", value, design, std, low, high, *of_print,
+                      by_diameter=held.by_diameter if logarithm else None)  # fmt: skip
 
 
 def _untold(shared: Shared, place: int, why: str) -> Identified:
@@ -141,30 +130,66 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
 
 
 def shifts_of(fit: Fit, asked: Sequence[str]) -> tuple[Shift, ...]:
-    """What root, gain and millimetre would do to E, to first order, were they a little other."""
-    if "E" not in asked:
+    """What root, gain and millimetre would do to moduli, density and diameters, to first order, were they a little
+    other."""
+    moved = [name for name in asked if ASKABLE[name].logarithm]
+    if not moved:
         return ()
-    problem, point = fit.point.problem, fit.point
-    active = np.flatnonzero(problem.active)
-    keep = [i for i in range(problem.size) if i >= len(active) or active[i] < PRINT]
-    rows = point.system(fit.weight)[0][:, keep]
-    units = units_of(rows)
-    columns: dict[str, Array] = {}
-    if ROOT not in asked:
-        rooted = solve_at(problem, point.guess, [bent.own for bent in point.bents], point, root=True)
-        if rooted.ok:
-            cause = f"root_rigid_radii {ROOT_LEFT:g} more"
-            columns[cause] = ROOT_LEFT * rooted.columns_of([PARTS.index(ROOT)], fit.weight)[:, 0]
-    columns[f"a sensor that reads {GAIN_LEFT:.0%} too much"] = GAIN_LEFT * _by_gain(fit)
-    columns[f"a reference whose millimetre is {REFERENCE_LEFT:.1%} too short"] = REFERENCE_LEFT * _by_size(
-        fit
+    columns = _misreadings(fit, ROOT in asked)
+    return tuple(
+        Shift(cause, name, 100.0 * float(np.expm1(_change(fit, name, column))))
+        for cause, column in columns.items()
+        for name in moved
     )
-    found = []
-    for cause, column in columns.items():
-        if column.any():
-            change = -np.linalg.lstsq(rows * units, column)[0] * units
-            found.append(Shift(cause, "E", 100.0 * float(np.expm1(change[0]))))
-    return tuple(found)
+
+
+def _misreadings(fit: Fit, rooted: bool) -> dict[str, Array]:
+    """What each cause does to the misfits, if anything; `rooted`: the root was asked for, so it is no cause."""
+    point = fit.point
+    columns = {
+        f"a sensor that reads {GAIN_LEFT:.0%} too much": GAIN_LEFT * _by_gain(fit),
+        f"a reference whose millimetre is {REFERENCE_LEFT:.1%} too short": REFERENCE_LEFT * _by_size(fit),
+    }
+    if not rooted:
+        other = solve_at(point.problem, point.guess, [bent.own for bent in point.bents], point, root=True)
+        if other.ok:
+            root = ROOT_LEFT * other.columns_of([PARTS.index(ROOT)], fit.weight)[:, 0]
+            columns = {f"root_rigid_radii {ROOT_LEFT:g} more": root, **columns}
+    return {cause: column for cause, column in columns.items() if column.any()}
+
+
+def _change(fit: Fit, name: str, column: Array) -> float:
+    """Of one number's logarithm to first order, where misfits change so and the design's dimensions stay."""
+    active, place = np.flatnonzero(fit.point.problem.active), PARTS.index(name)
+    held = (active >= PRINT) | ((active == DIAMETERS) & (place != DIAMETERS))
+    keep = np.concatenate([~held, np.ones(fit.point.problem.size - len(active), dtype=bool)])
+    rows = fit.point.system(fit.weight)[0][:, keep]
+    units = units_of(rows)
+    i = int(np.count_nonzero(~held & (active < place)))
+    return float(-(np.linalg.lstsq(rows * units, column)[0] * units)[i])
+
+
+def counted_in_all(
+    numbers: Sequence[Identified], shifts: Sequence[Shift], quantile: float
+) -> tuple[Identified, ...]:
+    """The numbers with their standard deviations and intervals in all: the fit's and each shift of theirs, as if
+    independent.
+
+    Args:
+        numbers: as the fit tells them.
+        shifts: what it does not count.
+        quantile: of the intervals.
+    """
+    return tuple(_in_all(one, shifts, quantile) if one.identified else one for one in numbers)
+
+
+def _in_all(one: Identified, shifts: Sequence[Shift], quantile: float) -> Identified:
+    assert one.std is not None
+    std = math.hypot(one.std, *(one.value * 1e-2 * shift.percent for shift in shifts if shift.of == one.name))
+    low, high = one.value - quantile * std, one.value + quantile * std
+    if one.name in ASKABLE and ASKABLE[one.name].logarithm:
+        low, high = (one.value * math.exp(sign * quantile * std / one.value) for sign in (-1.0, 1.0))
+    return replace(one, std_in_all=std, low_in_all=low, high_in_all=high)
 
 
 def _by_gain(fit: Fit) -> Array:

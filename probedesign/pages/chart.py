@@ -20,6 +20,8 @@ MARKS = "osd^vx+"
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 10.0, 10.0, 46.0
 _LEGEND = 19.0  # height of a line of it
 _LETTER = 7.2  # mean width of a letter at the size of a legend
+_LETTERS = 7  # that stand beside a y axis; more are written smaller
+_SMALL = 6.0  # likewise of upright names
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Axis:
         log: whether it is logarithmic.
         ticks: values that are told; 1, 2 and 5 times the powers of ten or even steps if None.
         names: of the ticks; their numbers if empty.
+        upright: of an x axis, whether its names are small and read upwards, as many do.
     """
 
     label: str
@@ -40,12 +43,14 @@ class Axis:
     log: bool = False
     ticks: tuple[float, ...] | None = None
     names: tuple[str, ...] = ()
+    upright: bool = False
 
     @classmethod
-    def named(cls, label: str, names: Sequence[str]) -> "Axis":
+    def named(cls, label: str, names: Sequence[str], upright: bool = False) -> "Axis":
         """One place for each name, the first at 1."""
         n = len(names)
-        return cls(label, 0.5, n + 0.5, ticks=tuple(float(k) for k in range(1, n + 1)), names=tuple(names))
+        ticks = tuple(float(k) for k in range(1, n + 1))
+        return cls(label, 0.5, n + 0.5, ticks=ticks, names=tuple(names), upright=upright)
 
     def share(self, value: float) -> float:
         """Of the axis' length from its low end."""
@@ -58,6 +63,11 @@ class Axis:
         if self.ticks is not None:
             return tuple(t for t in self.ticks if self.low <= t <= self.high)
         return _decades(self.low, self.high) if self.log else _even(self.low, self.high)
+
+    @property
+    def room(self) -> float:
+        """That upright names take below the others' line, in the drawing's units."""
+        return _SMALL * max(map(len, self.names), default=0) if self.upright else 0.0
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -186,7 +196,7 @@ class Chart:
         """The element."""
         rows = _rows(self.legend)
         above = _LEGEND * len(rows)
-        whole = above + _TOP + self._high + _BOTTOM
+        whole = above + _TOP + self._high + _BOTTOM + self.x.room
         told = "".join(_told(row, _LEGEND * (i + 0.7)) for i, row in enumerate(rows))
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:g} {whole:g}" '
@@ -202,18 +212,27 @@ class Chart:
         up = "".join(f"M{self.at(v, self.y.low)[0]:.1f} {top}V{bottom}" for v in self.x.told)
         return f'<path d="{across}{up}" stroke="#ddd" fill="none"/>'
 
+    def _below(self, x: float, y: float, word: str) -> str:
+        """A name of the x axis, under its tick."""
+        if not self.x.upright:
+            return f'<text x="{x:.1f}" y="{y + 17}" text-anchor="middle">{escape(word)}</text>'
+        return (
+            f'<text x="{x + 3.5:.1f}" y="{y + 7}" text-anchor="end" font-size="10" '
+            f'transform="rotate(-90 {x + 3.5:.1f} {y + 7})">{escape(word)}</text>'
+        )
+
     def _frame(self) -> str:
         left, top, high = _LEFT, _TOP, self._high
         words = [f'<rect x="{left}" y="{top}" width="{_WIDTH - _LEFT - _RIGHT}" height="{high}" fill="none" '
                  'stroke="#111"/>']  # fmt: skip
         for v, word in zip(self.x.told, self.x.words, strict=True):
-            words.append(f'<text x="{self.at(v, self.y.low)[0]:.1f}" y="{top + high + 17}" '
-                         f'text-anchor="middle">{escape(word)}</text>')  # fmt: skip
+            words.append(self._below(self.at(v, self.y.low)[0], top + high, word))
         for v, word in zip(self.y.told, self.y.words, strict=True):
+            size = ' font-size="10"' if len(word) > _LETTERS else ""
             words.append(f'<text x="{left - 6}" y="{self.at(self.x.low, v)[1] + 4.5:.1f}" '
-                         f'text-anchor="end">{escape(word)}</text>')  # fmt: skip
+                         f'text-anchor="end"{size}>{escape(word)}</text>')  # fmt: skip
         middle, half = (_LEFT + _WIDTH - _RIGHT) / 2.0, top + high / 2.0
-        words.append(f'<text x="{middle}" y="{top + high + 38}" text-anchor="middle" font-size="14">'
+        words.append(f'<text x="{middle}" y="{top + high + 38 + self.x.room:g}" text-anchor="middle" font-size="14">'
                      f"{escape(self.x.label)}</text>")  # fmt: skip
         words.append(f'<text x="15" y="{half}" text-anchor="middle" font-size="14" '
                      f'transform="rotate(-90 15 {half})">{escape(self.y.label)}</text>')  # fmt: skip

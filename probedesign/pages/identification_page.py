@@ -1,7 +1,6 @@
 """What an identification found, on one page: the numbers, how the readings lie about the fit, what goes together."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import chi2
@@ -10,10 +9,14 @@ from probedesign.identification.identification import Identification, Identified
 from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, Entry, span_of
 from probedesign.pages.page import Section, TextTable, page_of
 
+MOST_NAMES = 36
+"""Of tests that stand legibly along an axis; of more, every second or third is named."""
 KINDS = {"markers": "marker", "wrenches": "wrench", "touches": "place touched"}
 _SIGNS = {kind: (colour, mark) for kind, colour, mark in zip(KINDS, COLOURS[1:], MARKS, strict=False)}
 """Of each kind in every figure."""
 _AXES = ("x", "y", "z")
+_SELF = "#dddddd"
+"""Of a number beside itself."""
 
 
 def identification_page(found: Identification) -> bytes:
@@ -25,15 +28,17 @@ def identification_page(found: Identification) -> bytes:
     about = [
         f"{found.data}: {found.tests} tests, {found.numbers} measured numbers for {found.unknowns} unknowns; "
         f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
-        f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. With the design's dimensions taken as they "
-        "are, as the frozen probe takes them; beside it with their tolerances, as of the material.",
+        f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. First that of the fit, with the design's "
+        "dimensions taken as they are, as the frozen probe takes them; then with what the fit does not count, listed "
+        f"below: a design gets that; then the fit's with {found.dimensions}, as of the material.",
+        *found.doubts,
         *found.notes,
     ]
-    sections = [_by_test(found), _normal(found)]
+    sections = [_by_test(found), _normal(found)] if any(one.kind in KINDS for one in found.residuals) else []
     if any(one.kind == "markers" for one in found.residuals):
         sections.append(_along(found))
     if any(one.kind == "wrenches" for one in found.residuals):
-        sections.append(_wrenches(found))
+        sections += [_wrenches(found, "forces"), _wrenches(found, "moments")]
     if len(found.correlated) > 1:
         sections.append(_correlation(found))
     after = [("How much the readings scatter", _noise(found)), ("What is not counted", _shifts(found))]
@@ -43,23 +48,37 @@ def identification_page(found: Identification) -> bytes:
 
 
 def _table(found: Identification) -> TextTable:
-    head = ["", "value", "95 % within", "with tolerances of dimensions", "design", "what it is"]
+    head = [
+        "",
+        "value",
+        "95 % within",
+        "with what is not counted",
+        f"with {found.dimensions}",
+        "design",
+        "what it is",
+    ]
     return TextTable(head, [_row(one) for one in found.found])
 
 
 def _row(one: Identified) -> list[str]:
     design = f"{one.design:.4g} {one.unit}"
     if not one.identified:
-        return [one.name, "not told", "", "", design, one.why]
-    value = f"{one.value:.4g} {one.unit}"
-    print_ = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g}"
-    return [one.name, value, f"{one.low:.4g} ... {one.high:.4g}", print_, design, one.words]
+        return [one.name, "not told", "", "", "", design, one.why]
+    ends = ((one.low, one.high), (one.low_in_all, one.high_in_all), (one.low_of_print, one.high_of_print))
+    return [
+        one.name,
+        f"{one.value:.4g} {one.unit}",
+        *(f"{a:.4g} ... {b:.4g}" for a, b in ends),
+        design,
+        one.words,
+    ]
 
 
 def _by_test(found: Identification) -> Section:
     """Root mean square of each test's misfits by kind."""
     tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
-    x = Axis("test, in the order of the table", 0.0, len(tests) + 1.0)
+    each = math.ceil(len(tests) / MOST_NAMES)
+    x = Axis.named("", [test if i % each == 0 else "" for i, test in enumerate(tests)], upright=True)
     lines = {}
     for kind in KINDS:
         of = [[r.deviations for r in found.residuals if (r.kind, r.test) == (kind, test)] for test in tests]
@@ -73,14 +92,9 @@ def _by_test(found: Identification) -> Section:
             if math.isfinite(value):
                 chart.line([place], [value], colour, mark=mark)
         chart.legend.append(Entry(KINDS[kind], colour, "0 99", mark))
-    chart.line([0.0, len(tests) + 1.0], [1.0, 1.0], "#666666", "4 4")
-    caption = f"1 is what the noise makes, as stated or as measured. {_names(tests)}"
+    chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="what noise makes")
+    caption = "Noise as stated, or as measured where it is more. Tests stand in the order of their table."
     return Section("Does any test stand apart?", caption, chart.svg())
-
-
-def _names(tests: Sequence[str]) -> str:
-    shown = [f"{i} {name}" for i, name in enumerate(tests, 1)]
-    return ", ".join(shown) + "." if len(shown) <= 12 else f"{shown[0]} to {shown[-1]}."
 
 
 def _normal(found: Identification) -> Section:
@@ -97,7 +111,7 @@ def _normal(found: Identification) -> Section:
         Axis("by normal noise [standard deviations]", 0.0, most),
         Axis("misfit [standard deviations]", 0.0, most),
     )
-    chart.line([0.0, most], [0.0, most], "#666666", "4 4")
+    chart.line([0.0, most], [0.0, most], "#666666", "4 4", name="normal noise")
     for kind, (x, y) in lines.items():
         colour, mark = _SIGNS[kind]
         for a, b in zip(x, y, strict=True):
@@ -137,22 +151,21 @@ def _along(found: Identification) -> Section:
     return Section("Is the shape right all along?", caption, chart.svg())
 
 
-def _wrenches(found: Identification) -> Section:
-    """Each reading's residual by channel."""
-    rows = [one for one in found.residuals if one.kind == "wrenches"]
-    off = np.array([[*(1e3 * np.array(one.off[:3])), *(1e6 * np.array(one.off[3:]))] for one in rows])
+def _wrenches(found: Identification, what: str) -> Section:
+    """Each reading's residual by channel: the forces, or the moments."""
+    first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
+    off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
     chart = Chart(
-        Axis.named("", ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]),
-        Axis("measured - fitted [mN, µN·m]", *span_of([*off.ravel().tolist(), 0.0], False)),
+        Axis.named("", [f"{letter}{axis}" for axis in _AXES]),
+        Axis(f"measured - fitted [{unit}]", *span_of([*off.ravel().tolist(), 0.0], False)),
     )
-    chart.line([0.5, 6.5], [0.0, 0.0], "#666666", "4 4")
-    for channel in range(6):
+    chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
+    colour, mark = _SIGNS["wrenches"]
+    for channel in range(3):
         for i, value in enumerate(off[:, channel]):
-            spread = 0.5 * (i / max(len(off) - 1, 1) - 0.5)
-            chart.line(
-                [channel + 1 + spread], [float(value)], COLOURS[1 + channel // 3], mark=MARKS[channel // 3]
-            )
-    return Section("And the wrenches?", "At the base, from the first test at the left of each channel to the "
+            spread = 0.7 * (i / max(len(off) - 1, 1) - 0.5)
+            chart.line([channel + 1 + spread], [float(value)], colour, mark=mark)
+    return Section(f"And the {what}?", "At the base, from the first test at the left of each channel to the "
                    "last at its right: a slope is a drift.", chart.svg())  # fmt: skip
 
 
@@ -165,10 +178,13 @@ def _correlation(found: Identification) -> Section:
             value = float(found.correlation[i, j])
             strength = round(255 * (1.0 - min(abs(value), 1.0)))
             fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
+            fill = _SELF if i == j else fill
             chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
-            chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.75 else "#111")
-    return Section("What goes together?", "Correlation of the errors; near ±1 the tests tell a combination better than "
-                   "either.", chart.svg())  # fmt: skip
+            chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.6 and i != j else "#111")
+    chart.legend += [Entry("too great together", "#ff0000"), Entry("one too great, one too small", "#0000ff"),
+                     Entry("itself", _SELF)]  # fmt: skip
+    return Section("What goes together?", "Correlation of the errors, the print's dimensions as designed but for those "
+                   "asked for; near ±1 the tests tell a combination better than either.", chart.svg())  # fmt: skip
 
 
 def _noise(found: Identification) -> TextTable:
@@ -181,9 +197,16 @@ def _noise(found: Identification) -> TextTable:
 
 
 def _shifts(found: Identification) -> TextTable:
-    rows = [[one.cause, f"{one.of} {one.percent:+.2g} %"] for one in found.shifts]
+    rows = [
+        [cause, ", ".join(f"{one.of} {one.percent:+.2g} %" for one in of)]
+        for cause, of in found.causes.items()
+    ]
     rows.append(["creep between tests and use", "not known"])
-    return TextTable(["if it were so", "the number would be"], rows, "None of these is in the intervals.")
+    note = (
+        "None of these is in the fit's interval. Each but creep is taken for one standard deviation, and the root of "
+        "the sum of the squares of these and the fit's is what --write puts into [tolerances] and stiffness_spread."
+    )
+    return TextTable(["if it were so", "the number would be"], rows, note)
 
 
 def _outliers(found: Identification) -> TextTable:

@@ -8,6 +8,7 @@ import pytest
 
 from probedesign import load_design, load_estimator, pipeline
 from probedesign.cli.main import run
+from probedesign.identification.identification import UNITS
 from tests.identification.conftest import LARGE, TRUE_E
 from tests.test_pages import assert_whole
 
@@ -25,7 +26,10 @@ def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_
     assert run(["identify", "large.toml", str(stage_folder), "--for", "E"]) == 0
     said = capsys.readouterr().out
     assert "--write would change large.toml" in said and "[material] youngs_modulus_mpa = 2." in said
+    assert "deploy would freeze large.toml as it is" in said
     assert (here / "large.toml").read_bytes() == before
+    assert run(["deploy", "large.toml"]) == 0  # with the old E, and not without a word
+    assert ", where the design has 2.32: identify writes" in capsys.readouterr().out
     folder = here / "exports/large/identification"
     page = (folder / "identification.html").read_text()
     assert_whole(page)
@@ -34,6 +38,7 @@ def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_
     document = json.loads((folder / "identification.json").read_text())
     assert len(rows) == 1 + len(document["residuals"])
     assert document["found"][0]["result"] == "identified"
+    assert {row["unit"] for row in document["residuals"]} <= set(UNITS.values())
 
 
 def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, capsys) -> None:
@@ -50,6 +55,7 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     assert (here / "large.toml").read_bytes() == before
 
     assert run([*command, "--force"]) == 0
+    assert pipeline.identified_apart(here / "large.toml") == ""
     found = json.loads(capsys.readouterr().out)["found"][0]
     design = load_design("large.toml")
     assert design.youngs_modulus.value == pytest.approx(
@@ -60,13 +66,15 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
 
     assert run(["deploy", "large.toml", "--out", "large.probe.json"]) == 0
     model = load_estimator("large.probe.json").model
-    spread = found["std"] / found["value"]
+    spread = found["std_in_all"] / found["value"]
+    assert spread > max(found["std"] / found["value"], 0.01)  # the fit's, and a gain of 1 % at least
     assert model.rod.youngs_modulus == pytest.approx(design.youngs_modulus.value)
     assert model.material["youngs_modulus"].provenance == "identified"
     assert model.tolerances is not None
     assert model.tolerances.youngs_modulus == pytest.approx(spread, rel=0.06)  # two digits are written
     assert model.tolerances.shear_modulus == 0.005  # as it was: the tests did not tell G
     assert model.stiffness_spread == pytest.approx(spread, rel=0.06)  # for fused touches
+    assert model.tolerances.youngs_modulus_by_diameter == pytest.approx(found["by_diameter"], abs=0.005)
 
 
 def test_a_contradiction_is_told_and_ends_as_an_error(

@@ -44,6 +44,9 @@ def test_a_value_that_stands_there_already_is_left_alone() -> None:
     text = LARGE.read_text()
     change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
     assert edited(text, [change], DAY, "large.toml") == text
+    once = edited(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    again = edited(once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    assert again == once  # the same line is no old one
 
 
 def test_line_ends_of_windows_stay() -> None:
@@ -73,8 +76,10 @@ def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
     ("stands", "change"),
     [
         ("[mount]\nroot_rigid_radii = 0.12\n", Change("mount", "root_rigid_radii", "0.2")),
-        ("[tolerances]\nyoungs_modulus = 0.1\n", Change("tolerances", "youngs_modulus", "0.02")),
-        ("[material]\nstiffness_spread = 0.1\n", Change("material", "stiffness_spread", "0.02")),
+        ('[tolerances]\nyoungs_modulus = 0.1\n[material]\nyoungs_modulus_mpa = 2.0\n'
+         'provenance.youngs_modulus_mpa = "identified"\n', Change("tolerances", "youngs_modulus", "0.02")),
+        ('[material]\nstiffness_spread = 0.1\nyoungs_modulus_mpa = 2.0\nprovenance.youngs_modulus_mpa = "identified"\n',
+         Change("material", "stiffness_spread", "0.02")),
         ('[material]\nyoungs_modulus_mpa = 2.0\nprovenance.youngs_modulus_mpa = "identified"\n',
          Change("material", "youngs_modulus_mpa", "2.4")),
     ],
@@ -89,6 +94,15 @@ def test_what_stands_there_takes_force(stands: str, change: Change) -> None:
 
 
 def test_a_value_that_nobody_identified_takes_no_force() -> None:
-    text = SMALL + "[material]\nyoungs_modulus_mpa = 2.0\n"
-    change = Change("material", "youngs_modulus_mpa", "2.4")
-    check_overwritable(parse_design(text), text, (change,), "x.toml", False)
+    """Nor does what says how well it is known."""
+    text = (
+        SMALL
+        + "[material]\nyoungs_modulus_mpa = 2.0\nstiffness_spread = 0.1\n[tolerances]\nyoungs_modulus = 0.1\n"
+    )
+    changes = (
+        Change("material", "youngs_modulus_mpa", "2.4"),
+        Change("material", "stiffness_spread", "0.02"),
+        Change("tolerances", "youngs_modulus", "0.02"),
+    )
+    check_overwritable(parse_design(text), text, changes, "x.toml", False)
+    assert "# until 2026-01-02: stiffness_spread = 0.1" in edited(text, changes, DAY, "x.toml")

@@ -51,12 +51,16 @@ def test_a_factor_on_all_forces_passes_for_one_on_E(stage: Campaign, model: Prob
         weighing=None,
     )
     told = identify(_data(ten, model), ("E",))
-    E = told.of("E")
-    assert E is None or any("times the design's: are forces" in note for note in told.notes)
+    assert any("times the design's: are forces" in note for note in told.notes), told.notes
 
 
-def test_cameras_tell_E_from_weights_and_touches(cameras: Campaign, model: ProbeModel) -> None:
-    E = identify(_data(cameras, model), ("E",)).of("E")
+@pytest.fixture(scope="module")
+def told_by_cameras(cameras: Campaign, model: ProbeModel):
+    return identify(_data(cameras, model), ("E",))
+
+
+def test_cameras_tell_E_from_weights_and_touches(told_by_cameras) -> None:
+    E = told_by_cameras.of("E")
     assert E is not None and abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
     assert E.std / E.value < 0.02
 
@@ -71,6 +75,22 @@ def test_E_and_diameters_are_not_told_apart_by_stiffness(stage: Campaign, model:
     assert diameters.result == "not_told"
     assert "E·diameters^4" in diameters.why
     assert told.of("E") is not None
+
+
+def test_E_is_that_of_the_designs_diameters_even_where_those_are_asked_for(
+    cameras: Campaign, told_by_cameras, model: ProbeModel
+) -> None:
+    """It is what a design gets, and no design gets other diameters."""
+    alone = told_by_cameras.of("E")
+    found = identify(_data(cameras, model), ("E", "diameters"))
+    E, diameters = found.of("E"), found.of("diameters")
+    assert alone is not None and E is not None and diameters is not None
+    assert (
+        abs(E.value - alone.value) < 0.1 * alone.std
+    )  # the same readings; both searches end within a twentieth
+    assert E.std == pytest.approx(alone.std, rel=0.02)
+    assert E.value_of_print * diameters.value**4 == pytest.approx(E.value, rel=0.01)  # weight goes with d²
+    assert E.by_diameter == pytest.approx(-4.0, abs=0.3)
 
 
 def test_sag_alone_tells_E_over_density(model: ProbeModel) -> None:
