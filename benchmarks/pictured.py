@@ -1,21 +1,32 @@
-"""Campaigns seen through cameras that were calibrated once: what their calibration errs by is common to all markers."""
+"""Campaigns seen through cameras that were calibrated once: what their calibration errs by is common to all markers.
+
+And photographs: do the dots' stated errors come true?"""
 
 import math
 import os
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.laboratory import Kind, draw
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
+from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.identification.identify import Data, identify
 from probedesign.identification.trial import Trial
 from probedesign.stereo.calibrate import calibrate
 from probedesign.stereo.camera import Camera
+from probedesign.stereo.finder import find_markers
+from probedesign.stereo.picture import write_png
+from probedesign.stereo.render import Look, render
 from probedesign.stereo.triangulate import triangulate
+from probedesign.synthetic.plan import Plan
+from probedesign.synthetic.sight import SIZE_PX, Sight
+from probedesign.synthetic.world import World
 from probedesign.units import MM
 
 DRAWS = 40
@@ -33,6 +44,10 @@ TRUE = tuple(
 )
 TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from the world to the box
 
+BENT, STATE = 3, 2
+"""Which campaign, and which of its tests, the photographs are of."""
+LOOKS = tuple(Look(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5)))
+
 
 def report() -> None:
     """Print the table."""
@@ -48,6 +63,36 @@ def report() -> None:
             ])  # fmt: skip
     head = ["calibration", "identified", "E off, RMS", "mean", "stated", "within stated 95 %"]
     print_table(f"{DRAWS} campaigns each, {STEREO.words}; dimensions as designed", head, rows)
+    _report_dots()
+
+
+def _report_dots() -> None:
+    """Print how far found dots are from the painted ones, and how far they say."""
+    rows = []
+    for name, model in paper_models().items():
+        for look in LOOKS:
+            error, std = _dots(model, look)
+            off, stated = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(std**2))
+            rows.append([name, f"{look.blur_px:g} px", f"{look.noise:g}", f"{len(std)}", f"{off:.3f} px",
+                         f"{stated:.3f} px", f"{stated / off:.2f}"])  # fmt: skip
+    head = ["probe", "blur", "noise", "dots", "off, RMS an axis", "stated", "stated over true"]
+    print_table("Dots in synthetic photographs, both cameras", head, rows)
+
+
+def _dots(model: ProbeModel, look: Look) -> tuple[Array, Array]:
+    """Of the dots of one bent probe in two photographs: errors (n, 2) and what is stated (n,) [px]."""
+    world = World.draw(model, Plan(seed=BENT), np.random.default_rng(BENT))
+    sight, state = Sight(world), world.states()[STATE]
+    tube, dots = sight.tube(state.equilibrium), sight.dots(state.equilibrium)
+    errors, stds = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for camera in sight.cameras:
+            path = Path(folder) / f"{camera.name}.png"
+            write_png(path, render(camera, tube, dots, SIZE_PX, look))
+            found = find_markers(path, dots.s, camera.project(tube.p_world[:1])[0], True)
+            errors.append(found.pixels - camera.project(tube.places(dots)))
+            stds.append(found.std_px)
+    return np.concatenate(errors), np.concatenate(stds)
 
 
 def _campaign(common: bool, seed: int) -> tuple[float, float]:

@@ -1,4 +1,6 @@
-"""Made-up campaigns, each of its own drawn print: do the errors that `validate` states come true?"""
+"""Made-up campaigns, each of its own drawn print: do the errors that `validate` states come true?
+
+Touches are located without friction, weights by the paper's method and along the probe alone."""
 
 import tempfile
 from pathlib import Path
@@ -13,7 +15,7 @@ from probedesign.estimator.estimator import Estimator
 from probedesign.estimator.model import ProbeModel
 from probedesign.synthetic.folder import make_campaign
 from probedesign.synthetic.plan import Kind, Plan
-from probedesign.units import MM
+from probedesign.units import MILLINEWTON, MM
 from probedesign.validation.trial import Trial
 from probedesign.validation.validate import validate
 
@@ -23,21 +25,25 @@ KINDS: tuple[Kind, ...] = ("cameras", "stage")
 
 def report() -> None:
     """Print the table."""
-    rows = []
+    rows, weights = [], []
     for kind in KINDS:
         for name, model in paper_models().items():
-            trials = [trial for seed in range(CAMPAIGNS) for trial in _touches(model, Plan(kind, seed))]
-            rows.append([f"{name}, {kind}", *_told(trials)])
+            trials = [trial for seed in range(CAMPAIGNS) for trial in _trials(model, Plan(kind, seed))]
+            rows.append([f"{name}, {kind}", *_told([trial for trial in trials if trial.kind == "touch"])])
+            for of in sorted({trial.test.name for trial in trials if trial.kind == "weight"}):
+                here = [trial for trial in trials if trial.test.name == of]
+                mean = np.mean([[trial.force / MILLINEWTON, trial.fraction] for trial in here], axis=0)
+                weights.append([f"{name}, {mean[0]:.3g} mN at {mean[1]:.1f} L", *_told(here)])
     head = ["probe, reference", "touches", "ok", "in 95 %", "of which tell", "squares", "RMS error", "stated"]
     print_table(f"Made-up campaigns, {CAMPAIGNS} prints each", head, rows)
+    print_table("Weights of the same campaigns", ["probe, weight", "weights", *head[2:]], weights)
 
 
-def _touches(model: ProbeModel, plan: Plan) -> list[Trial]:
-    """The touches of one campaign, validated."""
+def _trials(model: ProbeModel, plan: Plan) -> tuple[Trial, ...]:
+    """One campaign, validated."""
     with tempfile.TemporaryDirectory() as folder:
         make_campaign(model, Path(folder) / "data", plan)
-        found = validate(Estimator(model), read_campaign(Path(folder) / "data"))
-    return [trial for trial in found.trials if trial.kind == "touch"]
+        return validate(Estimator(model), read_campaign(Path(folder) / "data")).trials
 
 
 def _told(trials: list[Trial]) -> list[str]:

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from probedesign.search.task import Task
     from probedesign.synthetic.folder import Made
     from probedesign.synthetic.plan import Plan
+    from probedesign.validation.joined import Joined
     from probedesign.validation.validate import Validation
 
 EXPORTS = Path("exports")
@@ -384,6 +385,39 @@ def validate(
     for name, content in written.items():
         write_atomically(folder / name, content)
     return found, [folder / name for name in written]
+
+
+def validate_all(
+    pairs: Sequence[tuple[Path, Path]],
+    out: Path | None,
+    exact_model: bool,
+    plots: bool | None,
+    tell: Callable[[str, float | None], None],
+) -> tuple["Joined", list[Path]]:
+    """Frozen probes, each with its data folder → one table of all, as the paper's Table I, beside the files of each.
+
+    Args:
+        pairs: frozen probe and folder of a campaign, one a probe.
+        out: folder for table1.csv and for a folder a probe; if None the table is written into exports, and each
+            probe's files as `validate` does.
+        exact_model: as for `validate`.
+        plots: likewise.
+        tell: likewise.
+    """
+    from probedesign.deployment import load_estimator
+    from probedesign.validation.joined import Joined, check_names
+
+    names = [load_estimator(bundle).model.name for bundle, _ in pairs]
+    check_names(names)
+    found, files = [], []
+    for name, (bundle, data) in zip(names, pairs, strict=True):
+        one, written = validate(bundle, data, None if out is None else out / name, exact_model, plots, tell)
+        found.append(one)
+        files += written
+    joined = Joined(tuple(found))
+    files.append((EXPORTS if out is None else out) / "table1.csv")
+    write_atomically(files[-1], joined.csv())
+    return joined, files
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:

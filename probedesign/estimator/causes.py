@@ -14,6 +14,7 @@ from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array, inverse, skew, wrench_map
 from probedesign.rod import kernels
 from probedesign.rod.contacts import Contacts
+from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 from probedesign.units import MM
 
@@ -105,17 +106,20 @@ def answers_of(contacts: Contacts, rod: Rod, gravity: Array) -> Answers:
 
 def free_answers(rod: Rod, gravity: Array) -> Answers:
     """The same of the free probe; its point is the tip."""
-    free = rod.solve(gravity, columns="all")
-    assert free.sensitivity is not None, "asked of a probe that cannot stand"
-    d = free.sensitivity
-    still = np.zeros((1, 3))
-    d_moment = d.d_moment[None]
-    moments = _chosen(d_moment, _by_length(d_moment, free.wrench_base[None, 3:6], still, 3.0))
-    points = _chosen(
-        d.d_position[None], _by_length(d.d_position[None], free.p_contact_base[None], still, 1.0)
+    return held_answers(rod, rod.solve(gravity, columns="all"), gravity)
+
+
+def held_answers(rod: Rod, eq: Equilibrium, gravity: Array) -> Answers:
+    """The same of a force that keeps its place and direction, as a weight on a thread does; `eq` with all columns."""
+    assert eq.sensitivity is not None, "asked of a probe that cannot stand"
+    d, force = eq.sensitivity, eq.load[None, 0:3]
+    moment, p, d_moment, d_p = (
+        x[None] for x in (eq.wrench_base[3:6], eq.p_contact_base, d.d_moment, d.d_position)
     )
+    moments = _chosen(d_moment, _by_length(d_moment, moment, force, 3.0))
+    points = _chosen(d_p, _by_length(d_p, p, force, 1.0))
     wrench = np.concatenate([_d_weight(rod, gravity)[None], moments], axis=1)
-    return Answers(wrench, points, free.wrench_base[None], free.p_contact_base[None], np.zeros_like(points))
+    return Answers(wrench, points, eq.wrench_base[None], p, np.zeros_like(points))
 
 
 def moved_by(

@@ -1,4 +1,4 @@
-"""First-order propagation of a reading's noise to the contact that the paper's method finds."""
+"""First-order propagation of a reading's noise, and of a probe's tolerances, to what the paper's method finds."""
 
 from dataclasses import dataclass
 
@@ -7,22 +7,34 @@ import numpy as np
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Sensitivity
 
+NO_CAUSES = np.zeros((6, 0)), np.zeros((3, 0))
+"""Of a probe that is all as the model says."""
+
 
 @dataclass(frozen=True)
 class ContactCovariance:
-    """How noise of the base wrench shows in the answer.
+    """How noise of the base wrench, and what the probe is not as modelled, show in the answer.
 
     Attributes:
         s_by_wrench: ds_contact/dwrench, (6,).
         p_by_wrench: dp_contact/dwrench, (3, 6).
         moment_misfit: covariance of the moment misfit M(s; F) - M for the true s [N²·m²], (3, 3).
-        cov_wrench: of the reading, (6, 6).
+        noise: covariance of the reading's noise, (6, 6).
+        wrench: of the reading by each cause, one standard deviation a column, (6, j).
+        point: of the true point by the same [m], (3, j).
     """
 
     s_by_wrench: Array
     p_by_wrench: Array
     moment_misfit: Array
-    cov_wrench: Array
+    noise: Array
+    wrench: Array
+    point: Array
+
+    @property
+    def cov_wrench(self) -> Array:
+        """Of the reading, (6, 6)."""
+        return np.asarray(self.noise + self.wrench @ self.wrench.T)
 
     @property
     def std_s(self) -> float:
@@ -32,10 +44,13 @@ class ContactCovariance:
     @property
     def cov_p(self) -> Array:
         """Covariance of the contact point [m²], (3, 3)."""
-        return self.p_by_wrench @ self.cov_wrench @ self.p_by_wrench.T
+        off = self.p_by_wrench @ self.wrench - self.point
+        return np.asarray(self.p_by_wrench @ self.noise @ self.p_by_wrench.T + off @ off.T)
 
 
-def propagate(sensitivity: Sensitivity, cov_wrench: Array) -> ContactCovariance:
+def propagate(
+    sensitivity: Sensitivity, noise: Array, causes: tuple[Array, Array] = NO_CAUSES
+) -> ContactCovariance:
     """Covariance of the paper's estimate: force by equation 5, then s by least squares on the moment.
 
     With a = ∂M/∂s and B = ∂M/∂F along the equilibria, a reading off by (ε_F, ε_M) moves
@@ -43,7 +58,8 @@ def propagate(sensitivity: Sensitivity, cov_wrench: Array) -> ContactCovariance:
 
     Args:
         sensitivity: of the equilibrium at the estimate, its load columns.
-        cov_wrench: of the base wrench, (6, 6).
+        noise: covariance of the base wrench by noise alone, (6, 6).
+        causes: of reading and true point by each cause, one standard deviation a column, (6, j) and (3, j).
 
     Returns:
         The covariance; std_s is infinite where the moment does not depend on s.
@@ -56,5 +72,6 @@ def propagate(sensitivity: Sensitivity, cov_wrench: Array) -> ContactCovariance:
         s_by_wrench = -(a @ misfit_by_wrench) / square
     p_by_wrench = np.outer(d_p[:, 3], s_by_wrench)
     p_by_wrench[:, 0:3] += d_p[:, 0:3]
-    moment_misfit = misfit_by_wrench @ cov_wrench @ misfit_by_wrench.T
-    return ContactCovariance(s_by_wrench, p_by_wrench, moment_misfit, cov_wrench)
+    known = misfit_by_wrench @ causes[0]
+    moment_misfit = misfit_by_wrench @ noise @ misfit_by_wrench.T + known @ known.T
+    return ContactCovariance(s_by_wrench, p_by_wrench, moment_misfit, noise, *causes)

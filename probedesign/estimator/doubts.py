@@ -13,12 +13,21 @@ from functools import cached_property
 
 import numpy as np
 
-from probedesign.estimator.causes import Answers, answers_of, by_turns, free_answers, parameters_of, turns_of
+from probedesign.estimator.causes import (
+    Answers,
+    answers_of,
+    by_turns,
+    free_answers,
+    held_answers,
+    parameters_of,
+    turns_of,
+)
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.rod.contacts import contacts_at
+from probedesign.rod.equilibrium import Equilibrium
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,12 @@ class Doubts:
             zip(wrench - self.still, point, known.d_wrench_by_touch, known.d_point_by_touch, strict=True)
         )
         return [Doubt(*next(told)) if ok else None for ok in contacts.ok]
+
+    def held(self, eq: Equilibrium) -> tuple[Array, Array]:
+        """Of reading and point by each cause, (6, j) and (3, j), under a force that friction holds as it is."""
+        load = self.model.rod.solve(self.gravity, eq.load[0:3], eq.s_contact, guess=eq.tip, columns="all")
+        wrench, point = self._moved(held_answers(self.model.rod, load, self.gravity))
+        return wrench[0] - self.still, point[0]
 
     @cached_property
     def _steps(self) -> tuple[Array, Array]:

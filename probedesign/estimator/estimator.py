@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from probedesign.errors import InputError
 from probedesign.estimator import doubtful, likelihood, paper
+from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.estimate import Candidate, Estimate, Result
 from probedesign.estimator.fused import Fused, MomentsAbout
 from probedesign.estimator.locate import Scan
@@ -80,9 +81,9 @@ class Estimator:
     def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
         """The same estimator for a probe that is known only so well.
 
-        E, G, density, diameters, length, mount, gravity and drift then count in the weights of "ml", in its test of
-        consistency and in its covariance, for any one reading or window; "paper" and `fuse`, which has unknowns of
-        its own, stay as they are.
+        E, G, density, diameters, length, mount, gravity and drift then count in the weights of "ml", and in the test
+        of consistency and the covariance of both methods, for any one reading or window; the place that "paper"
+        finds, and `fuse`, which has unknowns of its own, stay as they are.
 
         Args:
             tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
@@ -135,7 +136,9 @@ class Estimator:
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
         scan = Scan.of(self.model.rod, seen)
         if method == "paper":
-            return self._decide(paper.locate(self.model.rod, seen, scan), chi2, readings)
+            return self._decide(
+                paper.locate(self.model.rod, seen, scan, self._doubts(gravity)), chi2, readings
+            )
         start = near.candidates[0] if near is not None and near.candidates else None
         found = self._likeliest(seen, start, scan)
         if found:
@@ -149,6 +152,10 @@ class Estimator:
         if self.tolerances is None:
             return likelihood.locate(self.model.rod, seen, start, scan)
         return doubtful.locate(self._causes(seen.gravity), seen, start, scan)
+
+    def _doubts(self, gravity: Array) -> Doubts | None:
+        """The tolerances, as the paper's method counts them."""
+        return None if self.tolerances is None else Doubts.of(self.model, gravity, self.tolerances)
 
     def _causes(self, gravity: Array) -> Causes:
         """What may differ under a gravity; the last one is kept."""

@@ -6,6 +6,7 @@ The force may have any direction: friction is not assumed away.
 import numpy as np
 
 from probedesign.estimator.covariance import propagate
+from probedesign.estimator.doubts import Doubts
 from probedesign.estimator.estimate import Candidate
 from probedesign.estimator.locate import Scan
 from probedesign.estimator.observation import Observation
@@ -17,20 +18,27 @@ DOF = 2
 """Three moments, one unknown."""
 
 
-def locate(rod: Rod, seen: Observation, scan: Scan | None = None) -> list[Candidate]:
+def locate(
+    rod: Rod, seen: Observation, scan: Scan | None = None, doubts: Doubts | None = None
+) -> list[Candidate]:
     """The places where the measured force makes the measured moment, or nearly.
 
     Args:
         rod: of the probe.
         seen: the reading.
         scan: of it, if there is one already.
+        doubts: how well the probe is known, under the reading's gravity; None takes it as exact.
     """
-    return [_candidate(rod, seen, eq) for eq in (scan or Scan.of(rod, seen)).candidates]
+    return [_candidate(rod, seen, eq, doubts) for eq in (scan or Scan.of(rod, seen)).candidates]
 
 
-def _candidate(rod: Rod, seen: Observation, eq: Equilibrium) -> Candidate:
+def _candidate(rod: Rod, seen: Observation, eq: Equilibrium, doubts: Doubts | None) -> Candidate:
     assert eq.sensitivity is not None
-    cov = propagate(eq.sensitivity, seen.cov)
+    cov = (
+        propagate(eq.sensitivity, seen.cov)
+        if doubts is None
+        else propagate(eq.sensitivity, seen.cov + doubts.drift, doubts.held(eq))
+    )
     misfit = eq.wrench_base[3:6] - seen.wrench[3:6]
     force = eq.load[0:3].copy()
     size = float(np.linalg.norm(force))

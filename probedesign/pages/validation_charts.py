@@ -1,9 +1,11 @@
 """Charts of a validation: shapes and forces as the paper's figures 3 to 6, errors beside what was stated."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.pages.chart import COLOURS, Axis, Chart, Entry, span_of
 from probedesign.rod.equilibrium import Equilibrium
@@ -89,18 +91,46 @@ def centreline(trial: Trial) -> Array:
     return trial.shape.p_at(np.linspace(0.0, float(trial.shape.s[-1]), POINTS))
 
 
-def draw_shape(trial: Trial) -> bytes:
-    """Measured markers and contact, estimated centreline and contact, from the side; an SVG."""
+def outline(trial: Trial, model: ProbeModel) -> Array:
+    """Of the shape as seen from the side, base, flank, tip and the other flank [m], (2 k, 3); empty without one."""
+    if trial.shape is None:
+        return np.zeros((0, 3))
+    across, s = across_of(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
+    radius = np.interp(s, model.rod.s, model.rod.radius) * model.cross_section.reach(across * math.pi / 2.0)
+    aside = radius[:, None] * trial.shape.R_at(s)[:, :, across]
+    line = trial.shape.p_at(s)
+    return np.concatenate([line + aside, (line - aside)[::-1]])
+
+
+def contact_told(trial: Trial) -> Array | None:
+    """The contact as estimated [m], (3,): of the axis where only s is known to compare with, else of the surface."""
+    if trial.estimate is None or not trial.estimate.ok:
+        return None
+    on_axis = trial.contact_base is None and not math.isnan(trial.test.s_contact)
+    return trial.estimate.p_contact_base if on_axis else trial.estimate.p_surface_base
+
+
+def place_known(trial: Trial) -> Array | None:
+    """Where along the shape's axis the force is known to act [m], (3,); None where it is not known."""
+    if trial.shape is None or math.isnan(trial.test.s_contact):
+        return None
+    return np.asarray(trial.shape.p_at(np.array([trial.test.s_contact]))[0])
+
+
+def draw_shape(trial: Trial, model: ProbeModel) -> bytes:
+    """Measured markers and contact, estimated outline, centreline and contact, from the side; an SVG."""
     across = across_of(trial)
-    line = centreline(trial)
-    estimate = trial.estimate.p_surface_base if trial.estimate is not None and trial.estimate.ok else None
+    line, body = centreline(trial), outline(trial, model)
+    estimate = contact_told(trial)
     contacts = [p[None] for p in (trial.contact_base, estimate) if p is not None]
-    points = np.concatenate([line, trial.markers_on_axis, *contacts, np.zeros((1, 3))]) / MM
+    points = np.concatenate([body, trial.markers_on_axis, *contacts, np.zeros((1, 3))]) / MM
     x, y = (
         Axis(words, *span_of(points[:, i].tolist(), False))
         for words, i in ((_Z, 2), (f"{'xy'[across]} [mm]", across))
     )
     chart = Chart(x, y, square=True, down=across == 0)
+    if len(body):
+        chart.area([(float(p[2]) / MM, float(p[across]) / MM) for p in body], ESTIMATED, 0.15)
     seen = trial.markers_on_axis / MM
     if len(seen):
         chart.line(seen[:, 2].tolist(), seen[:, across].tolist(), MEASURED, "7 4", "x", "measured", 1.4)
@@ -113,7 +143,8 @@ def draw_shape(trial: Trial) -> bytes:
             width=2.4,
         )
     for p, colour, mark, name in ((estimate, CONTACT, "s", "contact, estimated"),
-                                  (trial.contact_base, MEASURED, "o", "contact, measured")):  # fmt: skip
+                                  (trial.contact_base, MEASURED, "o", "contact, measured"),
+                                  (place_known(trial), MEASURED, "d", "s of the contact, known")):  # fmt: skip
         if p is not None:
             chart.line([float(p[2]) / MM], [float(p[across]) / MM], colour, mark=mark)
             chart.legend.append(Entry(name, colour, "0 99", mark))

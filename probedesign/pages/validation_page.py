@@ -2,6 +2,7 @@
 
 import math
 
+from probedesign.estimator.model import ProbeModel
 from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.validation_charts import draw_inner, draw_shape, draw_sizes, draw_squares
 from probedesign.units import MILLINEWTON, MM
@@ -26,7 +27,8 @@ def validation_page(validation: Validation) -> bytes:
         *honesty.words,
     ]
     drawn = [trial for trial in validation.trials if trial.shape is not None or len(trial.markers_base)]
-    sections = [*_figures(validation), *_inner(validation), *(_shape(trial) for trial in drawn[:MOST_SHAPES])]
+    shapes = (_shape(trial, model) for trial in drawn[:MOST_SHAPES])
+    sections = [*_figures(validation), *_inner(validation), *shapes]
     after = [("Which tests tell what", _table(validation))]
     if validation.notes or len(drawn) > MOST_SHAPES:
         more = [f"{len(drawn) - MOST_SHAPES} more shapes are not drawn"] if len(drawn) > MOST_SHAPES else []
@@ -73,7 +75,9 @@ def _table(validation: Validation) -> TextTable:
         "of length",
         "contact error",
         "stated",
+        "predicted",
         "in 95 %",
+        "method",
         "result",
     ]
     rows = []
@@ -84,11 +88,14 @@ def _table(validation: Validation) -> TextTable:
             row["test"], "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
             "—" if fraction is None else f"{fraction:.3f} L", row["direction"] or "—", _mm(row["shape_rms_mm"]),
             "—" if row["shape_rms_percent"] is None else f"{row['shape_rms_percent']:.2f} %",
-            _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]), inside, row["result"],
+            _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
+            _mm(row["predicted_error_mm"]), inside, row["method"], row["result"],
         ])  # fmt: skip
     note = (
         "Contact: fraction of the length, as known, else as estimated; its error that of the touched point, of weights "
-        "that of s. Stated: RMS, the reference's own share counted."
+        "that of s. Stated: RMS, the reference's own share counted. Predicted: what `predict` says beforehand of a "
+        "frictionless touch of that force, place and way, read once, without a reference. Method: weights are held by "
+        "friction, so that they are estimated by the paper's method, which takes a force of any direction."
     )
     return TextTable(head, rows, note)
 
@@ -145,7 +152,7 @@ def _words(trial: Trial) -> str:
     return f"{force}{place}{', ' if trial.test.direction else ''}{trial.test.direction}"
 
 
-def _shape(trial: Trial) -> Section:
+def _shape(trial: Trial, model: ProbeModel) -> Section:
     """One probe as measured and as estimated."""
     parts = []
     if not math.isnan(trial.shape_rms):
@@ -156,10 +163,12 @@ def _shape(trial: Trial) -> Section:
         parts.append(
             f"contact off by {trial.miss.size / MM:.3g} mm, stated {trial.miss.expected / MM:.3g} mm"
         )
+    if not math.isnan(trial.predicted):
+        parts.append(f"predicted beforehand {trial.predicted / MM:.3g} mm")
     if trial.kind == "free":
         parts.append(
             "no place told, as it should be" if trial.result != "ok" else "a place told, and nothing touches"
         )
     elif trial.result != "ok":
         parts.append(f"{trial.result}: {WHY[trial.result]}")
-    return Section(f"{trial.test.name}: {_words(trial)}", "; ".join(parts) + ".", draw_shape(trial))
+    return Section(f"{trial.test.name}: {_words(trial)}", "; ".join(parts) + ".", draw_shape(trial, model))

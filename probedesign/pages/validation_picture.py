@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from probedesign.pages.validation_charts import across_of, centreline
+from probedesign.estimator.model import ProbeModel
+from probedesign.pages.validation_charts import across_of, centreline, contact_told, outline, place_known
 from probedesign.report import blank, png
 from probedesign.units import MILLINEWTON, MM
 from probedesign.validation.trial import Trial
@@ -33,28 +34,32 @@ def draw_validation(validation: Validation) -> bytes:
     figure = blank(12, 0.8 + 2.6 * rows)
     axes: Any = np.atleast_1d(figure.subplots(rows, COLUMNS)).ravel()
     for ax, trial in zip(axes, chosen, strict=False):
-        _draw_shape(ax, trial)
+        _draw_shape(ax, trial, validation.estimator.model)
     _draw_errors(axes[len(chosen)], validation)
     for ax in axes[len(chosen) + 1 :]:
         ax.set_axis_off()
     honesty = validation.honesty
     left_out = f", {len(shown) - len(chosen)} more not drawn" if len(shown) > len(chosen) else ""
-    figure.suptitle(f"{validation.estimator.model.name}: measured (crosses, ●) and estimated (line, ■); "
+    figure.suptitle(f"{validation.estimator.model.name}: measured (crosses, ●; ♦ known s) and estimated (line, ■); "
                     f"{honesty.within} of {honesty.touches} touches within their 95 % ellipsoid{left_out}",
                     fontsize=12, x=0.01, ha="left")  # fmt: skip
     return png(figure)
 
 
-def _draw_shape(ax: "Axes", trial: Trial) -> None:
+def _draw_shape(ax: "Axes", trial: Trial, model: ProbeModel) -> None:
     across = across_of(trial)
+    body, known = outline(trial, model) / MM, place_known(trial)
+    ax.fill(body[:, 2], body[:, across], color="#0072B2", alpha=0.2, lw=0)
     line, seen = centreline(trial) / MM, trial.markers_on_axis / MM
     ax.plot(seen[:, 2], seen[:, across], "x--", color="black", lw=0.8, ms=5)
     ax.plot(line[:, 2], line[:, across], color="#0072B2", lw=1.8)
-    if trial.estimate is not None and trial.estimate.ok:
-        p = trial.estimate.p_surface_base / MM
-        ax.plot(p[2], p[across], "s", color="#D55E00", ms=6)
+    told = contact_told(trial)
+    if told is not None:
+        ax.plot(told[2] / MM, told[across] / MM, "s", color="#D55E00", ms=6)
     if trial.contact_base is not None:
         ax.plot(trial.contact_base[2] / MM, trial.contact_base[across] / MM, "o", color="black", ms=6)
+    if known is not None:
+        ax.plot(known[2] / MM, known[across] / MM, "d", color="black", ms=6)
     if across == 0:
         ax.invert_yaxis()
     ax.set_aspect("equal", adjustable="datalim")

@@ -80,8 +80,9 @@ def _found(path: Path, grey: NDArray[np.uint8], seen: Spots, row: Row) -> Found:
         InputError: one is not like a dot.
     """
     dots: list[Dot] = []
-    for number, i in enumerate(row.chosen, 1):
-        dot = fit_dot(grey, seen.pixels[i], float(seen.diameter_px[i]))
+    ways = np.gradient(seen.pixels[list(row.chosen)], axis=0)
+    for number, (i, way) in enumerate(zip(row.chosen, ways, strict=True), 1):
+        dot = fit_dot(grey, seen.pixels[i], float(seen.diameter_px[i]), way)
         if dot is None:
             u, v = seen.pixels[i]
             raise InputError(

@@ -158,15 +158,3 @@ def _meet_cone(start: Array, rays: Array, axis: Array, radius: Array, slope: Arr
     c = np.sum(start_across**2, axis=1) - wide**2
     under = b**2 - a * c
     return np.asarray((-b - np.sqrt(np.where(under >= 0, under, np.nan))) / a)
-
-
-def sunk(dot_diameter: ArrayLike, tube_diameter: ArrayLike) -> Array:
-    """How deep beneath the surface a dot's centre seems to lie, in whatever picture [m].
-
-    A dot is curved as the tube is: its outline, of radius a, lies up to a²/2R deeper than its centre, and what is
-    fitted to the outline lies in between, on photographs of known dots at a²/6R within a third. A dot of half the
-    tube's diameter seems a twelfth of its own radius too deep. Perspective moves a flat dot by less than a²/2Z seen
-    from distance Z: 2 µm for 3 mm at half a metre.
-    """
-    a, R = np.asarray(dot_diameter, dtype=float) / 2, np.asarray(tube_diameter, dtype=float) / 2
-    return np.asarray(a**2 / (6 * R))

@@ -8,7 +8,7 @@ from scipy.special import chdtri
 
 from probedesign.campaign.campaign import Campaign, Test
 from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.estimator import Estimator, Method
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.units import MM
@@ -69,6 +69,7 @@ def miss_of(
     campaign: Campaign,
     test: Test,
     estimator: Estimator,
+    method: Method,
     estimate: Estimate | None,
     contact: Array | None,
     reading: Reading,
@@ -79,6 +80,7 @@ def miss_of(
         campaign: the test is of.
         test: with what is known.
         estimator: that estimated it.
+        method: by which.
         estimate: of it.
         contact: touched point in the base frame [m], (3,).
         reading: that it was estimated from.
@@ -87,7 +89,7 @@ def miss_of(
         return None
     if contact is not None:
         own = cov_of_pose(campaign, contact) + max(test.std_contact, LEAST_REFERENCE) ** 2 * np.eye(3)
-        stated = _cov_of_surface(estimator, estimate, reading)
+        stated = _cov_of_surface(estimator, method, estimate, reading)
         return Miss(estimate.p_surface_base - contact, stated + own, own)
     if not math.isnan(test.s_contact):
         reference = np.array([[max(test.std_s, LEAST_REFERENCE) ** 2]])
@@ -96,7 +98,7 @@ def miss_of(
     return None
 
 
-def _cov_of_surface(estimator: Estimator, estimate: Estimate, reading: Reading) -> Array:
+def _cov_of_surface(estimator: Estimator, method: Method, estimate: Estimate, reading: Reading) -> Array:
     """Covariance of the touched point [m²], (3, 3): that of the axis, which the estimate states, and what the way from
     there to the surface adds.
 
@@ -113,7 +115,7 @@ def _cov_of_surface(estimator: Estimator, estimate: Estimate, reading: Reading) 
     turn = std_force / float(np.linalg.norm(estimate.force_base))
     aside = turn * np.cross(shape.R_at(estimate.s_contact)[:, 2], way)
     cov = estimate.cov_contact_base + np.outer(aside, aside)
-    thicker = None if known is None else _thicker(estimator, known, estimate, reading)
+    thicker = None if known is None else _thicker(estimator, known, method, estimate, reading)
     if thicker is None:
         return np.asarray(cov)
     axis, surface = (getattr(thicker, p) - getattr(estimate, p) for p in ("p_contact_base", "p_surface_base"))
@@ -121,7 +123,7 @@ def _cov_of_surface(estimator: Estimator, estimate: Estimate, reading: Reading) 
 
 
 def _thicker(
-    estimator: Estimator, known: Tolerances, estimate: Estimate, reading: Reading
+    estimator: Estimator, known: Tolerances, method: Method, estimate: Estimate, reading: Reading
 ) -> Estimate | None:
     """The same reading, estimated with a probe thicker by a standard deviation; None where that tells no place."""
     model, gravity = estimator.model, reading.gravity_base
@@ -130,5 +132,5 @@ def _thicker(
     )
     other = Estimator(replace(model, rod=replace(model.rod, radius=radius)), known)
     retared = other.free(gravity).wrench_base - estimator.free(gravity).wrench_base if reading.tares else 0.0
-    found = other.estimate(reading.wrenches_base + retared, gravity, near=estimate)
+    found = other.estimate(reading.wrenches_base + retared, gravity, method=method, near=estimate)
     return found if found.ok else None

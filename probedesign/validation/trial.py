@@ -8,14 +8,19 @@ import numpy as np
 
 from probedesign.campaign.campaign import Campaign, Test
 from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimator.estimator import Estimator, Method
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, inverse
+from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.validation.beforehand import predicted_error
 from probedesign.validation.miss import Miss, miss_of
 from probedesign.validation.taring import Reading, cov_of_pose, reading_of, tolerances_of
 
 Kind = Literal["free", "weight", "touch"]
+METHODS: dict[Kind, Method] = {"free": "ml", "weight": "paper", "touch": "ml"}
+"""By which each kind is estimated. A known force is a dead load: friction holds it where it hangs, so that it need not
+be normal to the surface, as "ml" takes contacts to be; the method of the paper takes a force of any direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +30,7 @@ class Trial:
     Attributes:
         test: it is of.
         kind: free, with a known weight on it, or touched.
+        method: it was estimated by.
         result: of the estimate; "no_reading" where the sensor was not read.
         estimate: None where there was none.
         shape: as estimated, of a free test as modelled; None where no place was told.
@@ -36,6 +42,8 @@ class Trial:
         shape_rms: equation 6 [m]; NaN without shape or markers.
         reference_rms: what the reference's own errors make of it [m].
         contact_base: by the reference [m], (3,); None if it saw none.
+        way: the object pushes, as the campaign says or the force has it, a key of `DIRECTIONS`; empty where neither is.
+        predicted: error that `predict` tells of such a touch [m]; NaN of weights, which it does not predict.
         miss: of the contact; None where either side has none.
         readings: of the sensor.
         tares: free tests it was tared by.
@@ -43,6 +51,7 @@ class Trial:
 
     test: Test
     kind: Kind
+    method: Method
     result: str
     estimate: Estimate | None
     shape: Equilibrium | None
@@ -54,6 +63,8 @@ class Trial:
     shape_rms: float
     reference_rms: float
     contact_base: Array | None
+    way: str
+    predicted: float
     miss: Miss | None
     readings: int
     tares: int
@@ -65,8 +76,7 @@ class Trial:
 
     @property
     def counts(self) -> bool:
-        """Whether it tells if stated errors come true: the estimator takes no weight on a thread, which friction
-        holds, for a touch."""
+        """Whether it counts among the touches whose stated errors come true or not: weights are told apart."""
         return self.kind == "touch" and self.miss is not None
 
 
@@ -82,25 +92,31 @@ def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) 
     model = estimator.model
     kind: Kind = "touch" if test.force_world is None else "free" if test.free else "weight"
     reading = reading_of(campaign, test, estimator)
-    used = _prepared(campaign, estimator, reading, exact)
+    used, method = _prepared(campaign, estimator, reading, exact), METHODS[kind]
     estimate = (
-        used.estimate(reading.wrenches_base, reading.gravity_base) if len(reading.wrenches_base) else None
+        used.estimate(reading.wrenches_base, reading.gravity_base, method=method)
+        if len(reading.wrenches_base)
+        else None
     )
     shape = _shape(estimator, kind, reading, estimate)
     T_base_world = inverse(test.T_world_base)
     seen, hat, off, cov = _markers(campaign, test, model, shape, T_base_world)
     contact = None if test.p_contact_world is None else _moved(T_base_world, test.p_contact_world)
+    force, fraction = _force(test, reading, model), _place(test, estimate) / model.rod.length
+    way = _way(test, reading, model)
     return Trial(
-        test, kind, "no_reading" if estimate is None else estimate.result, estimate, shape,
-        force=_force(test, reading, model),
-        fraction=_place(test, estimate) / model.rod.length,
+        test, kind, method, "no_reading" if estimate is None else estimate.result, estimate, shape,
+        force=force,
+        fraction=fraction,
         markers_base=seen,
         markers_hat=hat,
         markers_off=off,
         shape_rms=math.sqrt(float(np.mean(np.sum((hat - seen) ** 2, axis=1)))) if len(hat) else math.nan,
         reference_rms=math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(seen) else math.nan,
         contact_base=contact,
-        miss=miss_of(campaign, test, used, estimate, contact, reading),
+        way=way,
+        predicted=predicted_error(model, fraction, force, way) if kind == "touch" else math.nan,
+        miss=miss_of(campaign, test, used, method, estimate, contact, reading),
         readings=len(reading.wrenches_base),
         tares=reading.tares,
     )  # fmt: skip
@@ -124,12 +140,25 @@ def _shape(
 
 
 def _force(test: Test, reading: Reading, model: ProbeModel) -> float:
+    return float(np.linalg.norm(_force_base(test, reading, model)))
+
+
+def _force_base(test: Test, reading: Reading, model: ProbeModel) -> Array:
+    """As known, else by equation 5 [N], (3,); NaN where neither is."""
     if test.force_world is not None:
-        return float(np.linalg.norm(test.force_world))
+        return np.asarray(test.T_world_base[:3, :3].T @ test.force_world)
     if not len(reading.wrenches_base):
-        return math.nan
-    mean = reading.wrenches_base.mean(axis=0)[:3]
-    return float(np.linalg.norm(mean - model.mass * reading.gravity_base))
+        return np.full(3, math.nan)
+    return np.asarray(reading.wrenches_base.mean(axis=0)[:3] - model.mass * reading.gravity_base)
+
+
+def _way(test: Test, reading: Reading, model: ProbeModel) -> str:
+    """The direction that is said, if it is one of `DIRECTIONS`, else the one nearest to the force."""
+    across = _force_base(test, reading, model)[:2]
+    if test.direction in DIRECTIONS or not across.any() or math.isnan(across[0]):
+        return test.direction if test.direction in DIRECTIONS else ""
+    axis = int(np.argmax(np.abs(across)))
+    return f"{'+' if across[axis] > 0.0 else '-'}{'xy'[axis]}"
 
 
 def _place(test: Test, estimate: Estimate | None) -> float:

@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -18,9 +18,10 @@ from probedesign.units import MM
 from probedesign.validation.honesty import Honesty, honesty_of
 from probedesign.validation.trial import Trial, trial_of
 
-COLUMNS = ("probe", "test", "kind", "force_N", "contact_fraction", "direction", "result", "shape_rms_mm",
-           "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm", "reference_error_mm",
-           "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings", "tares")  # fmt: skip
+COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
+           "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
+           "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
+           "tares")  # fmt: skip
 """Of validation.csv; those of the paper's Table I keep their names."""
 WHY: dict[str, str] = {
     **{str(code): words for code, words in RESULTS.items()},
@@ -119,24 +120,22 @@ class Validation:
         miss, length = trial.miss, self.estimator.model.rod.length
         z = list(miss.z) if miss is not None and miss.dof == 3 else [math.nan] * 3
         stated = (
-            (miss.size, miss.expected, math.sqrt(np.trace(miss.cov_reference))) if miss else (math.nan,) * 3
+            (miss.size, miss.expected, trial.predicted, math.sqrt(np.trace(miss.cov_reference)))
+            if miss
+            else (math.nan, math.nan, trial.predicted, math.nan)
         )
         values = (
-            self.estimator.model.name, trial.test.name, trial.kind, trial.force, trial.fraction,
-            trial.test.direction, trial.result, trial.shape_rms / MM, 100.0 * trial.shape_rms / length,
-            trial.reference_rms / MM, *(value / MM for value in stated), miss.within_95 if miss else None,
-            miss.nees if miss else None, *z, len(trial.markers_base), trial.readings, trial.tares,
+            self.estimator.model.name, length / MM, trial.test.name, trial.kind, trial.force, trial.fraction,
+            trial.test.direction or trial.way, trial.method, trial.result, trial.shape_rms / MM,
+            100.0 * trial.shape_rms / length, trial.reference_rms / MM, *(value / MM for value in stated),
+            miss.within_95 if miss else None, miss.nees if miss else None, *z, len(trial.markers_base),
+            trial.readings, trial.tares,
         )  # fmt: skip
         return {name: _plain(value) for name, value in zip(COLUMNS, values, strict=True)}
 
     def csv(self) -> bytes:
         """The rows as CSV with a header."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        for row in self.rows():
-            writer.writerow({name: f"{v:.6g}" if isinstance(v, float) else v for name, v in row.items()})
-        return text.getvalue().encode()
+        return csv_of(self.rows(), COLUMNS)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -153,6 +152,16 @@ class Validation:
             "honesty": {name: _plain(value) for name, value in asdict(self.honesty).items()},
             "notes": self.notes,
         }  # fmt: skip
+
+
+def csv_of(rows: Iterable[dict[str, Any]], columns: Sequence[str]) -> bytes:
+    """Some columns of rows as CSV with a header."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f"{v:.6g}" if isinstance(v, float) else v for name, v in row.items()})
+    return text.getvalue().encode()
 
 
 def validate(

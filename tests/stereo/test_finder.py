@@ -1,19 +1,22 @@
 """Dots in synthetic photographs: found where they are, in order, or honestly not."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from sights import SIZE, camera, probe
 
 cv2 = pytest.importorskip("cv2")
 
 from probedesign.errors import InputError  # noqa: E402
+from probedesign.stereo.dot import fit_dot, patch_of  # noqa: E402
 from probedesign.stereo.finder import find_markers  # noqa: E402
 from probedesign.stereo.overlay import overlay  # noqa: E402
 from probedesign.stereo.picture import read_grey, write_png  # noqa: E402
 from probedesign.stereo.render import Look, render  # noqa: E402
-from probedesign.stereo.tube import Dots, sunk  # noqa: E402
+from probedesign.stereo.tube import Dots  # noqa: E402
 
 SIGHT = camera("left", focal=2300.0, size=SIZE)
 TUBE, DOTS = probe()
@@ -33,11 +36,8 @@ def usual(tmp_path_factory):
 
 
 def where(dots=DOTS, tube=TUBE):
-    """The places that dots seem to be at: beneath the surface they are painted on."""
-    centre, _, radius, _ = tube.at(dots.s)
-    surface = tube.places(dots)
-    depth = sunk(dots.diameter, 2 * radius) / radius
-    return SIGHT.project(surface - depth[:, None] * (surface - centre))
+    """Where the painted centres of dots are seen."""
+    return SIGHT.project(tube.places(dots))
 
 
 def test_the_renderer_draws_what_the_camera_projects():
@@ -78,12 +78,32 @@ def test_the_base_side_tells_the_order(usual):
     assert np.abs(from_left.pixels - where()).max() < 1.0  # not one dot off: they stand 20 px apart
 
 
-def test_a_dot_seems_to_lie_beneath_the_surface_by_less_than_its_sagitta():
-    """On a sphere or cylinder an outline of radius a lies a²/2R deep at most, the sixth part of a²/R on average."""
-    a, R = 0.5 * DOTS.diameter, TUBE.at(DOTS.s)[2]
-    depth = sunk(DOTS.diameter, 2 * R)
-    assert (depth < R - np.sqrt(R**2 - a**2)).all()
-    assert depth == pytest.approx(a**2 / (6 * R))
+def bent_dot(sink, tilt=0.6):
+    """A dot of 9 px on a probe along u that is seen obliquely, as the rays through nine places of each pixel have it:
+    its places sink by the square of how far round they lie."""
+    v, u = (grid / 3.0 for grid in np.mgrid[-60:63, -60:63])
+    x, y = (u - 1.0 / 3.0) / math.cos(tilt), v - 1.0 / 3.0
+    x = x + sink * 9.0 * math.tan(tilt) * (y / 9.0) ** 2
+    inked = np.hypot(x, y) <= 9.0
+    share = inked.reshape(41, 3, 41, 3).mean(axis=(1, 3))
+    return np.round(200.0 - 150.0 * gaussian_filter(share, 0.8)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("sink", [-0.22, 0.0, 0.22])
+def test_a_dot_bent_round_its_probe_is_found_where_it_is_painted(sink):
+    """Its outline's own middle lies 9 px · 0.22 · sin 0.6 / 4 = 0.28 px aside: what an ellipse would be off by."""
+    dot = fit_dot(bent_dot(sink), np.array([20.2, 19.9]), 18.0, np.array([1.0, 0.0]))
+    # Nine places a pixel know an outline of 50 pixels to 0.03 px.
+    assert dot.pixel == pytest.approx([20.0, 20.0], abs=0.06)
+
+
+def test_what_neighbours_err_by_together_counts_once():
+    """A patch of noise is a pixel; of noise that is smooth over σ = 2 px it is 4πσ² = 50 pixels, within a third."""
+    v, u = np.mgrid[:60, :60]
+    offsets = np.column_stack([u.ravel(), v.ravel()]).astype(float)
+    noise = np.random.default_rng(1).normal(size=(60, 60))
+    assert patch_of(noise.ravel(), offsets) < 3.0
+    assert patch_of(gaussian_filter(noise, 2.0).ravel(), offsets) == pytest.approx(50.0, rel=0.35)
 
 
 @pytest.mark.parametrize(
