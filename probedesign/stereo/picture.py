@@ -33,7 +33,9 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
         raise InputError(f"{path}: no such photograph") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # what it would warn of is told in our own line
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_ERROR
+    )  # what it would warn of is told in our own line
     try:
         picture = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
     except cv2.error:
