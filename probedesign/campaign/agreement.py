@@ -9,6 +9,7 @@ import numpy as np
 from probedesign.campaign.campaign import Campaign, Test
 from probedesign.campaign.means import TINY, base_wrench, gravity_base, refuse
 from probedesign.campaign.tests_table import FILE as TESTS
+from probedesign.campaign.tests_table import WAYS
 from probedesign.campaign.wrenches_table import FILE as WRENCHES
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
@@ -25,7 +26,6 @@ FAR = 100.0
 NEAR_BASE = 0.3
 """Of the length: so far a probe is thick, and hardly bent. The first two markers count anyhow: bent by a right angle
 up to the second, the way to it is shorter by a fifth of one from marker to marker."""
-AXES = {"+x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ def _check_loads(campaign: Campaign, pushes: list[Push]) -> None:
     loads = [
         (push, force)
         for push in pushes
-        if (force := _known(push.test)) is not None and np.linalg.norm(force) > 2.0 * push.room
+        if (force := _known(push.test)) is not None
+        and max(np.linalg.norm(force), np.linalg.norm(push.read)) > 2.0 * push.room
     ]
     wrong = [(push, force) for push, force in loads if push.differs(force)]
     if 2 * len(wrong) > len(loads):
@@ -100,7 +101,11 @@ def _compared(read: Array, force: Array) -> str:
     size, known = float(np.linalg.norm(read)), float(np.linalg.norm(force))
     along = float(read @ force) / max(size * known, TINY)
     if size < HALF * known:
-        unit = "millinewtons in a column of newtons?" if FAR * size < known else "is it the right weight?"
+        unit = (
+            "millinewtons in a column of newtons?"
+            if FAR * size < known
+            else "is it the right weight, and are both in newtons?"
+        )
         return f"{known / max(size, TINY):.4g} times what the sensor read; {unit}"
     if along < -HALF:
         return (
@@ -109,15 +114,15 @@ def _compared(read: Array, force: Array) -> str:
         )
     if along < HALF:
         return "in another direction than was read; look at the base's rotation in campaign.toml, and at the columns"
-    return f"{known / size:.4g} times what the sensor read; are readings in newtons?"
+    return f"{known / size:.4g} times what the sensor read; are both in newtons?"
 
 
 def _check_directions(campaign: Campaign, pushes: list[Push]) -> None:
     """Whether touches were read the way that they pushed."""
     told = [
-        (push, float(push.read @ np.array(AXES[push.test.direction])))
+        (push, float(push.read @ np.array(WAYS[push.test.direction])))
         for push in pushes
-        if push.test.direction in AXES and np.linalg.norm(push.read) > 2.0 * push.room
+        if push.test.direction in WAYS and np.linalg.norm(push.read) > 2.0 * push.room
     ]
     turned = [(push, along) for push, along in told if along < -HALF * np.linalg.norm(push.read)]
     if 2 * len(turned) > len(told):

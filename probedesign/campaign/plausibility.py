@@ -4,11 +4,12 @@ import numpy as np
 
 from probedesign.campaign.campaign import Campaign
 from probedesign.campaign.manifest import FILE as MANIFEST
-from probedesign.campaign.means import TINY, on_probe, refuse, sensor_wrench
+from probedesign.campaign.means import TINY, gravity_base, on_probe, refuse, sensor_wrench
 from probedesign.campaign.tests_table import FILE as TESTS
 from probedesign.campaign.wrenches_table import FILE as WRENCHES
 from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
+from probedesign.frames import Array
 from probedesign.units import GRAM, MM, N_MM
 
 DEVIATIONS = 5.0
@@ -17,6 +18,8 @@ STRETCH = 0.10
 """So much longer than drawn a bent probe may be along its surface (assumed, as for markers)."""
 FAR = 100.0
 """A factor that no error of measurement makes, and a wrong unit exceeds tenfold (assumed)."""
+HANGS = 5.0
+"""So many times more or less than designed no print hangs: published moduli of one resin differ by two (assumed)."""
 LEVER = 3.0
 """So many lengths of the probe from its base no contact force acts, even if part of it is lifted by another
 (assumed)."""
@@ -70,10 +73,34 @@ def _check_arclengths(campaign: Campaign, model: ProbeModel) -> None:
 
 
 def _check_sag(campaign: Campaign, model: ProbeModel) -> None:
+    """None is longer than the probe, of the wrong sign, or many times more or less than the probe as designed hangs."""
     for test in campaign.tests:
-        if abs(test.tip_sag) > model.rod.length * (1.0 + STRETCH) + DEVIATIONS * test.std_sag:
-            says = f"tip_sag_mm = {test.tip_sag / MM:.4g}, {on_probe(model)}; a wrong unit?"
-            refuse(campaign, TESTS, test.name, says)
+        told, room = test.tip_sag, DEVIATIONS * test.std_sag
+        if np.isnan(told):
+            continue
+        says = f"tip_sag_mm = {told / MM:.4g}"
+        if abs(told) > model.rod.length * (1.0 + STRETCH) + room:
+            refuse(campaign, TESTS, test.name, f"{says}, {on_probe(model)}; a wrong unit?")
+        if told < -room:
+            refuse(
+                campaign,
+                TESTS,
+                test.name,
+                f"{says}: a tip hangs below its unbent place, which counts positive",
+            )
+        designed = _sag_of(gravity_base(campaign, test), model) if test.free else 0.0
+        if not designed / HANGS - room < told < designed * HANGS + room and designed > room:
+            says = f"{says}, of a probe that as designed hangs {designed / MM:.3g} mm"
+            refuse(campaign, TESTS, test.name, f"{says}; centimetres, or another pose of the base?")
+
+
+def _sag_of(gravity: Array, model: ProbeModel) -> float:
+    """How far the free tip hangs below its unbent place [m]; 0 where the design does not stand."""
+    free = model.rod.solve(gravity)
+    if not free.ok or not gravity.any():
+        return 0.0
+    off = free.p_at(model.rod.length) - np.array([0.0, 0.0, model.rod.length])
+    return float(off @ gravity / np.linalg.norm(gravity))
 
 
 def _check_contacts(campaign: Campaign, model: ProbeModel) -> None:

@@ -3,7 +3,7 @@
 import csv
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -163,6 +163,7 @@ def read_rows(path: Path, kind: Kind) -> Rows:
         table.fail(
             table.header_number, "semicolons between the columns; export it with commas and decimal points"
         )
+    table = _without_empty(table)
     columns = find_columns(table, kind.kinds, kind.aliases, kind.like)
     _check_columns(table, columns, kind)
     if not table.rows:
@@ -172,11 +173,17 @@ def read_rows(path: Path, kind: Kind) -> Rows:
     return Rows(table, columns, _cells(table))
 
 
+def _without_empty(table: TextTable) -> TextTable:
+    """Without the rows that hold nothing but commas, as spreadsheets leave them at the end."""
+    kept = [i for i, row in enumerate(table.rows) if row.strip(", \t")]
+    return replace(table, rows=[table.rows[i] for i in kept], numbers=[table.numbers[i] for i in kept])
+
+
 def _check_columns(table: TextTable, columns: dict[str, Column], kind: Kind) -> None:
     """Refuse columns that are missing, that nobody knows, and one kind of quantity in two units."""
     read = {column.index for column in columns.values()}
     for index, name in enumerate(table.header):
-        if index not in read and name.lower() not in NOTES:
+        if index not in read and name and name.lower() not in NOTES:
             near = difflib.get_close_matches(name, kind.like.split(","), 1, 0.5)
             hint = f"did you mean {shown(near[0])}?" if near else f"known are {kind.like}"
             table.fail(table.header_number, f"column {shown(name)} is not known; {hint} (for people: note)")
@@ -208,5 +215,10 @@ def _cells(table: TextTable) -> list[list[str]]:
             table.fail(number, "a quotation mark is opened and not closed, or the row is too long")
         if len(fields) != len(table.header):
             table.fail(number, f"{len(fields)} fields where the header names {len(table.header)}")
+        for name, text in zip(table.header, fields, strict=True):
+            if not name and text.strip():
+                table.fail(
+                    number, f"{shown(text.strip())} stands in a column without a name; name it, or empty it"
+                )
         cells.append(fields)
     return cells

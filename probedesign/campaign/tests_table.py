@@ -12,6 +12,7 @@ from probedesign.campaign.campaign import Test
 from probedesign.campaign.manifest import Manifest
 from probedesign.campaign.rows import Kind, Rows, read_rows
 from probedesign.frames import Array, pose
+from probedesign.tables.text_table import shown
 from probedesign.units import MM
 
 FILE = "tests.csv"
@@ -31,7 +32,8 @@ KIND = Kind(
     {},
 )  # fmt: skip
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", re.ASCII)
-MOST_WORD = 40
+WAYS = {"+x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
+"""Directions of a push, in base axes."""
 
 
 def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
@@ -55,8 +57,11 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     words = rows.texts("direction")
     _check_places(rows, s)
     for i, word in enumerate(words):
-        if len(word) > MOST_WORD or not word.isprintable():
-            rows.fail(i, f"direction is longer than {MOST_WORD} letters; a word like +y will do")
+        if word and word not in WAYS:
+            ways = ", ".join(WAYS)
+            rows.fail(
+                i, f"direction = {shown(word)} is none of {ways} of the base; write one, or leave it empty"
+            )
         if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
             rows.fail(
                 i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty"

@@ -18,10 +18,12 @@ data. Far below one half, where the median breaks, by which the search sets out.
 STRANGE = 3.0
 """Readings that scatter so many times their stated noise are no noise: the tests contradict the model."""
 _LOOK = {
-    "markers": "the unit of their columns, the base's rotation in campaign.toml, and how they are numbered",
+    "markers": "the unit of their columns, s_mm, side_deg and the base's rotation in campaign.toml, and how they are "
+    "numbered",
     "wrenches": "the units of the force and of the moment columns, their frame, and the base's rotation in "
     "campaign.toml",
-    "touches": "the unit of the contact columns, and the base's rotation in campaign.toml",
+    "touches": "the unit of the contact columns, the base's rotation in campaign.toml and, where markers are told, "
+    "their s_mm and side_deg",
 }
 _NAMES = {"markers": "markers", "wrenches": "wrenches", "touches": "places touched"}
 
@@ -72,8 +74,8 @@ def contradiction(groups: Sequence[Group], off: Sequence[tuple[Group, float]], n
         return f"{_NAMES[kind]}: {share.words}; look at {_LOOK[kind]}{mostly}"
     if bad:
         share = _share(groups, off, test=bad[0])
-        return (f"readings of {_listed(bad)}: {share.words}; look at how its markers are numbered, at its wrench and "
-                "base, or leave the test out")  # fmt: skip
+        return (f"readings of {_listed(bad)}: {share.words}; look at its known force and s_contact_mm, how its "
+                "markers are numbered, its wrench and its base, or leave the test out")  # fmt: skip
     every = _share(groups, off)
     if every.too_many:
         return f"readings of all kinds: {every.words}; look at units and the base's rotation in campaign.toml"

@@ -120,7 +120,8 @@ def _told(change: Change) -> object:
 def _value(one: Identified, found: Identification, day: str) -> Change:
     ends = f"{one.low_in_all:.4g} ... {one.high_in_all:.4g}"
     doubt = f"; {one.doubt}" if one.doubt else ""
-    note = f"identified {day}, {found.tests} tests: {ends} in 95 %, with these diameters{doubt}"
+    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
+    note = f"identified {day}, {tests}: {ends} in 95 %, with these diameters{doubt}"
     table = "mount" if one.name == ROOT else "material"
     return Change(
         table, "root_rigid_radii" if one.name == ROOT else MATERIAL[one.name], f"{one.value:.4g}", note

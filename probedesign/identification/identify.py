@@ -11,6 +11,7 @@ from probedesign.errors import InputError
 from probedesign.estimator.model import ProbeModel
 from probedesign.estimator.tolerances import Tolerances
 from probedesign.identification import report
+from probedesign.identification.beforehand import disproved
 from probedesign.identification.contradiction import contradiction, hardly_counted
 from probedesign.identification.fit import Fit, Problem, fit
 from probedesign.identification.hedged import hedged
@@ -98,7 +99,7 @@ def identify(data: Data, names: Sequence[str] = DEFAULT) -> Identification:
         (*notes, *(one.words for one in given_up), *hardly_counted(groups, off), *_remarks(found)),
         report.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
-    why = contradiction(groups, off, found.noise)
+    why = contradiction(groups, off, found.noise) or disproved(found)
     return whole.contradicted(why) if why else whole
 
 

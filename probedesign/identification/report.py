@@ -212,6 +212,8 @@ def _by_size(fit: Fit) -> Array:
             return trial.p_markers_world[i] - base, trial.cov_markers[i]
         if group.kind == "touches" and trial.p_touch_world is not None:
             return trial.p_touch_world - base, trial.std_touch**2 * np.eye(3)
+        if group.kind == "sags":
+            return np.array([trial.sag]), np.array([[trial.std_sag**2]])
         return None
 
     return _by_reading(fit, read)

@@ -22,10 +22,10 @@ def unwritten(design: Design, fingerprint: str, file: Path) -> str:
         if data["result"] != "ok" or data["fingerprint"] != fingerprint:
             return ""
         told = [one for one in data["found"] if one["result"] == "identified" and one["name"] in MATERIAL]
-        apart = [_apart(one, design) for one in told]
+        apart = list(filter(None, (_apart(one, design) for one in told)))
+        return f"by {data['tests']} tests of {data['data']}, {', '.join(apart)}" if apart else ""
     except (OSError, ValueError, KeyError, TypeError):  # none was made, or another program's file
         return ""
-    return ", ".join(filter(None, apart))
 
 
 def _apart(one: dict[str, Any], design: Design) -> str:

@@ -155,6 +155,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("tests.csv", "0,0,0", "0,0,", "force_x_world_N is given without force_z_world_N"),
     ("tests.csv", ",60,", ",nan,", "s_contact_mm = 'nan' is not a finite number"),
     ("tests.csv", ",60,", ',"6,', "tests.csv:3: a quotation mark is opened and not closed"),
+    ("tests.csv", "+y", "y", "tests.csv:3: direction = 'y' is none of +x, -x, +y, -y of the base"),
     ("tests.csv", ",60,", ",60,7,", "9 fields where the header names 8"),
     ("tests.csv", ",", ";", "tests.csv:1: semicolons between the columns"),
     ("markers.csv", "hang,1", "hung,1", "markers.csv:2: test 'hung' is not in tests.csv; did you mean 'hang'?"),
@@ -179,6 +180,20 @@ def test_a_test_may_have_a_base_of_its_own(folder):
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(folder, file, old, new, says):
     assert says in refusal(folder, file, old, new)
+
+
+def test_what_a_spreadsheet_leaves_empty_at_the_end(folder):
+    """Columns without a name and rows of commas; a cell that says something there is not passed over."""
+    before, path = read_campaign(folder).tests, folder / "tests.csv"
+    lines = path.read_text().splitlines()
+    width = lines[-1].count(",") + 2
+    path.write_text(
+        "\n".join([f"{line},," if "," in line else line for line in lines] + ["," * width] * 2) + "\n"
+    )
+    assert [test.name for test in read_campaign(folder).tests] == [test.name for test in before]
+    assert "'7' stands in a column without a name" in refusal(
+        folder, "tests.csv", lines[-1] + ",,", lines[-1] + ",7,"
+    )
 
 
 def test_a_contact_and_no_force_contradict_each_other(folder):

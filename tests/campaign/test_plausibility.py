@@ -121,6 +121,16 @@ def test_a_sag_longer_than_the_probe(models, made):
     assert "tests.csv: test hang-1: tip_sag_mm = " in says and says.endswith("a wrong unit?")
 
 
+def test_a_sag_upwards_or_in_centimetres(models, made):
+    """Of the large probe, 13 mm as designed, told to 0.5 mm."""
+    campaign = made("large", Plan("cameras", 1))
+    hang = campaign.tests[0]
+    for factor, words in ((-1.0, "a tip hangs below its unbent place"), (0.1, "as designed hangs 13.2 mm")):
+        wrong = replace(hang, tip_sag=factor * hang.tip_sag, std_sag=0.1 * hang.std_sag)
+        says = refusal(changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"])
+        assert "tests.csv: test hang-1: tip_sag_mm = " in says and words in says
+
+
 def test_known_weights_in_millinewtons(models, made):
     """5, 10, 14 and 50 of them: as newtons one is beyond the sensor; and without it all are far from what was read."""
     campaign = made("large", Plan("cameras", 1))
