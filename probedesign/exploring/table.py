@@ -16,6 +16,10 @@ COLUMNS = (
 )  # fmt: skip
 """A row is a point, or a touch without one: that has no number, no place, and its code for a result."""
 Row = dict[str, Any]
+CONTRADICTED = ("inconsistent", "not_converged")
+"""What touches come to whose poses are wrong."""
+FEWEST = 3
+"""Touches that contradict themselves before the poses are doubted (assumed)."""
 
 
 def rows_of(cloud: Cloud) -> list[Row]:
@@ -40,6 +44,7 @@ def document_of(cloud: Cloud) -> dict[str, Any]:
         "stiffness_factor": cloud.stiffness,
         "std_stiffness_factor": cloud.std_stiffness,
         "apart_mm": cloud.apart / MM,
+        "doubts": _doubts(cloud),
     }
 
 
@@ -63,7 +68,19 @@ def unlocated_lines(cloud: Cloud) -> list[str]:
         series = [touch.series for touch in cloud.unlocated if touch.result == result]
         which = ", ".join(f"{one.number} at {one.start:.2f} s" for one in series)
         lines.append(f"no place: touch {which}: {result}, {MEANINGS[result]}")
-    return lines
+    return lines + _doubts(cloud)
+
+
+def _doubts(cloud: Cloud) -> list[str]:
+    """A line where most touches contradict themselves: then the poses are wrong, and what was located is by chance."""
+    located = sum(len(point.touches) for point in cloud.points)
+    against = sum(touch.result in CONTRADICTED for touch in cloud.unlocated)
+    if against < FEWEST or against <= located:
+        return []
+    return [
+        f"{against} touches contradict themselves, more than were located, so those are not to be trusted: are the "
+        "poses of this base and this run, and their rotations told as they are read (qx, qy, qz, qw)"
+    ]
 
 
 def _located(number: int, point: Point) -> Row:

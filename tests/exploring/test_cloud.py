@@ -128,6 +128,14 @@ def test_touches_without_a_place_are_told_by_number_and_reason():
     assert "touch 2 at 2.00 s, 5 at 5.00 s: never_settled" in line and "stand" in line
 
 
+@pytest.mark.parametrize(("located", "doubted"), [(2, True), (4, False)])
+def test_more_touches_that_contradict_themselves_than_points_put_the_poses_in_doubt(located, doubted):
+    lost = [Touched(SimpleNamespace(number=n, start=float(n)), "inconsistent") for n in (10, 11, 12)]
+    found = [touch(n, (0.05 * n, 0.0, 0.0), 1e-3) for n in range(located)]
+    lines = [line for line in lines_of(cloud_of([*found, *lost], PRIOR)) if "are not to be trusted" in line]
+    assert len(lines) == doubted and all(line.startswith("3 touches contradict") for line in lines)
+
+
 @pytest.mark.parametrize(("std", "times"), [(5e-3, 1), (0.5e-3, 5), (0.1e-3, 10)])
 def test_ellipsoids_are_drawn_as_large_as_is_needed_to_see_them_and_that_is_told(std, times):
     """Two points 200 mm apart; a half-axis of 2.8 deviations is to be 2 mm, a fiftieth of the scene's radius."""
