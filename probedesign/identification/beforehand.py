@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from probedesign.frames import Array
 from probedesign.identification.fit import Fit
-from probedesign.identification.robust import NAMED
+from probedesign.identification.robust import DOUBTED
 from probedesign.identification.unknowns import BIAS, FALL, PRINT, SEAT_SHIFT, SEAT_TURN, SHIFT, TURN
 
 LEFT = 0.02
@@ -64,7 +64,7 @@ def disproved(fit: Fit) -> str:
     """
     stated = [*_priors(fit), *_alone(fit)]
     worst = min(stated, key=lambda one: one.chance, default=None)
-    if worst is None or worst.chance >= NAMED / len(stated):
+    if worst is None or worst.chance >= DOUBTED / len(stated):
         return ""
     return (
         f"{worst.words}, as stated, lies {worst.deviations:.3g} standard deviations off what all the rest says; look "

@@ -11,7 +11,7 @@ from probedesign.estimator.model import ProbeModel
 from probedesign.identification.beforehand import disproved
 from probedesign.identification.fit import Problem, fit
 from probedesign.identification.identify import Data, data_of, identify
-from probedesign.identification.robust import NAMED
+from probedesign.identification.robust import DOUBTED
 from probedesign.identification.start import first_point
 
 
@@ -54,13 +54,13 @@ def test_a_gross_error_in_what_is_trusted(data: Data, wrong: Callable[[Data], Da
 
 def test_a_prior_is_judged_by_the_noise_that_the_fit_leaves(data: Data) -> None:
     """Shifted by a given number of its standard deviations, the base's place is disproved from where chance allows
-    less than `NAMED` of the campaigns. Markers tell it far better than it is stated, so what is left of its unit
+    less than `DOUBTED` of the campaigns. Markers tell it far better than it is stated, so what is left of its unit
     variance is nearly all: two are borne, nine are told."""
     problem = Problem(data.shared, data.trials, data.weighed, data.shared.prior_of(("E",)))
     start = first_point(problem, True)
     assert start is not None
     found = fit(problem, start)
-    assert disproved(found) == "" and NAMED < 0.05
+    assert disproved(found) == "" and DOUBTED < 0.01
 
     def stated(deviations: float) -> str:
         off = np.array([0.0, deviations * data.shared.std_base, 0.0])
