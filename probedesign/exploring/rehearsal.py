@@ -207,7 +207,10 @@ def _touch(
         true = told + bench.R @ offset + rng.normal(0.0, errors.base_repeat, 3)
         press = bench.press(spot, true, true=True)
         if press.result != "ok":
-            raise InputError(f"{spot.card.name} at {spot.fraction:.2f} of the length: {press.result}")
+            missed = f"{spot.card.name} at {spot.fraction:.2f} of the length: {press.result}"
+            raise InputError(
+                f"{missed}: the base, drawn off its place, does not press it; take another --seed"
+            )
         if not presses:
             way.comes(start + (float(press.way_touched) - CLEAR) * spot.towards)
         way.press(told, press.equilibrium.wrench_base)
