@@ -22,7 +22,7 @@ HALF = 0.5
 """Share of a load, or of the way from marker to marker, by which a reading may differ: gains, slopes and markers set
 by hand stay far below, wrong units and counts do not (assumed)."""
 FAR = 100.0
-"""A factor from which a wrong unit is named."""
+"""A factor that no wrong weight makes, from which a wrong unit is named (assumed)."""
 NEAR_BASE = 0.3
 """Of the length: so far a probe is thick, and hardly bent. The first two markers count anyhow: bent by a right angle
 up to the second, the way to it is shorter by a fifth of one from marker to marker."""

@@ -11,7 +11,6 @@ from probedesign.estimator.estimate import Estimate
 from probedesign.estimator.estimator import Estimator, Method
 from probedesign.estimator.model import ProbeModel
 from probedesign.frames import Array, inverse
-from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.beforehand import predicted_error
 from probedesign.validation.miss import Miss, miss_of
@@ -153,10 +152,10 @@ def _force_base(test: Test, reading: Reading, model: ProbeModel) -> Array:
 
 
 def _way(test: Test, reading: Reading, model: ProbeModel) -> str:
-    """The direction that is said, if it is one of `DIRECTIONS`, else the one nearest to the force."""
+    """The direction that is said, else the one nearest to the force."""
     across = _force_base(test, reading, model)[:2]
-    if test.direction in DIRECTIONS or not across.any() or math.isnan(across[0]):
-        return test.direction if test.direction in DIRECTIONS else ""
+    if test.direction or not across.any() or math.isnan(across[0]):
+        return test.direction
     axis = int(np.argmax(np.abs(across)))
     return f"{'+' if across[axis] > 0.0 else '-'}{'xy'[axis]}"
 

@@ -126,7 +126,7 @@ class Validation:
         )
         values = (
             self.estimator.model.name, length / MM, trial.test.name, trial.kind, trial.force, trial.fraction,
-            trial.test.direction or trial.way, trial.method, trial.result, trial.shape_rms / MM,
+            trial.way, trial.method, trial.result, trial.shape_rms / MM,
             100.0 * trial.shape_rms / length, trial.reference_rms / MM, *(value / MM for value in stated),
             miss.within_95 if miss else None, miss.nees if miss else None, *z, len(trial.markers_base),
             trial.readings, trial.tares,

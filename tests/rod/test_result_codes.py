@@ -151,10 +151,11 @@ HELPLESS = {
 @pytest.mark.parametrize("case", HOPELESS)
 def test_a_hopeless_load_gives_a_code_soon(case, rod, mode):
     gravity, force, s_c = HOPELESS[case]
+    rod.solve(gravity, force, s_c, mode=mode, columns="all")  # compiles what such a load alone needs
     start = time.process_time()
     eq = rod.solve(gravity, force, s_c, mode=mode, columns="all")
-    # No clock judges speed here: a minute of this process' own time, compiling included, stands for a hang.
-    assert time.process_time() - start < 60.0
+    # No clock judges speed here: ten seconds of this process' own time stand for a hang.
+    assert time.process_time() - start < 10.0
     if eq.ok:  # a sideways load of any size has its stable equilibrium: bent round and pulled straight
         assert np.isfinite(eq.wrench_base).all() and np.isfinite(eq.p_base).all()
     else:
