@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.cases import GRAVITY
 from benchmarks.timing import print_table, shown
 from benchmarks.touches import paper_models
-from probedesign.estimator.detector import Detector
+from probedesign.estimation.detector import Detector
 
 HOURS, MINUTE = 4, 7000 * 60
 

@@ -29,9 +29,9 @@ from benchmarks.touches import (
     surface_point,
     table_one,
 )
-from probedesign.estimator.estimator import Estimator, Method
-from probedesign.estimator.fused import Fused
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.estimator import Estimator, Method
+from probedesign.estimation.fused import Fused
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.units import MM
 

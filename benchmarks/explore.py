@@ -24,9 +24,9 @@ from benchmarks.touches import paper_models
 from probedesign.cli.main import run
 from probedesign.deployment import write_frozen
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import card_house, spots
 from probedesign.exploring.cloud import WITHIN_95

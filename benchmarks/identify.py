@@ -12,7 +12,7 @@ from scipy.stats import beta
 from benchmarks.laboratory import CAMERAS, STAGE, Truth, draw
 from benchmarks.timing import print_table, shown
 from benchmarks.touches import paper_models
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import identify
 
 DRAWS = 120

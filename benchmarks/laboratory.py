@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.estimator.causes import parameters_of, turns_of
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import parameters_of, turns_of
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose, wrench_map
 from probedesign.identification.identify import Data
 from probedesign.identification.trial import Trial

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.box.box import OFF

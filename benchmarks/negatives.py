@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.touches import Presses, Touch, random_presses, random_touches, read, stiffened, surface_point
-from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fusion import Fusion
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.equations import POINT, Equations, Reading, channels_of
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fusion import Fusion
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
 
 FORCES = (1e-2, 0.5)

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.laboratory import Kind, draw
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.identification.identify import Data, identify
 from probedesign.identification.trial import Trial

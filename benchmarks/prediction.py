@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.timing import print_table, shown
 from probedesign.design import load_design
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.monte_carlo import Plan, sample
 from probedesign.prediction.predict import predict
 from probedesign.prediction.touches import DIRECTIONS, touches_of

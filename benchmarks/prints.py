@@ -7,8 +7,8 @@ from scipy.special import chdtri
 
 from benchmarks.timing import print_table, shown
 from benchmarks.touches import paper_models
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.prediction.worlds import Worlds
 from probedesign.units import MM

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.timing import print_table
 from probedesign.design import load_design
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.behind import EVERY, File
 from probedesign.live.block import Block
 from probedesign.live.recorded import open_recording

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.design import load_design
-from probedesign.estimator.bound import Bound, contact_bound
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.bound import Bound, contact_bound
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, pose
 from probedesign.probe import build_probe
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless

@@ -11,8 +11,8 @@ from scipy.stats import binomtest
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.campaign import read_campaign
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
 from probedesign.synthetic.folder import make_campaign
 from probedesign.synthetic.plan import Kind, Plan
 from probedesign.units import MILLINEWTON, MM

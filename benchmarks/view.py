@@ -18,7 +18,7 @@ import numpy as np
 
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.block import Block
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation

@@ -11,7 +11,7 @@ from probedesign import pipeline
 from probedesign.deployment import load_estimator
 from probedesign.design_file import draft_design, render_design, write_design
 from probedesign.errors import InputError, MissingDependencyError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.files import write_atomically
 from probedesign.live.block import readings_in
 from probedesign.live.offline import estimate_recording

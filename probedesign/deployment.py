@@ -12,9 +12,9 @@ import numpy as np
 
 from probedesign.cross_section import FULL_ROUND, CrossSection
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.files import write_atomically
 from probedesign.frames import Array, is_pose
 from probedesign.geometry import Flange, ProbeGeometry

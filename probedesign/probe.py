@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from probedesign import mass
 from probedesign.design import Design
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mass import MassProperties

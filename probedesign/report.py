@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from probedesign.errors import MissingDependencyError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.frames import Array
 from probedesign.prediction.predict import DIRECTIONS, Condition, Prediction
 from probedesign.rod.contact import solve_frictionless

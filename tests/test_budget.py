@@ -9,9 +9,9 @@ import pytest
 
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
-from probedesign.estimator.bound import contact_bound
-from probedesign.estimator.causes import CAUSES, answers_of, parameters_of
-from probedesign.estimator.tolerances import SOURCES, Tolerances
+from probedesign.estimation.bound import contact_bound
+from probedesign.estimation.causes import CAUSES, answers_of, parameters_of
+from probedesign.estimation.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import budget_of
 from probedesign.prediction.monte_carlo import Plan, sample
 from probedesign.prediction.predict import predict, predict_touch

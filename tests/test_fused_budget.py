@@ -12,8 +12,8 @@ from scipy import stats
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.csv_tables import along_csv, conditions_csv
 from probedesign.prediction.fused import fused_conditions
 from probedesign.prediction.fused_budget import FUSED_CAUSES

@@ -98,7 +98,7 @@ def test_touches_of_the_flank_are_located_up_to_the_rounding(s_mm: float) -> Non
     probe = build_probe(design_of())
     touch = solve_frictionless(probe.rod, probe.estimator().model.gravity_base, 1e-3 * s_mm, 0.9, 0.01)
     found = probe.estimator().estimate(touch.equilibrium.wrench_base)
-    # Noise-free: 0.002 mm, as for blunt tips (tests/estimator/test_location.py).
+    # Noise-free: 0.002 mm, as for blunt tips (tests/estimation/test_location.py).
     assert found.ok and found.p_contact_base == pytest.approx(touch.equilibrium.p_contact_base, abs=2e-6)
 
 

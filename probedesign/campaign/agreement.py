@@ -11,8 +11,8 @@ from probedesign.campaign.means import TINY, base_wrench, gravity_base, refuse
 from probedesign.campaign.tests_table import FILE as TESTS
 from probedesign.campaign.tests_table import WAYS
 from probedesign.campaign.wrenches_table import FILE as WRENCHES
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.units import MM
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from probedesign.campaign.campaign import Campaign, Test
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, inverse
 from probedesign.units import MM
 

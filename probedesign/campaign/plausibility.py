@@ -8,7 +8,7 @@ from probedesign.campaign.means import TINY, gravity_base, on_probe, refuse, sen
 from probedesign.campaign.tests_table import FILE as TESTS
 from probedesign.campaign.wrenches_table import FILE as WRENCHES
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.units import GRAM, MM, N_MM
 

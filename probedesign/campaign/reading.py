@@ -20,7 +20,7 @@ from probedesign.campaign.tests_table import FILE as TESTS
 from probedesign.campaign.tests_table import read_tests
 from probedesign.campaign.wrenches_table import read_wrenches
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, pose
 from probedesign.units import GRAM, MM
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from probedesign.estimator.model import ProbeModel
+    from probedesign.estimation.model import ProbeModel
     from probedesign.exploring.base import Base
     from probedesign.live.pose.poses import Poses
 

@@ -16,7 +16,7 @@ from probedesign.cli.reading_options import ReadingOptions
 from probedesign.cli.rehearsal_options import RehearsalOptions
 
 if TYPE_CHECKING:
-    from probedesign.estimator.estimator import Estimator
+    from probedesign.estimation.estimator import Estimator
     from probedesign.exploring.explore import Exploration
     from probedesign.frames import Array
     from probedesign.live.plan import Plan

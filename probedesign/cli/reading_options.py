@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.estimator.model import ProbeModel
+    from probedesign.estimation.model import ProbeModel
     from probedesign.live.plan import Plan
     from probedesign.live.pose.poses import Poses
     from probedesign.live.source import Source

@@ -10,7 +10,7 @@ from probedesign.cli.output import working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.estimator.model import ProbeModel
+    from probedesign.estimation.model import ProbeModel
     from probedesign.exploring.base import Base
 
 

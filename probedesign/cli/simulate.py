@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from probedesign.estimator.model import ProbeModel
+    from probedesign.estimation.model import ProbeModel
     from probedesign.live.box.scene import Pressed
     from probedesign.live.netft.configuration import Configuration
 

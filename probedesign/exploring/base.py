@@ -5,9 +5,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.units import MM
 

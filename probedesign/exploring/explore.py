@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.unknowns import EXACT, Unknowns
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.unknowns import EXACT, Unknowns
 from probedesign.exploring.base import Base
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.estimator.answer import Solution
-from probedesign.estimator.equations import POINT, UNKNOWNS
+from probedesign.estimation.answer import Solution
+from probedesign.estimation.equations import POINT, UNKNOWNS
 from probedesign.frames import Array
 
 COMMON = slice(3, UNKNOWNS)

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.errors import InputError
-from probedesign.estimator.detector import DRIFT_STEPS
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.detector import DRIFT_STEPS
+from probedesign.estimation.model import ProbeModel
 from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import Spot
 from probedesign.exploring.robot_way import Way

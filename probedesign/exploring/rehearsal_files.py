@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.exploring.card_house import SOURCE
 from probedesign.exploring.rehearsal import Rehearsal
 from probedesign.files import write_atomically

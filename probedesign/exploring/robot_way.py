@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probedesign.estimator.detector import DRIFT_STEPS
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.detector import DRIFT_STEPS
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, pose
 from probedesign.live.block import Block
 from probedesign.live.pose.timed import TimedPose, of_matrix

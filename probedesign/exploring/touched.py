@@ -4,14 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimator.answer import told
-from probedesign.estimator.equations import POINT, Equations, Reading, channels_of
-from probedesign.estimator.estimate import RESULTS
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fused import Fused
-from probedesign.estimator.fusion import Fusion
-from probedesign.estimator.observation import covariance
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.answer import told
+from probedesign.estimation.equations import POINT, Equations, Reading, channels_of
+from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import Fused
+from probedesign.estimation.fusion import Fusion
+from probedesign.estimation.observation import covariance
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.exploring.dwell import Dwell
 from probedesign.exploring.located import Located
 from probedesign.exploring.series import Series

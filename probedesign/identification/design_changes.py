@@ -6,7 +6,7 @@ from typing import Any
 from probedesign.design import Design
 from probedesign.design_edit import Change
 from probedesign.errors import InputError
-from probedesign.estimator.unknowns import IDENTIFIED, Unknowns
+from probedesign.estimation.unknowns import IDENTIFIED, Unknowns
 from probedesign.identification.identification import Identification, Identified
 from probedesign.identification.unknowns import ROOT
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from probedesign.campaign import Campaign
 from probedesign.campaign.reading import check_probe
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import report
 from probedesign.identification.beforehand import disproved
 from probedesign.identification.contradiction import contradiction, hardly_counted

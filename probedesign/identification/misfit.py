@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.estimator.causes import LOG_DENSITY, LOG_DIAMETER, LOG_E, LOG_G
+from probedesign.estimation.causes import LOG_DENSITY, LOG_DIAMETER, LOG_E, LOG_G
 from probedesign.frames import Array, skew
 from probedesign.identification.guess import ROOT_STEP, Guess
 from probedesign.identification.trial import Trial

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.causes import parameters_of
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import parameters_of
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.naming import unknown
 from probedesign.units import MM

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.fused import Fused
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.fused import Fused
 from probedesign.frames import Array
 from probedesign.live.contacts import Contact
 from probedesign.live.phases import Phase

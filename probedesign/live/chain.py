@@ -14,9 +14,9 @@ from time import monotonic
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fused import Fused
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import Fused
 from probedesign.live.answer import Answer
 from probedesign.live.batch import Batch, Batches
 from probedesign.live.block import Block

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.fused import Fused
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.fused import Fused
 from probedesign.live.phases import Phase
 
 MOST = 1000

@@ -1,7 +1,7 @@
 """The estimate of one reading of the sensor."""
 
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.reading import Reading
 from probedesign.live.tare import Tare, without_bias
 

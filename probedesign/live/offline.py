@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.batch import averaged
 from probedesign.live.locate import locate
 from probedesign.live.reading import Reading

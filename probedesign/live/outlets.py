@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.pose.poses import Poses
 from probedesign.live.publish import Publisher
 from probedesign.live.recordings import Recordings, check_name

@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
-from probedesign.estimator.detector import Touching
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.detector import Touching
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.ati_demo import is_ati_demo, read_ati_demo
 from probedesign.live.bag import Attached, Bag, is_bag, open_bag

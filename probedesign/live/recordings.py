@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 from probedesign.errors import InputError, ProbeDesignError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.answer import Answer
 from probedesign.live.behind import Behind, File
 from probedesign.live.block import Block

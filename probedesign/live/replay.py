@@ -6,7 +6,7 @@ from typing import get_args
 from urllib.parse import parse_qsl, urlencode
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.block import Block, blocks_of
 from probedesign.live.flow import paced
 from probedesign.live.reading import Reading

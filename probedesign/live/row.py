@@ -3,8 +3,8 @@
 import json
 import math
 
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.fused import Fused
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.fused import Fused
 from probedesign.frames import Array
 from probedesign.live.answer import Answer
 from probedesign.live.reading import Reading

@@ -5,8 +5,8 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from itertools import islice
 
-from probedesign.estimator.estimate import RESULTS
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.chain import Chain

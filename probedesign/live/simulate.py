@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterator
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.block import Block, blocks_of
 from probedesign.live.flow import paced

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Protocol
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.block import Block
 from probedesign.live.daq.source import DAQ
 from probedesign.live.netft.source import NetFT

@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.frames import Array
 from probedesign.live.reading import Reading
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from probedesign.estimator.detector import Detector
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.tracker import Tracker
+from probedesign.estimation.detector import Detector
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.tracker import Tracker
 from probedesign.frames import Array, pose
 from probedesign.live.simulate import bearable
 from probedesign.rod.contact import solve_frictionless

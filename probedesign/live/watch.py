@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimator.detector import DRIFT_STEPS, Detector, Touching
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fused import Fused
-from probedesign.estimator.tracker import Tracker
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.detector import DRIFT_STEPS, Detector, Touching
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import Fused
+from probedesign.estimation.tracker import Tracker
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.live.batch import Batch
 from probedesign.live.contacts import Contacts

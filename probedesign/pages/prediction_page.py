@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.pages.budget_bars import CAPTION, draw_budget, worst
 from probedesign.pages.error_map import draw_error_map
 from probedesign.pages.force_chart import LIMITS, draw_forces, draw_limits, draw_sensitivity

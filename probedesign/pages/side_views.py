@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.frames import Array
 from probedesign.pages.chart import COLOURS, DASHES, Axis, Chart, span_of
 from probedesign.prediction.touches import DIRECTIONS

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.pages.chart import COLOURS, Axis, Chart, Entry, span_of
 from probedesign.rod.equilibrium import Equilibrium

@@ -2,7 +2,7 @@
 
 import math
 
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.validation_charts import draw_inner, draw_shape, draw_sizes, draw_squares
 from probedesign.units import MILLINEWTON, MM

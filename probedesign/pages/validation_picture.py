@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.pages.validation_charts import across_of, centreline, contact_told, outline, place_known
 from probedesign.report import blank, png
 from probedesign.units import MILLINEWTON, MM

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.estimator.causes import CAUSES, answers_of, free_answers, moved_by
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import CAUSES, answers_of, free_answers, moved_by
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.rod.contacts import Contacts
 

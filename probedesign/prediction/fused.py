@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimator.equations import channels_of
+from probedesign.estimation.equations import channels_of
 from probedesign.frames import Array
 from probedesign.prediction.fused_budget import FUSED_CAUSES, FusedBudget, Pressed, fused_budget_of
 from probedesign.prediction.pressing import Pressing

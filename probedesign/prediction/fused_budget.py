@@ -12,10 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.estimator.causes import CAUSES
-from probedesign.estimator.equations import OFFSET, POINT, STIFFNESS, UNKNOWNS, Equations, Linear, channels_of
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import CAUSES
+from probedesign.estimation.equations import (
+    OFFSET,
+    POINT,
+    STIFFNESS,
+    UNKNOWNS,
+    Equations,
+    Linear,
+    channels_of,
+)
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.prediction.budget import ByCause
 from probedesign.prediction.pressing import Pressing, unknowns_of

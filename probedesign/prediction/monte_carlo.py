@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.files import write_atomically
 from probedesign.frames import Array
 from probedesign.prediction.fused import FusedCondition

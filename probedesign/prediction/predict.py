@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.estimator.causes import CAUSES
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import CAUSES
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FusedCondition, FusedReach, forces_of, fused_conditions, fused_reach
 from probedesign.prediction.pressing import Pressing
 from probedesign.prediction.reach import LADDER_N, Reach, reach_of

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.fused import Fused
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import Fused
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.prediction.pressing import Pressing, unknowns_of
 from probedesign.prediction.standing import surface_of

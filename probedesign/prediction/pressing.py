@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 
 from probedesign.errors import InputError
-from probedesign.estimator.fused import MomentsAbout
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.fused import MomentsAbout
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.units import MM
 
 MOST_TOUCHES = 20

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from probedesign.estimator.causes import Answers, answers_of, d_slope, free_answers, moved_by
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import Answers, answers_of, d_slope, free_answers, moved_by
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.rod.contacts import Contacts
 from probedesign.rod.rod import Rod

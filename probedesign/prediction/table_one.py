@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from probedesign.estimator.causes import CAUSES
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import CAUSES
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 from probedesign.units import MM
 

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.prediction.budget import Budget, budget_of
 from probedesign.prediction.quantile import radii_95

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.estimator.causes import answers_of, parameters_of, turns_of
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import answers_of, parameters_of, turns_of
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, inverse, wrench_map
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.batch import Rods, solve_batch

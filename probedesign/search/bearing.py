@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.rod.contact import solve_frictionless
 from probedesign.search.press_series import SIDE
 from probedesign.search.task import Task

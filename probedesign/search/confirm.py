@@ -13,10 +13,10 @@ import numpy as np
 
 from probedesign.design import Design
 from probedesign.errors import InputError
-from probedesign.estimator.equations import POINT, UNKNOWNS
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.equations import POINT, UNKNOWNS
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.probe import build_probe
 from probedesign.search.press_series import PressSeries, press_series, unknowns_of

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimator.equations import UNKNOWNS, Equations, Reading, channels_of
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.pressed import Pressed, Push, press
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.equations import UNKNOWNS, Equations, Reading, channels_of
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.pressed import Pressed, Push, press
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array, pose
 from probedesign.rod.contact import solve_frictionless
 from probedesign.search.task import Task

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from probedesign.errors import InputError
-from probedesign.estimator.fused import MomentsAbout
+from probedesign.estimation.fused import MomentsAbout
 
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Of the length, where the error is averaged over: the part that touches, less the tip itself."""

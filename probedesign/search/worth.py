@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from probedesign.design import Design
-from probedesign.estimator.bound import contact_bound
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.bound import contact_bound
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe

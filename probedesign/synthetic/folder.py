@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.synthetic.plan import Plan
 from probedesign.synthetic.sight import Sight
 from probedesign.synthetic.tables import manifest_of, markers_of, tests_of, truth_of, wrenches_of

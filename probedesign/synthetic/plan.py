@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.rod import Rod

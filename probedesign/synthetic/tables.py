@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.errors import InputError
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.synthetic.sight import CLICK_PX, CONTROL_PX, SIZE_PX, Sight
 from probedesign.synthetic.world import STD_BASE, State, World

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.errors import InputError
-from probedesign.estimator.causes import parameters_of, turns_of
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.paper import surface_point
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.causes import parameters_of, turns_of
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.paper import surface_point
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed

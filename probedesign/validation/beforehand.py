@@ -2,8 +2,8 @@
 
 import math
 
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.predict import predict_touch
 from probedesign.units import MM
 

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from probedesign.campaign.campaign import Campaign, Test
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.estimator import Estimator, Method
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator, Method
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.units import MM
 from probedesign.validation.taring import Reading, cov_of_pose

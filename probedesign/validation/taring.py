@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probedesign.campaign.campaign import Campaign, Test
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
-from probedesign.estimator.tolerances import Tolerances
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 
 SAME_WAY = math.cos(math.radians(1.0))

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from probedesign.campaign.campaign import Campaign, Test
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.estimator import Estimator, Method
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator, Method
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, inverse
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.beforehand import predicted_error

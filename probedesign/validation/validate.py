@@ -12,8 +12,8 @@ import numpy as np
 from probedesign.campaign.campaign import Campaign
 from probedesign.campaign.reading import check_probe
 from probedesign.errors import InputError
-from probedesign.estimator.estimate import RESULTS
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimator import Estimator
 from probedesign.units import MM
 from probedesign.validation.honesty import Honesty, honesty_of
 from probedesign.validation.trial import Trial, trial_of

@@ -10,8 +10,8 @@ from probedesign.campaign import Campaign
 from probedesign.campaign import campaign as tables
 from probedesign.campaign.reading import check_probe
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import data_of
 from probedesign.synthetic.plan import Plan
 from probedesign.validation.validate import validate

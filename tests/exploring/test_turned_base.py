@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import spots
 from probedesign.exploring.located import _by_turn

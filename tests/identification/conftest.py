@@ -6,7 +6,7 @@ import pytest
 
 from probedesign import build_probe, load_design
 from probedesign.campaign import Campaign, read_campaign
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.synthetic.folder import make_campaign
 from probedesign.synthetic.plan import Plan
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.campaign import Campaign
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.beforehand import disproved
 from probedesign.identification.fit import Problem, fit
 from probedesign.identification.identify import Data, data_of, identify

@@ -8,7 +8,7 @@ import pytest
 
 from probedesign.campaign import Campaign
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.contradiction import Share
 from probedesign.identification.identification import Identification
 from probedesign.identification.identify import Data, data_of, identify

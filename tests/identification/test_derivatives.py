@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.campaign import Campaign
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.fit import Point, Problem, solve_at
 from probedesign.identification.guess import Guess
 from probedesign.identification.identify import Data, data_of

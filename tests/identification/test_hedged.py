@@ -5,7 +5,7 @@ import pytest
 
 from probedesign import load_design
 from probedesign.cli.identify import _print
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.design_changes import changes_of
 from probedesign.identification.hedged import hedged
 from probedesign.identification.identification import Identification, Identified, Shift

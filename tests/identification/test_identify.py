@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from probedesign.campaign import Campaign
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import Data, data_of, identify
 from probedesign.identification.trial import Trial
 from probedesign.identification.unknowns import Shared, asked_for
@@ -161,7 +161,7 @@ def test_unknown_names_are_refused() -> None:
 
 
 def _shared(model: ProbeModel) -> Shared:
-    from probedesign.estimator.tolerances import Tolerances
+    from probedesign.estimation.tolerances import Tolerances
 
     return Shared(model, Tolerances.of(model), 1e-4, 1e-3)
 

@@ -6,7 +6,7 @@ import pytest
 
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[2] / "designs" / "large.toml"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.estimator.detector import DRIFT_STEPS
+from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.frames import pose
 from probedesign.live.block import Block
 from probedesign.live.box import scene

@@ -11,7 +11,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from probedesign.cli.main import run
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.mcap.recover import recover
 from probedesign.live.recorded import open_recording
 from tests.live.mcap_files import block, write

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from probedesign.errors import InputError, MissingDependencyError
-from probedesign.estimator.estimate import Estimate
+from probedesign.estimation.estimate import Estimate
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.mcap import messages, topics

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from probedesign.estimator.estimate import Estimate
-from probedesign.estimator.fused import Fused
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.fused import Fused
 from probedesign.live.answer import Answer
 from probedesign.live.contacts import Contact
 from probedesign.live.reading import FREE, Reading, Truth

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from probedesign.estimator.estimate import RESULTS, Estimate
+from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.frames import pose
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block

@@ -8,7 +8,7 @@ import gc, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from probedesign.deployment import load_estimator
-from probedesign.estimator.tracker import Tracker
+from probedesign.estimation.tracker import Tracker
 from probedesign.live.run import Plan, estimate_stream
 from probedesign.live.simulate import Simulation
 from probedesign.live.warm_up import _touches, warm_up

@@ -11,7 +11,7 @@ from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.design_file import render_design
 from probedesign.errors import InputError
-from probedesign.estimator.unknowns import Unknowns
+from probedesign.estimation.unknowns import Unknowns
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
 from probedesign.search.bearing import borne

@@ -12,7 +12,7 @@ from probedesign.campaign import read_campaign
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.pages.validation_charts import centreline, contact_told, inner, outline, place_known
 from probedesign.pages.validation_page import validation_page
 from probedesign.prediction.paper_probes import paper_design

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.box.scene import Pressed
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.simulate import bearable
 from probedesign.rod.equilibrium import Equilibrium

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.block import Block, silence
 from probedesign.live.calibration import CHANNELS, LIMIT, Calibration, clipped, read_calibration

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.deployment import freeze
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.answer import Answer
 from probedesign.live.block import Block
 from probedesign.live.mcap import messages, require, topics

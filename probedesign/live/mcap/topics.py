@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from probedesign.estimator.estimate import RESULTS
+from probedesign.estimation.estimate import RESULTS
 from probedesign.live.mcap.messages import POSE, TEXT, UNCERTAIN_POSE, WRENCH
 from probedesign.live.row import COLUMNS, WORLD_COLUMNS
 

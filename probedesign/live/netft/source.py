@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimator.model import ProbeModel
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.block import Block
 from probedesign.live.netft.configuration import Configuration
 from probedesign.live.netft.losses import summary

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, get_args
 
 from probedesign.errors import InputError, MissingDependencyError
-from probedesign.estimator.estimator import Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.live.requests import Requests, Wish
 from probedesign.live.sinks import Say
 from probedesign.live.view.keeper import Counts, Keeper

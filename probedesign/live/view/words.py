@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probedesign.estimator.estimate import RESULTS
+from probedesign.estimation.estimate import RESULTS
 from probedesign.frames import Array
 from probedesign.live.answer import Answer
 from probedesign.live.view.moment import Mood, Place, Said

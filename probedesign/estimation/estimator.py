@@ -1,0 +1,326 @@
+"""The estimator's door: gravity, detection, one of the methods, and what the answer is worth."""
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import chdtri
+
+from probedesign.errors import InputError
+from probedesign.estimation import doubtful, likelihood, paper
+from probedesign.estimation.doubts import Doubts
+from probedesign.estimation.estimate import Candidate, Estimate, Result
+from probedesign.estimation.fused import Fused, MomentsAbout
+from probedesign.estimation.locate import Scan
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.observation import Observation
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.weighing import Causes
+from probedesign.frames import Array
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.sensor import Noise
+
+Method = Literal["ml", "paper"]
+
+FALSE_ALARM = 1.4e-6
+"""Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
+ALARM_CHI2 = float(chdtri(6, FALSE_ALARM))
+LEAST_FORCE = 5.0
+"""Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
+normal where F is known to less than a fifth (tests/estimation/test_statistics.py)."""
+SETTLED = 16.0
+"""Age of a tare [s] for which the tolerance of drift is meant. Assumed: the detector's walk of 0.05 steps a root of a
+second makes the default 0.2 steps of it."""
+INCONSISTENT = 1e-3
+"""Chance that a true single contact is called inconsistent."""
+MOST_CHI2 = {dof: float(chdtri(dof, INCONSISTENT)) for dof in (paper.DOF, likelihood.DOF)}
+LEAST_LEVER = 0.1
+"""Change of the base moment with s, over the force, below which a force leaves no trace of its place."""
+AMBIGUOUS = 9.0
+"""Candidates whose misfit χ² lies within 3² of the best explain a reading about as well."""
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """Locates one contact from one base wrench, or from a window of them.
+
+    Two methods behind one door. "ml", maximum likelihood: the contact without friction whose base wrench lies
+    nearest to the reading, weighted by the sensor's covariance. "paper", the published one: the force by its
+    equation 5, then the arclength where that force, of any direction, makes the measured moment.
+
+    Attributes:
+        model: the probe.
+        tolerances: how well the probe is known; None takes it for exactly what the model says.
+    """
+
+    model: ProbeModel
+    tolerances: Tolerances | None = None
+    _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
+    _last_causes: dict[bytes, Causes] = field(default_factory=dict, compare=False, repr=False)
+    _last_aged: dict[int, "Estimator"] = field(default_factory=dict, compare=False, repr=False)
+
+    def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
+        """The same estimator for readings with these standard deviations of each channel.
+
+        Args:
+            force_N: [N], positive.
+            moment_Nm: [N·m], positive.
+
+        Raises:
+            InputError: a value is not positive and finite.
+        """
+        for name, value in (("force_N", force_N), ("moment_Nm", moment_Nm)):
+            if not 0.0 < value < np.inf:
+                raise InputError(f"{name} = {value} must be positive and finite")
+        return Estimator(self.model.with_noise(Noise(float(force_N), float(moment_Nm))), self.tolerances)
+
+    def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
+        """The same estimator for a probe that is known only so well.
+
+        E, G, density, diameters, length, mount, gravity and drift then count in the weights of "ml", and in the test
+        of consistency and the covariance of both methods, for any one reading or window; the place that "paper"
+        finds, and `fuse`, which has unknowns of its own, stay as they are.
+
+        Args:
+            tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
+        """
+        known = Tolerances.of(self.model) if tolerances is None else tolerances
+        return Estimator(self.model, None if known.exact else known)
+
+    def estimate(
+        self,
+        wrench_base: ArrayLike,
+        gravity_base: ArrayLike | None = None,
+        *,
+        method: Method = "ml",
+        near: Estimate | None = None,
+    ) -> Estimate:
+        """Locate the contact that explains a reading.
+
+        Args:
+            wrench_base: what the probe does to its mount, about the base origin [N, N·m], (6,), or a window of
+                independent readings of one and the same touch, (n, 6).
+            gravity_base: gravity in base axes [m/s²], (3,); the design's mount if None.
+            method: "ml" or "paper".
+            near: an estimate of a touch close by, which "ml" then starts from; it looks no further if it finds
+                a contact there.
+
+        Returns:
+            The estimate; anything that goes wrong is its result code, never an exception.
+
+        Raises:
+            InputError: an argument has the wrong shape, gravity is not finite, or there is no such method.
+        """
+        wrenches = np.asarray(wrench_base, dtype=float)
+        gravity = self._gravity(gravity_base)
+        if method not in ("ml", "paper"):
+            raise InputError(f"method = {method!r} is not known; known: ml, paper")
+        if wrenches.shape[-1:] != (6,) or wrenches.ndim > 2 or len(wrenches) == 0:
+            raise InputError(
+                f"wrench_base has shape {wrenches.shape}; it must be (6,), force and moment, or (n, 6) of them"
+            )
+        window = np.ascontiguousarray(wrenches.reshape(-1, 6))
+        free = self._free(gravity)
+        seen = Observation.of(self.model, window, gravity, free.wrench_base)
+        if seen is None:
+            return Estimate("out_of_range")
+        if not free.ok:
+            return Estimate("not_converged")
+        readings = len(window)
+        chi2 = seen.chi2 / self._scatter(readings)
+        if not self._exceeds(chi2):
+            return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
+        scan = Scan.of(self.model.rod, seen)
+        if method == "paper":
+            return self._decide(
+                paper.locate(self.model.rod, seen, scan, self._doubts(gravity)), chi2, readings
+            )
+        start = near.candidates[0] if near is not None and near.candidates else None
+        found = self._likeliest(seen, start, scan)
+        if found:
+            return self._decide(found, chi2, readings)
+        # Why there is none the paper's method may tell, but its place is not the one that was asked for.
+        why = self._decide(paper.locate(self.model.rod, seen, scan), chi2, readings)
+        return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
+
+    def _likeliest(self, seen: Observation, start: Candidate | None, scan: Scan) -> list[Candidate]:
+        """The contacts of greatest likelihood, by the noise and, if there are any, the tolerances."""
+        if self.tolerances is None:
+            return likelihood.locate(self.model.rod, seen, start, scan)
+        return doubtful.locate(self._causes(seen.gravity), seen, start, scan)
+
+    def _doubts(self, gravity: Array) -> Doubts | None:
+        """The tolerances, as the paper's method counts them."""
+        return None if self.tolerances is None else Doubts.of(self.model, gravity, self.tolerances)
+
+    def _causes(self, gravity: Array) -> Causes:
+        """What may differ under a gravity; the last one is kept."""
+        assert self.tolerances is not None
+        key = gravity.tobytes()
+        causes = self._last_causes.get(key)
+        if causes is None:
+            free, last = self._free(gravity), next(iter(self._last_causes.values()), None)
+            causes = (
+                Causes.of(self.model, self.tolerances, gravity, free)
+                if last is None
+                else last.under(gravity, free)
+            )
+            self._last_causes.clear()
+            self._last_causes[key] = causes
+        return causes
+
+    def _gravity(self, gravity_base: ArrayLike | None) -> Array:
+        if gravity_base is None:
+            return self.model.gravity_base
+        gravity = np.asarray(gravity_base, dtype=float)
+        if gravity.shape != (3,) or not math.isfinite(gravity @ gravity):
+            raise InputError(f"gravity_base = {gravity} must be three finite numbers in m/s²")
+        return gravity
+
+    def fuse(
+        self,
+        wrenches_base: ArrayLike,
+        Ts_world_base: ArrayLike,
+        gravity_world: ArrayLike = (0.0, 0.0, -9.81),
+        *,
+        moments_only: bool = False,
+        moments_about: MomentsAbout = "base",
+        touched: ArrayLike | None = None,
+        unknowns: Unknowns | None = None,
+    ) -> Fused:
+        """Locate one fixed point of the world that the probe touches from several poses of its base.
+
+        Args:
+            wrenches_base: readings about the base's origin, in the order of time, (k, 6); with moments alone about
+                the base the forces may be NaN.
+            Ts_world_base: pose of the base at each, (k, 4, 4).
+            gravity_world: [m/s²], (3,).
+            moments_only: whether the readings of the forces are left aside.
+            moments_about: with moments alone, which: those about the base's origin, in which the sensor's force noise
+                times its lever shows, or those that the sensor reads itself, which need all six numbers to be got
+                back and are then free of it.
+            touched: where there was contact, (k,), all if None; readings without it tie the bias down.
+            unknowns: what is not known and how well it is; as the design's material has it if None.
+
+        Returns:
+            The answer with its bound; anything that goes wrong is its result code, never an exception.
+
+        Raises:
+            InputError: an argument has the wrong shape.
+        """
+        from probedesign.estimation.fuse import fuse  # only who fuses waits for it
+
+        return fuse(self.model, wrenches_base, Ts_world_base, gravity_world, touched, unknowns,
+                    moments_about if moments_only else None)  # fmt: skip
+
+    def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
+        """The untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
+        return self._free(self._gravity(gravity_base))
+
+    def _free(self, gravity: Array) -> Equilibrium:
+        key = gravity.tobytes()
+        free = self._last_free.get(key)
+        if free is None:
+            free = self.model.rod.solve(gravity)
+            self._last_free.clear()
+            self._last_free[key] = free
+        return free
+
+    def detects(self, wrench_base: Array, gravity_base: ArrayLike | None = None) -> bool:
+        """Whether a reading (6,) is told from the free probe's (equation 4 with the sensor's noise and drift)."""
+        free = self.free(gravity_base)
+        return free.ok and self._exceeds(self._detection_chi2(wrench_base, free))
+
+    def locates(self, std_s: float, force: Array, readings: int = 1) -> bool:
+        """Whether an estimate with that standard deviation [m] and force [N] (3,) says where.
+
+        It does not if s is known no better than with no reading at all (uniform over the probe, L/√12), or
+        if the force is so uncertain that a covariance of first order no longer holds.
+        """
+        return bool(
+            std_s < self.model.rod.length / math.sqrt(12.0)
+            and math.sqrt(force @ force) > LEAST_FORCE * self._std_force(readings)
+        )
+
+    def since_tare(self, seconds: float) -> "Estimator":
+        """The same estimator for readings so long after the tare [s]: a bias walks as the root of time.
+
+        A tolerance `drift_steps` is taken for the bias after `SETTLED` seconds, which gives the detector's walk. The
+        age is rounded up to that, or twice, four times, ... as long; the last such estimator is kept.
+        """
+        if self.tolerances is None or not seconds > SETTLED:
+            return self
+        doublings = math.ceil(math.log2(seconds / SETTLED))
+        aged = self._last_aged.get(doublings)
+        if aged is None:
+            steps = self.tolerances.drift_steps * math.sqrt(2.0**doublings)
+            aged = Estimator(self.model, replace(self.tolerances, drift_steps=steps), self._last_free)
+            self._last_aged.clear()
+            self._last_aged[doublings] = aged
+        return aged
+
+    def _std_force(self, readings: int) -> float:
+        """Of each axis of the force [N], by the noise of so many readings and by the drift they share."""
+        return self.model.noise.force * math.sqrt(self._scatter(readings) / readings)
+
+    def _scatter(self, readings: int = 1) -> float:
+        """Variance of the mean of so many readings, over that of their noise alone: they share the drift."""
+        steps = 0.0 if self.tolerances is None else self.tolerances.drift_steps
+        return 1.0 + readings * steps**2 * self.model.averaging_samples
+
+    @staticmethod
+    def _exceeds(chi2: float) -> bool:
+        return chi2 >= ALARM_CHI2
+
+    def detectable(self, wrench_by_force: Array) -> float:
+        """Smallest force [N] that is told from a free probe every other time.
+
+        Args:
+            wrench_by_force: change of the base wrench per newton of contact, (6,).
+        """
+        least = math.sqrt(ALARM_CHI2 * self._scatter())
+        return least / float(np.linalg.norm(self.model.whiten @ wrench_by_force))
+
+    @cached_property
+    def cov_wrench(self) -> Array:
+        """Covariance of a base wrench reading, (6, 6)."""
+        return self.model.noise_base()
+
+    def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
+        off = self.model.whiten @ (wrench - free.wrench_base)
+        return float(off @ off) / self._scatter()
+
+    def _decide(self, found: list[Candidate], detection_chi2: float, readings: int) -> Estimate:
+        """Turn the candidates into one answer with its code."""
+        if not found:
+            return Estimate("not_converged", detection_chi2=detection_chi2)
+        listed = tuple(sorted(found, key=_chi2)) if len(found) > 1 else tuple(found)
+        best = listed[0]
+        result = self._result(listed, readings)
+        if result != "ok":
+            return Estimate(
+                result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed
+            )
+        return Estimate("ok", best.s_contact, best.std_s, best.p_contact_base, best.p_surface_base,
+                        best.force_base, best.cov_contact_base, detection_chi2, listed, best.shape)  # fmt: skip
+
+    def _result(self, listed: tuple[Candidate, ...], readings: int) -> Result:
+        """The code of the best candidate beside its rivals."""
+        best = listed[0]
+        if best.chi2 > MOST_CHI2[best.dof]:
+            return "out_of_range" if best.s_contact in (0.0, self.model.rod.flank_end) else "inconsistent"
+        if not self.locates(best.std_s, best.force_base, readings):
+            return "unobservable" if best.lever < LEAST_LEVER else "too_light"
+        for rival in listed[1:]:
+            near = abs(rival.s_contact - best.s_contact) <= 3.0 * (rival.std_s + best.std_s)
+            if rival.chi2 < best.chi2 + AMBIGUOUS and not near:
+                return "ambiguous"
+        return "ok"
+
+
+def _chi2(candidate: Candidate) -> float:
+    return candidate.chi2

@@ -1,0 +1,136 @@
+"""All that estimation knows of a probe: the rod, what hangs on the sensor, the sensor itself. No design, no CAD."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probedesign.cross_section import FULL_ROUND, CrossSection
+from probedesign.frames import Array, inverse, wrench_map
+from probedesign.geometry import Flange
+from probedesign.mass import MassProperties
+from probedesign.materials import Quantity
+from probedesign.rod.rod import Rod
+from probedesign.sensor import Noise
+
+if TYPE_CHECKING:
+    from probedesign.estimation.tolerances import Tolerances
+
+FULL_SCALE = 1e-3
+"""Of the range: a channel that close to its end is taken for saturated. A step of the resolution is 1/3840 of it."""
+
+
+@dataclass(frozen=True)
+class ProbeModel:
+    """One probe on one sensor.
+
+    Attributes:
+        name: of the design.
+        fingerprint: of the geometry that was printed.
+        flange: the disc below the base, which the fingerprint counts.
+        rod: the flexible part from s = 0, clamped.
+        gravity_base: gravity in base axes where none is said [m/s²], (3,).
+        T_sensor_base: pose of the base in the sensor frame, (4, 4).
+        hanging: mass properties of all that hangs on the sensor below s = 0 (flange, adapter, screws),
+            in the sensor frame.
+        wrench_range: largest reading of each channel [N, N·m], (6,).
+        noise: standard deviations of one reading, the mean of averaging_samples samples.
+        averaging_samples: how many the noise is counted for.
+        material: E, G and density with where they come from.
+        assumptions: what of the design is assumed, for every report.
+        cross_section: which the fingerprint counts; the rod has its factors.
+        stiffness_spread: standard deviation of a common factor on E and G; None: by where E comes from.
+        creep_spread: likewise of how far it relaxes while touches are fused.
+        tolerances: how well all of it is known; None: as `Tolerances.of` has it from the material.
+    """
+
+    name: str
+    fingerprint: str
+    flange: Flange
+    rod: Rod
+    gravity_base: Array
+    T_sensor_base: Array
+    hanging: MassProperties
+    wrench_range: Array
+    noise: Noise
+    averaging_samples: int = 1
+    material: dict[str, Quantity] = field(default_factory=dict)
+    assumptions: tuple[str, ...] = ()
+    cross_section: CrossSection = FULL_ROUND
+    stiffness_spread: float | None = None
+    creep_spread: float = 0.0
+    tolerances: "Tolerances | None" = None
+
+    @cached_property
+    def mass(self) -> float:
+        """Of the flexible part [kg]."""
+        return float(self.rod.density * self.rod.body.volume_beyond[0])
+
+    def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
+        """What the rigid things between sensor face and s = 0 weigh on the sensor, in its frame, (6,)."""
+        weight: Array = self.hanging_by_gravity @ np.asarray(gravity_base, dtype=float)
+        return weight
+
+    @cached_property
+    def hanging_by_gravity(self) -> Array:
+        """Of that wrench by gravity in base axes, (6, 3)."""
+        R = self.T_sensor_base[:3, :3]
+        return np.stack([self.hanging.wrench(R[:, i]) for i in range(3)], axis=1)
+
+    @cached_property
+    def _sensor_from_base(self) -> Array:
+        """Carries wrenches from the base's origin to the sensor's, (6, 6)."""
+        return wrench_map(self.T_sensor_base)
+
+    @cached_property
+    def _base_from_sensor(self) -> Array:
+        return wrench_map(inverse(self.T_sensor_base))
+
+    def to_sensor(self, wrench_base: ArrayLike, gravity_base: ArrayLike) -> Array:
+        """What the sensor reads, free of bias: (6,) or (n, 6) of base wrenches told in the sensor frame,
+        with the weight of what hangs between."""
+        carried = np.asarray(wrench_base, dtype=float) @ self._sensor_from_base.T
+        return carried + self.gravity_wrench_sensor(gravity_base)
+
+    def to_base(self, wrench_sensor: ArrayLike, gravity_base: ArrayLike) -> Array:
+        """The wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
+        own = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
+        carried: Array = own @ self._base_from_sensor.T
+        return carried
+
+    def reads(self, wrench_sensor: Array) -> bool:
+        """Whether the sensor can have read this (6,): finite and within every channel's range."""
+        return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.readable).all())
+
+    @cached_property
+    def readable(self) -> Array:
+        """Largest reading of each channel that is not full scale, which a saturated one gives [N, N·m], (6,)."""
+        return np.asarray(self.wrench_range, dtype=float) * (1.0 - FULL_SCALE)
+
+    def noise_base(self) -> Array:
+        """Covariance of a reading told at the base origin, (6, 6)."""
+        return self._noise_base.copy()
+
+    @cached_property
+    def _noise_base(self) -> Array:
+        X = self._base_from_sensor
+        return np.asarray(X @ self.noise.covariance() @ X.T, dtype=float)
+
+    @cached_property
+    def whiten(self) -> Array:
+        """Lower triangular, with whitenᵀ whiten = noise_base⁻¹, (6, 6)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self._noise_base)), dtype=float)
+
+    @cached_property
+    def sight(self) -> tuple[Array, Array, Array, Array]:
+        """What `observe` needs: wrenches' way to the sensor (6, 6), what hangs there by gravity (6, 3), the range
+        (6,), and the whitening of one reading (6, 6)."""
+        contiguous = np.ascontiguousarray
+        return (contiguous(self._sensor_from_base), contiguous(self.hanging_by_gravity),
+                contiguous(self.readable), contiguous(self.whiten))  # fmt: skip
+
+    def with_noise(self, noise: Noise) -> "ProbeModel":
+        """The same probe with another noise."""
+        return replace(self, noise=noise)

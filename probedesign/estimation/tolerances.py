@@ -1,0 +1,113 @@
+"""How well a probe, its mount and its sensor are known: standard deviations, each with where it comes from."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.unknowns import Unknowns
+
+SOURCES = {
+    "drift_steps": "assumed, as in fusion",
+    "youngs_modulus": "assumed: prints of one resin differ so; 0.005 where E is identified",
+    "shear_modulus": "assumed, as E",
+    "youngs_modulus_by_diameter": "assumed: E is known apart from the diameters",
+    "density": "datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one standard deviation",
+    "diameter_mm": "assumed: no tolerance is published for Elastic 50A; half of ±0.15 mm",
+    "diameter_share": "assumed: half of ±0.5 %, where that is more",
+    "diameter_scatter_mm": "assumed: one pixel of a Form 3",
+    "length_mm": "assumed, as the diameters",
+    "length_share": "assumed, as the diameters",
+    "base_mm": "assumed, as in fusion",
+    "tilt_deg": "assumed: 0.05 mm on a seat of 15 mm",
+    "clocking_deg": "assumed: play of the screws",
+    "gravity_deg": "assumed: a machine levelled by hand",
+    "creep": "assumed: nothing is published for Elastic 50A",
+    "robot_mm": "assumed: a small arm's repeatability",
+}
+"""Where each default comes from."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Standard deviations of what a model says of its probe, each normal and independent of the others.
+
+    Attributes:
+        drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
+            resolution; `Estimator.since_tare` lets it grow with the root of time.
+        youngs_modulus, shear_modulus, density: relative, each by itself.
+        youngs_modulus_by_diameter: no standard deviation: the power of the base diameter with which E goes where all
+            diameters are other than designed together. About -4 where E was identified with the design's diameters,
+            for it is E·d⁴ that was measured; 0: E is known apart from them.
+        diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
+        diameter_scatter_mm: of each knot's diameter for itself.
+        length_mm, length_share: of the length, the greater of both.
+        base_mm: of the base's place, on each axis.
+        tilt_deg: of the base about its x and its y axis.
+        clocking_deg: of the base about its z axis.
+        gravity_deg: of gravity's direction, about each of two axes across it.
+        creep: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
+        robot_mm: of several touches, of the base's place at each for itself, on each axis; one touch does not see it.
+        tared: whether the sensor was tared with the probe free, as mounted: what the free probe's reading has of an
+            error is then gone.
+    """
+
+    drift_steps: float = 0.2
+    youngs_modulus: float = 0.03
+    shear_modulus: float = 0.03
+    density: float = 0.01
+    diameter_mm: float = 0.075
+    diameter_share: float = 0.0025
+    diameter_scatter_mm: float = 0.025
+    length_mm: float = 0.075
+    length_share: float = 0.0025
+    base_mm: float = 0.05
+    tilt_deg: float = 0.2
+    clocking_deg: float = 0.5
+    gravity_deg: float = 0.2
+    creep: float = 0.01
+    robot_mm: float = 0.05
+    tared: bool = True
+    youngs_modulus_by_diameter: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError where a standard deviation is none, or the power is not finite."""
+        if not math.isfinite(self.youngs_modulus_by_diameter):
+            raise InputError(f"youngs_modulus_by_diameter = {self.youngs_modulus_by_diameter} must be finite")
+        for entry in fields(self):
+            value = 0.0 if entry.name == "youngs_modulus_by_diameter" else getattr(self, entry.name)
+            if not 0.0 <= value < float("inf"):
+                raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
+
+    @classmethod
+    def of(cls, model: ProbeModel, said: Mapping[str, Any] | None = None) -> "Tolerances":
+        """What a design says of them, the material's spread and creep where it says nothing, and else the defaults.
+
+        Args:
+            model: of the probe; where it has tolerances of its own, they are it.
+            said: by name; None where nothing is said.
+        """
+        if model.tolerances is not None:
+            return model.tolerances
+        spread = Unknowns.of(model)
+        own = cls(youngs_modulus=spread.stiffness, shear_modulus=spread.stiffness,
+                  creep=spread.creep or cls.creep)  # fmt: skip
+        return replace(own, **{name: value for name, value in (said or {}).items() if value is not None})
+
+    @classmethod
+    def none(cls) -> "Tolerances":
+        """Everything is as the model says."""
+        nothing: dict[str, Any] = {entry.name: 0.0 for entry in fields(cls) if entry.name != "tared"}
+        return cls(**nothing)
+
+    @property
+    def exact(self) -> bool:
+        """Whether one reading is of a probe that is all as the model says."""
+        return replace(self, robot_mm=0.0, tared=True, youngs_modulus_by_diameter=0.0) == Tolerances.none()
+
+    def sources(self) -> dict[str, str]:
+        """Where each comes from, by name."""
+        return {name: text if getattr(self, name) == getattr(Tolerances, name) else "design"
+                for name, text in SOURCES.items()}  # fmt: skip

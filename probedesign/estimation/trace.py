@@ -1,0 +1,191 @@
+"""Where a contact may lie, from one integration: the probe drawn from its clamp with the wrench that was read.
+
+Up to the contact such a rod is the touched probe itself. Beyond it hangs the free part, whose weight alone makes a
+moment; where the moment carried along equals that, the contact may lie. Nothing is iterated, so this costs less than
+one equilibrium. It errs with the reading, the more the thinner the probe gets, and takes the free part for straight:
+good for a start, not for an answer.
+"""
+
+import math
+from pathlib import Path
+
+from probedesign.estimation.fit import PLACE, PUSH, TIP
+from probedesign.rod.kernels.body import CONE, DENSITY, ROOT_REACH
+from probedesign.rod.kernels.compiled import drop_stale, inner
+from probedesign.rod.kernels.equations import frustum_of, medium, rest_at, rest_of, turning
+from probedesign.rod.kernels.newton import put_section
+from probedesign.rod.kernels.steps import STATE as WIDTH
+from probedesign.rod.kernels.steps import D, M, P, T, full_step
+from probedesign.rod.kernels.vectors import add, cross, dot, put, take, times
+
+drop_stale(Path(__file__).parent)
+
+STATIONS = 33
+"""Places looked at, even along the probe: as many as the scan of `locate.py` has where the probe bends most."""
+ROOM = STATIONS * (WIDTH + 3)
+"""Numbers that a trace works in, and one more for each knot: states, misfits, first moments at the knots."""
+ROUGH = 1e-3
+"""Error of a step [rad] from which it is halved; and how often."""
+_HALVINGS = 4
+CURLED = 0.5
+"""Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact
+the moment that was read curls the thin tip up."""
+DROOPS = 8
+"""Steps along the free part."""
+
+
+@inner
+def _hanging(body, s, knot_moments):
+    """First moment of the weightless mass beyond s about s [kg m], were it straight."""
+    i = 0
+    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
+        i += 1
+    height, whole = body.knots[i + 1] - s, body.knots[i + 1] - body.knots[i]
+    r1 = body.radii[i + 1]
+    r = r1 + (body.radii[i] - r1) * height / whole
+    own = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
+    return body.constants[DENSITY] * (knot_moments[i + 1] + body.volume_beyond[i + 1] * height + own)
+
+
+@inner
+def _moments_at_knots(body, knot_moments):
+    """First moments of the volume beyond each knot [m⁴]."""
+    last = body.knots.shape[0] - 1
+    knot_moments[last] = 0.0
+    for i in range(last - 1, -1, -1):
+        height, r, r1 = body.knots[i + 1] - body.knots[i], body.radii[i], body.radii[i + 1]
+        own = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
+        knot_moments[i] = knot_moments[i + 1] + body.volume_beyond[i + 1] * height + own
+
+
+@inner
+def _carry(body, s, end, work, force, gravity, on):
+    """Integrate the state in work from s on to `end`, over knots and the root's edge; whether it stays finite."""
+    i = 0
+    while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
+        i += 1
+    reach = body.constants[ROOT_REACH]
+    while s < end:
+        while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
+            i += 1
+        in_root = s < reach
+        stop = min(end, body.knots[i + 1] if i + 2 < body.knots.shape[0] else end)
+        stop = min(stop, reach) if in_root else stop
+        frustum, rest = frustum_of(body, i, in_root), rest_of(body, i)
+        h = stop - s
+        for halved in range(_HALVINGS + 1):
+            et, _em, _ep = full_step(s, h, work, frustum, rest, force, gravity, on)
+            if et <= ROUGH or halved == _HALVINGS:
+                break
+            h *= 0.5
+        if not et < 1.0:
+            return False
+        for q in range(WIDTH):
+            work[q] = work[WIDTH + q]
+        s = stop if h == stop - s else s + h
+    return True
+
+
+@inner
+def trace(body, end, gravity, force, moment, work, room):
+    """Draw the probe from its clamp.
+
+    Args:
+        body: of the rod; end: the furthest arclength at which a touch acts [m], where the last station lies.
+        gravity: [m/s²], (3,) tuple; force: of the contact [N], moment: read at the base [N·m], (3,) tuples.
+        work: scratch of a step, (steps.WORK,).
+        room: (ROOM + knots,): states at the stations, then what the moment there is more than the free part makes.
+
+    Returns:
+        How many stations were reached.
+    """
+    knot_moments = room[ROOM:]
+    _moments_at_knots(body, knot_moments)
+    put(work, T, (0.0, 0.0, 1.0))
+    put(work, M, moment)
+    put(work, P, (0.0, 0.0, 0.0))
+    put(work, D, (1.0, 0.0, 0.0))
+    for j in range(STATIONS):
+        s = end * j / (STATIONS - 1)
+        if j and not _carry(body, end * (j - 1) / (STATIONS - 1), s, work, force, gravity, 1.0):
+            return j
+        if j and dot(take(work, T), take(room, WIDTH * (j - 1) + T)) < CURLED:
+            return j
+        for q in range(WIDTH):
+            room[WIDTH * j + q] = work[q]
+        t = take(work, T)
+        free = times(_hanging(body, s, knot_moments), cross(t, gravity))
+        put(room, STATIONS * WIDTH + 3 * j, add(take(work, M), -1.0, free))
+    return STATIONS
+
+
+@inner
+def _misfit(room, j):
+    """Of station j, squared."""
+    off = take(room, STATIONS * WIDTH + 3 * j)
+    return dot(off, off)
+
+
+@inner
+def is_least(room, j, reached):
+    """Whether the misfit at station j is no greater than beside it."""
+    at = _misfit(room, j)
+    return (j == 0 or at <= _misfit(room, j - 1)) and (j + 1 >= reached or at <= _misfit(room, j + 1))
+
+
+@inner
+def least(end, room, j, reached):
+    """The least misfit about station j, taken as linear between stations [N·m], and its arclength [m]."""
+    at, best, square = take(room, STATIONS * WIDTH + 3 * j), 0.0, _misfit(room, j)
+    for way in (-1, 1):
+        if 0 <= j + way < reached:
+            slope = add(take(room, STATIONS * WIDTH + 3 * (j + way)), -1.0, at)
+            x = min(max(-dot(at, slope) / max(dot(slope, slope), 1e-300), 0.0), 1.0)
+            off = add(at, x, slope)
+            if dot(off, off) < square:
+                best, square = way * x, dot(off, off)
+    return math.sqrt(square), end * (j + best) / (STATIONS - 1)
+
+
+@inner
+def _droop(body, s, gravity, knot_moments, state):
+    """Turn a section, [t, d] in state, from s to the tip, the free part hanging from it; by midpoints.
+
+    Its moment is taken from what lies beyond each place, not carried along: carried through the thin tip, the
+    smallest error would bend that to a ring.
+    """
+    h = (body.knots[-1] - s) / DROOPS
+    for _ in range(DROOPS):
+        t, d = take(state, TIP), take(state, TIP + 3)
+        turn = _hang(body, s, t, d, gravity, knot_moments)
+        half_t, half_d = add(t, 0.5 * h, cross(turn, t)), add(d, 0.5 * h, cross(turn, d))
+        turn = _hang(body, s + 0.5 * h, half_t, half_d, gravity, knot_moments)
+        put_section(state, TIP, add(t, h, cross(turn, half_t)), add(d, h, cross(turn, half_d)))
+        s += h
+
+
+@inner
+def _hang(body, s, t, d, gravity, knot_moments):
+    """How the free part turns with s where the section is t, d."""
+    i = 0
+    while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
+        i += 1
+    med = medium(s, frustum_of(body, i, s < body.constants[ROOT_REACH]), (0.0, 0.0, 0.0), gravity)
+    m = times(_hanging(body, s, knot_moments), cross(t, gravity))
+    return turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
+
+
+@inner
+def guess(body, end, gravity, force, work, room, s, reached, state):
+    """The contact at s as a guess to fit from, (fit.STATE,); whether there is one."""
+    start = min(max(math.floor(s / end * (STATIONS - 1)), 0), reached - 1)
+    for q in range(WIDTH):
+        work[q] = room[WIDTH * start + q]
+    if not _carry(body, end * start / (STATIONS - 1), s, work, force, gravity, 1.0):
+        return False
+    for q in range(3):
+        state[TIP + q], state[TIP + 3 + q] = work[T + q], work[D + q]
+        state[PUSH + q] = force[q]
+    state[PLACE] = s
+    _droop(body, s, gravity, room[ROOM:], state)
+    return True
