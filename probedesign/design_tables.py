@@ -268,7 +268,7 @@ class PrintTable(Table):
 
 
 class TolerancesTable(Table):
-    """`[tolerances]`: standard deviations that `predict` counts with; what is not given is assumed."""
+    """`[tolerances]`: standard deviations of the priors; what is not given is assumed."""
 
     drift_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
     youngs_modulus: Share | None = None
@@ -284,7 +284,10 @@ class TolerancesTable(Table):
     tilt_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     clocking_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     gravity_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    root_radii: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    gain: Share | None = None
     creep: Share | None = None
+    stiffness_scatter: Share | None = None
     robot_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tared: bool | None = None
 

@@ -24,8 +24,12 @@ SOURCES = {
     "tilt_deg": "assumed: 0.05 mm on a seat of 15 mm",
     "clocking_deg": "assumed: play of the screws",
     "gravity_deg": "assumed: a machine levelled by hand",
+    "root_radii": "assumed: half the distance from a bonded face (0.12) to the exported soft flange (about -0.18), "
+    "docs/decisions/0006",
+    "gain": "assumed: calibration certificates bound the error to 1.0-1.75 % of full scale; a third of it",
     "creep": "assumed: nothing is published for Elastic 50A",
-    "robot_mm": "assumed: a small arm's repeatability",
+    "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for Elastic 50A",
+    "robot_mm": "assumed: ISO 9283 repeatability of ±0.03 mm of a small arm, taken as three standard deviations",
 }
 """Where each default comes from."""
 
@@ -48,7 +52,10 @@ class Tolerances:
         tilt_deg: of the base about its x and its y axis.
         clocking_deg: of the base about its z axis.
         gravity_deg: of gravity's direction, about each of two axes across it.
+        root_radii: of the bending compliance that the base lacks, `root_rigid_radii`, in base radii.
+        gain: of the gain of each channel of the sensor by itself, relative.
         creep: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
+        stiffness_scatter: of the stiffness at each touch for itself, relative; a single touch has it too.
         robot_mm: of several touches, of the base's place at each for itself, on each axis; one touch does not see it.
         tared: whether the sensor was tared with the probe free, as mounted: what the free probe's reading has of an
             error is then gone.
@@ -68,9 +75,12 @@ class Tolerances:
     clocking_deg: float = 0.5
     gravity_deg: float = 0.2
     creep: float = 0.01
-    robot_mm: float = 0.05
+    robot_mm: float = 0.01
     tared: bool = True
     youngs_modulus_by_diameter: float = 0.0
+    root_radii: float = 0.15
+    gain: float = 0.005
+    stiffness_scatter: float = 0.01
 
     def __post_init__(self) -> None:
         """Raises InputError where a standard deviation is none, or the power is not finite."""
