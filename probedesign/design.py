@@ -5,6 +5,7 @@ shapes that do not hold together all become one line that names the key, the val
 line of the file.
 """
 
+import math
 import re
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -13,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 
 from probedesign.design_problems import Inconsistent, check_toml, one_line, parse_toml, quoted
 from probedesign.design_tables import (
+    ContactTable,
     MaterialTable,
     MountTable,
     PrintTable,
@@ -40,6 +42,7 @@ class Design(Table):
     material: MaterialTable = MaterialTable()
     sensor: SensorTable = SensorTable()
     mount: MountTable = MountTable()
+    contact: ContactTable = ContactTable()
     print_: PrintTable = Field(default=PrintTable(), alias="print")
     tolerances: TolerancesTable = TolerancesTable()
 
@@ -120,6 +123,14 @@ class Design(Table):
         """Density [kg/m³] with its provenance."""
         return self._quantity("density_kg_m3", 1.0, self.resin.density)
 
+    @property
+    def friction(self) -> Quantity:
+        """Friction of a touch, tangential over normal force [-], with its provenance."""
+        given = self.contact.friction
+        if given is None:
+            return self.resin.friction
+        return Quantity(given, self.contact.provenance.friction, "design file, contact.friction")
+
     def _quantity(self, key: str, unit: float, default: Quantity) -> Quantity:
         given = getattr(self.material, key)
         if given is None:
@@ -137,7 +148,15 @@ class Design(Table):
         }
         # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mounting/root.py).
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
-        return (*dimensions, *(k for k, q in quantities.items() if q.provenance == "assumed"), *root)
+        # An infinite friction leaves the direction of the force free: no number is assumed.
+        friction, free = self.friction, math.isinf(self.friction.value)
+        contact = ("contact.friction",) if friction.provenance == "assumed" and not free else ()
+        return (
+            *dimensions,
+            *(k for k, q in quantities.items() if q.provenance == "assumed"),
+            *root,
+            *contact,
+        )
 
 
 def check_name(name: str) -> None:

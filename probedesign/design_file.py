@@ -33,6 +33,7 @@ COMMENTS = {
     "material.creep_spread": "likewise of how far it relaxes while touches are fused; 0 leaves creep out",
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
+    "contact.friction": "tangential over normal force, standard deviation of the prior",
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
     "print.scale_z": "likewise along its axis",
     "print.rigid_scale_xy": "likewise of the rigid parts",
@@ -116,6 +117,7 @@ def draft_design(
     resin: str = "elastic-50a",
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
+    friction: float | None = None,
 ) -> tuple[Design, dict[str, str]]:
     """A new design from the few numbers that matter; everything else by default.
 
@@ -132,6 +134,7 @@ def draft_design(
         resin: a known resin.
         sensor: a known sensor or calibration.
         robot_flange: a known flange pattern.
+        friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
 
     Returns:
         The checked design, and notes for `render_design` that say where its numbers come from.
@@ -143,6 +146,8 @@ def draft_design(
     notes = {
         f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()
     }
+    source = material.friction.source if friction is None else "assumed until measured"
+    notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
     if tip_d_mm is None and shape == "cone":
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
@@ -167,6 +172,7 @@ def draft_design(
         "material": material_keys(material),
         "sensor": sensor_keys(sensor),
         "mount": {"robot_flange": robot_flange},
+        "contact": {"friction": material.friction.value if friction is None else friction},
     }
     return check_design(data), notes
 

@@ -247,6 +247,19 @@ class MountTable(Table):
         return self
 
 
+class ContactProvenanceTable(Table):
+    """`[contact.provenance]`: where each number of `[contact]` comes from."""
+
+    friction: Provenance = "assumed"
+
+
+class ContactTable(Table):
+    """`[contact]`: the touch itself. `friction = inf` leaves the direction of the force free, 0 is frictionless."""
+
+    friction: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] | None = None
+    provenance: ContactProvenanceTable = ContactProvenanceTable()
+
+
 class PrintTable(Table):
     """`[print]`: on what the parts are printed, and how much larger than drawn, so that they come out as drawn."""
 

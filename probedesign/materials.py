@@ -27,13 +27,20 @@ class Resin:
         youngs_modulus: E at small strain [Pa].
         shear_modulus: G [Pa]; kept apart from E on purpose (see docs/decisions/0004).
         density: cured [kg/m³].
+        friction: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
     """
 
     name: str
     youngs_modulus: Quantity
     shear_modulus: Quantity
     density: Quantity
+    friction: Quantity
 
+
+ELASTIC_FRICTION = Quantity(
+    0.6, "assumed", "soft polyurethane on card, plastic or metal: about 0.5 to 1; assumed until measured"
+)
+"""Friction of an elastic resin that nobody has measured [-]. No value is published for Elastic 50A."""
 
 _PAPER = "paper, section IV: identified on the paper's prints, not on yours"
 
@@ -42,6 +49,7 @@ ELASTIC_50A = Resin(
     youngs_modulus=Quantity(2.32 * MPA, "assumed", _PAPER),
     shear_modulus=Quantity(0.761 * MPA, "assumed", _PAPER),
     density=Quantity(1010.0, "datasheet", "Formlabs Elastic 50A V1, 1.00-1.02 g/ml"),
+    friction=ELASTIC_FRICTION,
 )
 
 
@@ -52,6 +60,7 @@ def _incompressible(name: str, E_mpa: float, density: float, E_source: str, dens
         youngs_modulus=Quantity(E_mpa * MPA, "assumed", E_source),
         shear_modulus=Quantity(E_mpa * MPA / 3.0, "assumed", "E/3, the incompressible limit"),
         density=Quantity(density, "datasheet", density_source),
+        friction=ELASTIC_FRICTION,
     )
 
 

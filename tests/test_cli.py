@@ -192,11 +192,13 @@ def test_new_prints_one_json_document(workplace, capsys):
 
 def test_new_takes_every_option(workplace):
     options = ["--shape", "cylinder", "--resin", "flexible-80a", "--sensor", "si-25-0.25"]
+    options += ["--friction", "inf"]
     assert run([*NEW, "tube", *options, "--robot-flange", "iso-9409-1-31.5-4-m5"]) == 0
     design = load_design("designs/tube.toml")
     assert design.probe.knots_mm == ((0.0, 12.0), (150.0, 12.0))
     assert (design.material.resin, design.sensor.calibration) == ("flexible-80a", "si-25-0.25")
     assert design.mount.robot_flange == "iso-9409-1-31.5-4-m5"
+    assert design.contact.friction == float("inf")
 
 
 @pytest.mark.parametrize(
@@ -230,6 +232,8 @@ def test_new_takes_every_section(workplace, section, key, ratio):
         (["--resin", "jelly"], "--resin: unknown 'jelly'; known: elastic-50a"),
         (["--sensor", "mini40"], "--sensor: unknown 'mini40'; known: nano17, si-12-0.12"),
         (["--robot-flange", "x"], "--robot-flange: unknown 'x'"),
+        (["--friction", "-0.1"], "--friction = -0.1 is out of range; allowed is 0 ... inf"),
+        (["--friction", "nan"], "--friction = nan is out of range"),
         (["--lenght", "3"], "--lenght"),
         (["a/b"], "'a/b' is not a plain name"),
         (["../../etc/passwd"], "is not a plain name"),

@@ -66,7 +66,12 @@ def test_the_papers_probes(name, length, assumed):
     assert design.shear_modulus.value == pytest.approx(7.61e5, rel=1e-15)
     assert design.youngs_modulus.provenance == design.shear_modulus.provenance == "identified"
     assert design.density.provenance == "datasheet"
-    assert design.assumptions == (*(f"probe.{key}" for key in assumed), "mount.root_rigid_radii")
+    assert design.assumptions == (
+        *(f"probe.{key}" for key in assumed),
+        "mount.root_rigid_radii",
+        "contact.friction",
+    )
+    assert design.friction.value == 0.6
 
 
 def test_a_named_resin_fills_what_is_not_given():
@@ -82,6 +87,66 @@ def test_a_root_is_assumed_unless_there_is_none(root, assumed):
     document = {"schema": 1, "name": "r", "probe": {"shape": "cylinder", "length_mm": 80, "base_d_mm": 6}}
     design = check_design(document | {"mount": {"root_rigid_radii": root}})
     assert ("mount.root_rigid_radii" in design.assumptions) == assumed
+
+
+WITHOUT_CONTACT = PLAIN[: PLAIN.index("[contact]")] + PLAIN[PLAIN.index("[print]") :]
+"""A design file from before there was friction."""
+
+
+@pytest.mark.parametrize("resin", sorted(RESINS))
+def test_a_design_without_contact_takes_the_resins_friction_and_says_so(resin):
+    design = parse_design(WITHOUT_CONTACT.replace('"elastic-50a"', f'"{resin}"'))
+    assert design.contact.friction is None
+    assert design.friction == RESINS[resin].friction
+    assert (design.friction.value, design.friction.provenance) == (0.6, "assumed")
+    assert "contact.friction" in design.assumptions
+
+
+@pytest.mark.parametrize(
+    ("friction", "provenance", "assumed"),
+    [
+        ("0.3", None, True),
+        ("0.3", "assumed", True),
+        ("0.3", "identified", False),
+        ("0", None, True),  # frictionless is an assumption too
+        ("inf", None, False),  # any direction: no number is assumed
+    ],
+)
+def test_a_given_friction_goes_before_the_resins(friction, provenance, assumed):
+    table = f"[contact]\nfriction = {friction}\n"
+    table += f'[contact.provenance]\nfriction = "{provenance}"\n' if provenance else ""
+    design = parse_design(WITHOUT_CONTACT + table)
+    assert design.friction.value == float(friction)
+    assert design.friction.provenance == (provenance or "assumed")
+    assert ("contact.friction" in design.assumptions) == assumed
+    assert parse_design(render_design(design)) == design
+
+
+@pytest.mark.parametrize("value", ["nan", "-nan", "-inf", "-0.1", "true", '"0.6"', "[0.6]"])
+def test_a_friction_that_is_none_names_key_and_line(value):
+    line = PLAIN[: PLAIN.index("friction = 0.6")].count("\n") + 1
+    told = problem("friction = 0.6", f"friction = {value}")
+    assert told.startswith(f"large.toml:{line}: contact.friction = ")
+    assert '"' in value or "[" in value or value == "true" or "allowed is 0 ... inf" in told
+
+
+def test_a_misspelt_friction_names_its_line_and_the_nearest_key():
+    line = PLAIN[: PLAIN.index("friction = 0.6")].count("\n") + 1
+    told = f"large.toml:{line}: unknown key 'contact.fricton'; did you mean 'contact.friction'?"
+    assert problem("friction = 0.6", "fricton = 0.6") == told
+
+
+@pytest.mark.parametrize(
+    ("key", "most"), [("root_radii", "1"), ("gain", "0.5"), ("stiffness_scatter", "0.5")]
+)
+def test_the_tolerances_of_root_gain_and_scatter_are_bounded(key, most):
+    text = f"{PLAIN}[tolerances]\n"
+    assert getattr(parse_design(f"{text}{key} = {most}\n").tolerances, key) == float(most)
+    line = text.count("\n") + 1
+    for value in ("-0.01", "1.1", "nan", "inf"):
+        with pytest.raises(InputError, match=rf"^large\.toml:{line}: tolerances\.{key} = ") as error:
+            parse_design(f"{text}{key} = {value}\n", "large.toml")
+        one_line(error)
 
 
 def test_a_given_number_goes_before_the_resins():
@@ -100,6 +165,8 @@ def test_a_given_number_goes_before_the_resins():
         ("[mount]", "[mout]", "did you mean 'mount'"),
         ("[print]", "[colour]\nred = 1\n[print]", "unknown key 'colour'"),
         ("printer", "printr", "did you mean 'print.printer'"),
+        ("[contact]", "[contacts]", "did you mean 'contact'"),
+        ("[print]", "[tolerances]\nroot_radius = 0.1\n[print]", "did you mean 'tolerances.root_radii'"),
     ],
 )
 def test_unknown_and_misspelt_keys_suggest_the_nearest(old, new, told):
@@ -361,7 +428,9 @@ def test_a_new_design_says_where_its_numbers_come_from(tmp_path):
         "material.youngs_modulus_mpa",
         "material.shear_modulus_mpa",
         "mount.root_rigid_radii",
+        "contact.friction",
     )
+    assert "until measured" in next(line for line in text.splitlines() if line.startswith("friction = 0.6"))
     assert "not on yours" in next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
     assert "by default" in next(line for line in text.splitlines() if line.startswith("tip_d_mm"))
 

@@ -20,6 +20,7 @@ OPTIONS = {
     "material.resin": "--resin",
     "sensor.calibration": "--sensor",
     "mount.robot_flange": "--robot-flange",
+    "contact.friction": "--friction",
 }
 """The option that sets a key, so that an error speaks of what was typed."""
 
@@ -39,6 +40,7 @@ def new(
     resin: str = "elastic-50a",
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
+    friction: float | None = None,
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -57,6 +59,8 @@ def new(
         resin: elastic-50a, flexible-80a or silicone-40a.
         sensor: nano17, or a calibration of it such as si-12-0.12.
         robot_flange: bolt pattern of the robot.
+        friction: tangential over normal force of a touch, standard deviation of the prior, 0 ... inf; by default the
+            resin's.
         force: replace a design file of that name.
         as_json: print one JSON document.
     """
@@ -76,6 +80,7 @@ def new(
             resin=resin,
             sensor=sensor,
             robot_flange=robot_flange,
+            friction=friction,
         )
     except InputError as error:
         raise InputError(_in_options(str(error))) from None

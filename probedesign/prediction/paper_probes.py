@@ -1,6 +1,7 @@
 """The paper's three probes, as designs/large.toml, medium.toml and small.toml have them."""
 
 from probedesign.design import Design, check_design
+from probedesign.materials import ELASTIC_50A
 
 PROBES = {"large": (150.0, 12.0, 2.0), "medium": (100.0, 8.0, 2.0), "small": (50.0, 5.0, 1.5)}
 """Length, base and tip diameter [mm]. The lengths are Table I's; all diameters but the large one's base are assumed:
@@ -23,4 +24,5 @@ def paper_design(name: str) -> Design:
     probe = {"shape": "cone", "length_mm": length, "base_d_mm": base, "tip_d_mm": tip,
              "assumed": ["tip_d_mm"] if name == "large" else ["base_d_mm", "tip_d_mm"]}  # fmt: skip
     material = {"resin": "elastic-50a", **_MEASURED, "provenance": _PROVENANCE}
-    return check_design({"schema": 1, "name": name, "probe": probe, "material": material})
+    contact = {"friction": ELASTIC_50A.friction.value}
+    return check_design({"schema": 1, "name": name, "probe": probe, "material": material, "contact": contact})
