@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,14 +19,18 @@ from probedesign.files import write_atomically
 from probedesign.frames import Array, is_pose
 from probedesign.geometry import Flange, ProbeGeometry
 from probedesign.mass import MassProperties
-from probedesign.materials import Quantity
+from probedesign.materials import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.rod.rod import Rod
 from probedesign.sensor import Noise
 
 KIND = "probedesign frozen probe"
-SCHEMA = 2
+SCHEMA = 3
+FRICTIONLESS_SCHEMA = 2
+"""Still read: it has no `contact` and fewer tolerances (`NEW_TOLERANCES`)."""
 ROUND_SCHEMA = 1
-"""Still read: it knew full round sections only, and one second moment for all directions."""
+"""Still read: as schema 2, with full round sections only and one second moment for all directions."""
+NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter")
+"""Tolerances that files of the older schemas do not have: they take their defaults and are listed as assumed."""
 SECTION_STATIONS = 17
 """How many stations the section table shows between the knots' own; for people and for the check on load."""
 _UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
@@ -63,6 +67,11 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "material": {
             f"{name}_{_UNITS[name]}": {"value": q.value, "provenance": q.provenance, "source": q.source}
             for name, q in model.material.items()
+        },
+        "contact": {
+            "friction": "inf" if math.isinf(model.friction) else model.friction,
+            "provenance": model.friction_provenance,
+            "source": model.friction_source,
         },
         "spread": {"stiffness": model.stiffness_spread, "creep": model.creep_spread},
         "tolerances": asdict(Tolerances.of(model)),
@@ -112,6 +121,7 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
     data = _read_json(path, "frozen probe")
     _check_identity(data, path)
     try:
+        data = _upgraded(data)
         model = _thaw(data)
         _check_sections(data, model.rod)
     except InputError as error:
@@ -153,18 +163,48 @@ def check_replaceable(path: Path) -> None:
 def _check_identity(data: dict[str, Any], path: Path) -> None:
     if data.get("kind") != KIND:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
-    if data.get("schema") not in (SCHEMA, ROUND_SCHEMA):
-        known = f"this version reads {ROUND_SCHEMA} and {SCHEMA}"
+    if data.get("schema") not in (SCHEMA, FRICTIONLESS_SCHEMA, ROUND_SCHEMA):
+        known = f"this version reads {ROUND_SCHEMA} to {SCHEMA}"
         raise InputError(f"{path}: schema {data.get('schema')} is not known here ({known})")
     body = {key: value for key, value in data.items() if key != "checksum"}
     if data.get("checksum") != _checksum(body):
         raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
 
 
+def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a file of any schema as this schema has it.
+
+    What an older schema lacks takes its default; a number among it is added to the assumptions.
+    """
+    if data["schema"] == SCHEMA:
+        return data
+    if data["schema"] == ROUND_SCHEMA:
+        table = data["sections"]
+        data = {
+            **data,
+            "rod": {**data["rod"], "section": asdict(FULL_ROUND), "finite_strain": False},
+            "sections": {**table, **{name: table[old] for name, old in _ROUND_NAMES.items()}},
+        }
+    friction = ELASTIC_FRICTION
+    contact = {"friction": friction.value, "provenance": friction.provenance, "source": friction.source}
+    tolerances = data.get("tolerances")
+    if tolerances is not None:
+        added = {name: getattr(Tolerances, name) for name in (*NEW_TOLERANCES, "youngs_modulus_by_diameter")}
+        tolerances = {**added, **tolerances}
+    assumed = ["contact.friction", *(f"tolerances.{name}" for name in NEW_TOLERANCES)]
+    return {
+        **data,
+        "assumptions": [*data["assumptions"], *assumed],
+        "contact": contact,
+        "spread": data.get("spread", {"stiffness": None, "creep": 0.0}),
+        "tolerances": tolerances,
+    }
+
+
 def _thaw(data: dict[str, Any]) -> ProbeModel:
     material = {name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()}
     rod, hanging, sensor = data["rod"], data["hanging"], data["sensor"]
-    section = FULL_ROUND if data["schema"] == ROUND_SCHEMA else _section(rod["section"])
+    section = _section(rod["section"])
     model = ProbeModel(
         name=str(data["name"]),
         fingerprint=str(data["fingerprint"]),
@@ -178,7 +218,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
             shear_coefficient=rod["shear_coefficient"],
             rigid_length=rod["rigid_length_m"],
             factors=section.factors,
-            finite_strain=data["schema"] != ROUND_SCHEMA and rod["finite_strain"] is True,
+            finite_strain=rod["finite_strain"] is True,
             rounded_from=None if rod.get("rounded_from_m") is None else float(rod["rounded_from_m"]),
         ),
         gravity_base=_numbers(data["gravity_base_m_s2"], 3),
@@ -197,8 +237,9 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         material=material,
         assumptions=tuple(data["assumptions"]),
         cross_section=section,
-        tolerances=_tolerances(data.get("tolerances")),
-        **_spread(data.get("spread", {})),
+        tolerances=_tolerances(data["tolerances"], data["schema"]),
+        **_contact(data["contact"]),
+        **_spread(data["spread"]),
     )
     geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
     if geometry.fingerprint != model.fingerprint:
@@ -218,23 +259,36 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
     return model
 
 
+def _contact(data: dict[str, Any]) -> dict[str, Any]:
+    """Return the friction and where it comes from; JSON holds no infinity, so that is the text "inf"."""
+    value, provenance = data["friction"], data["provenance"]
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if value != "inf" and not (number and 0.0 <= value < math.inf):
+        raise InputError(f'contact.friction = {str(value)[:60]!a} must be a number of 0 or greater, or "inf"')
+    if provenance not in get_args(Provenance):
+        raise InputError(f"contact.provenance must be one of {', '.join(get_args(Provenance))}")
+    return {
+        "friction": float(value),
+        "friction_provenance": provenance,
+        "friction_source": str(data["source"]),
+    }
+
+
 def _spread(data: dict[str, Any]) -> dict[str, Any]:
-    """Priors of the material; files written before there were any have none."""
-    stiffness, creep = data.get("stiffness"), float(data.get("creep", 0.0))
+    """Return the priors of the material."""
+    stiffness, creep = data["stiffness"], float(data["creep"])
     spreads = [creep] if stiffness is None else [float(stiffness), creep]
     if not all(0.0 <= spread <= 0.5 for spread in spreads):
         raise InputError(f"spread: {spreads} must lie in 0 ... 0.5")
     return {"stiffness_spread": None if stiffness is None else float(stiffness), "creep_spread": creep}
 
 
-def _tolerances(data: dict[str, Any] | None) -> Tolerances | None:
-    """How well the probe is known; files written before that was told say nothing, others not how E goes with the
-    diameters."""
-    if data is None:
+def _tolerances(data: dict[str, Any] | None, schema: int) -> Tolerances | None:
+    """Return how well the probe is known; None for a file written before that was frozen."""
+    if data is None and schema != SCHEMA:
         return None
-    data = {"youngs_modulus_by_diameter": 0.0, **data}
     known = {entry.name for entry in fields(Tolerances)}
-    if set(data) != known or not isinstance(data["tared"], bool):
+    if not isinstance(data, dict) or set(data) != known or not isinstance(data["tared"], bool):
         raise InputError(f"tolerances: must hold {', '.join(sorted(known))}")
     spreads: dict[str, Any] = {name: float(value) for name, value in data.items() if name != "tared"}
     return Tolerances(**spreads, tared=data["tared"])
@@ -283,12 +337,10 @@ _ROUND_NAMES = {
 
 
 def _check_sections(data: dict[str, Any], rod: Rod) -> None:
-    names = _ROUND_NAMES if data["schema"] == ROUND_SCHEMA else {}
     for name, values in _sections(rod).items():
-        key = names.get(name, name)
         # JSON keeps doubles to the last digit; 1e-12 allows for another libm.
-        if not np.allclose(_numbers(data["sections"][key]), values, rtol=1e-12, atol=0.0):
-            raise InputError(f"sections.{key} does not follow from the rod")
+        if not np.allclose(_numbers(data["sections"][name]), values, rtol=1e-12, atol=0.0):
+            raise InputError(f"sections.{name} does not follow from the rod")
 
 
 def _read_json(path: Path, what: str) -> dict[str, Any]:

@@ -102,6 +102,9 @@ class Probe:
                 "density": d.density,
             },
             assumptions=d.assumptions,
+            friction=d.friction.value,
+            friction_provenance=d.friction.provenance,
+            friction_source=d.friction.source,
             stiffness_spread=d.material.stiffness_spread,
             creep_spread=d.material.creep_spread,
         )

@@ -4,6 +4,7 @@ import copy
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from probedesign import deployment
 from probedesign.deployment import check_manifest, freeze, load_estimator, load_model, write_frozen
 from probedesign.design import load_design, parse_design
 from probedesign.errors import InputError
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.probe import build_probe
 
 DESIGNS = Path(__file__).parents[1] / "designs"
+DATA = Path(__file__).parent / "data"
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +97,9 @@ def test_a_probe_reads_back_to_the_last_bit(name, path):
         "stiffness_spread",
         "creep_spread",
         "tolerances",
+        "friction",
+        "friction_provenance",
+        "friction_source",
     ):
         assert getattr(back, attribute) == getattr(model, attribute)
     for attribute in ("gravity_base", "T_sensor_base", "wrench_range"):
@@ -197,10 +203,116 @@ def test_the_rod_weighs_what_the_body_weighs(section):
     assert probe.model.mass == pytest.approx(probe.mass, rel=1e-12, abs=0)  # two closed forms
 
 
+# Friction
+
+
+def with_friction(friction):
+    """The large probe with another friction."""
+    text = (DESIGNS / "large.toml").read_text(encoding="utf-8")
+    return build_probe(parse_design(text.replace("friction = 0.6", f"friction = {friction}", 1))).model
+
+
+@pytest.mark.parametrize(("friction", "written"), [("0", 0.0), ("0.35", 0.35), ("inf", "inf")])
+def test_a_friction_reads_back_and_leaves_the_geometry_alone(friction, written, model, path):
+    wanted = with_friction(friction)
+    write_frozen(wanted, path)
+    data = json.loads(path.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert data["contact"] == {
+        "friction": written,
+        "provenance": "assumed",
+        "source": "design file, contact.friction",
+    }
+    back = load_model(path)
+    assert back.friction == wanted.friction == float(friction)
+    assert back.fingerprint == model.fingerprint
+    write_frozen(back, path)
+    assert json.loads(path.read_text()) == data
+
+
+@pytest.mark.parametrize(
+    "value",
+    [-0.1, -1e300, float("nan"), float("inf"), float("-inf"), True, None, "0.6", "-inf", "nan", [], {}],
+)
+def test_a_friction_that_is_none_is_refused(value, frozen, path):
+    data = copy.deepcopy(frozen)
+    data["contact"]["friction"] = value
+    message = refused(path, signed(data), r"contact\.friction = ")
+    assert "must be a number of 0 or greater" in message
+
+
+@pytest.mark.parametrize(
+    "at",
+    [("contact",), ("tolerances",), ("spread",), ("rod", "section"),
+     *(("contact", key) for key in ("friction", "provenance", "source")),
+     *(("tolerances", key) for key in (*deployment.NEW_TOLERANCES, "youngs_modulus_by_diameter", "tared"))],
+)  # fmt: skip
+def test_a_missing_part_is_refused_under_a_checksum_of_its_own(at, frozen, path):
+    refused(path, signed(with_changed(frozen, at, remove)), at[-1])
+
+
+@pytest.mark.parametrize("part", ["contact", "tolerances", "spread"])
+def test_an_empty_part_is_refused(part, frozen, path):
+    refused(path, signed({**frozen, part: None}))
+
+
+def test_a_provenance_that_is_none_is_refused(frozen, path):
+    data = copy.deepcopy(frozen)
+    data["contact"]["provenance"] = "guessed"
+    refused(path, signed(data), "assumed, datasheet, identified")
+
+
+@pytest.mark.parametrize("friction", [-0.1, float("nan"), float("-inf")])
+def test_a_model_has_no_friction_below_0(friction, model):
+    with pytest.raises(InputError, match="friction = "):
+        replace(model, friction=friction)
+
+
+# Files of older schemas
+
+
+@pytest.mark.parametrize("schema", [1, 2])
+def test_what_an_older_file_lacks_takes_its_default_and_is_listed_as_assumed(schema):
+    """The small probe, written by the version that had this schema."""
+    file = DATA / f"small-schema-{schema}.probe.json"
+    written = json.loads(file.read_text())
+    assert written["schema"] == schema and "contact" not in written
+    back, design = load_model(file), load_design(DESIGNS / "small.toml")
+    assert back.fingerprint == build_probe(design).model.fingerprint
+    assert (back.friction, back.friction_provenance) == (0.6, "assumed")
+    known, default = Tolerances.of(back), Tolerances()
+    new = ("root_radii", "gain", "stiffness_scatter")
+    assert [getattr(known, key) for key in new] == [getattr(default, key) for key in new]
+    assert back.assumptions == (
+        *written["assumptions"],
+        "contact.friction",
+        *(f"tolerances.{key}" for key in new),
+    )
+    for key, value in written.get(
+        "tolerances", {}
+    ).items():  # what was frozen stays, whatever today's default
+        assert getattr(known, key) == value
+
+
+@pytest.mark.parametrize("schema", [1, 2])
+def test_an_older_probe_frozen_again_is_one_of_today(schema, path):
+    old = load_model(DATA / f"small-schema-{schema}.probe.json")
+    write_frozen(old, path)
+    assert json.loads(path.read_text())["schema"] == deployment.SCHEMA
+    back = load_model(path)
+    assert (back.assumptions, back.friction) == (old.assumptions, old.friction)
+    assert back.tolerances == Tolerances.of(old)
+
+
+def signed(data):
+    """The text of a frozen probe under a checksum of its own."""
+    body = {key: value for key, value in data.items() if key != "checksum"}
+    return json.dumps({**body, "checksum": deployment._checksum(body)})
+
+
 def as_once_written(frozen):
     """The same probe in schema 1, which knew full round sections only."""
     data = copy.deepcopy(frozen)
-    del data["rod"]["section"], data["checksum"]
+    del data["rod"]["section"], data["checksum"], data["contact"]
     table = data["sections"]
     for new, old in (("second_moment_xx_m4", "second_moment_m4"), ("EI_xx_Nm2", "EI_Nm2"),
                      ("torsion_constant_m4", "polar_moment_m4")):  # fmt: skip
@@ -219,8 +331,8 @@ def test_a_probe_frozen_before_there_were_other_sections_still_loads(frozen, mod
 
 def test_a_probe_frozen_before_E_could_go_with_diameters_still_loads(frozen, model, path):
     data = copy.deepcopy(frozen)
-    del data["tolerances"]["youngs_modulus_by_diameter"], data["checksum"]
-    path.write_text(json.dumps({**data, "checksum": deployment._checksum(data)}))
+    del data["tolerances"]["youngs_modulus_by_diameter"], data["contact"]
+    path.write_text(signed({**data, "schema": 2}))
     assert load_model(path).tolerances == model.tolerances
 
 
@@ -281,7 +393,7 @@ def shorten(parent, key):
     parent[key] = parent[key][:-1]
 
 
-@pytest.mark.parametrize("schema", [0, 3, "1", None, 1e9])
+@pytest.mark.parametrize("schema", [0, 4, "1", None, 1e9])
 def test_another_schema_is_refused_by_name(schema, frozen, path):
     refused(path, json.dumps({**frozen, "schema": schema}), "schema")
 

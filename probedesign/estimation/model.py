@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.cross_section import FULL_ROUND, CrossSection
+from probedesign.errors import InputError
 from probedesign.frames import Array, inverse, wrench_map
 from probedesign.geometry import Flange
 from probedesign.mass import MassProperties
-from probedesign.materials import Quantity
+from probedesign.materials import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.rod.rod import Rod
 from probedesign.sensor import Noise
 
@@ -44,6 +45,9 @@ class ProbeModel:
         stiffness_spread: standard deviation of a common factor on E and G; None: by where E comes from.
         creep_spread: likewise of how far it relaxes while touches are fused.
         tolerances: how well all of it is known; None: as `Tolerances.of` has it from the material.
+        friction: standard deviation of the tangential over the normal force of a touch, per tangential direction [-]:
+            t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
+        friction_provenance, friction_source: where the friction comes from.
     """
 
     name: str
@@ -62,6 +66,16 @@ class ProbeModel:
     stiffness_spread: float | None = None
     creep_spread: float = 0.0
     tolerances: "Tolerances | None" = None
+    friction: float = ELASTIC_FRICTION.value
+    friction_provenance: Provenance = ELASTIC_FRICTION.provenance
+    friction_source: str = ELASTIC_FRICTION.source
+
+    def __post_init__(self) -> None:
+        """Raises InputError where the friction is negative or not a number."""
+        if not self.friction >= 0.0:
+            raise InputError(
+                f"friction = {self.friction} must be 0 or greater; inf leaves the direction of the force free"
+            )
 
     @cached_property
     def mass(self) -> float:
