@@ -30,6 +30,8 @@ def simulate(
     seed: int = 1,
     seconds: float | None = None,
     pose_to: str | None = None,
+    friction: float = 0.5,
+    friction_spread: float = 0.2,
 ) -> None:
     """Play a Net F/T box with the probe on it, for `live` and any other client.
 
@@ -51,6 +53,8 @@ def simulate(
         seed: of noise, drift and faults.
         seconds: end so long after the start.
         pose_to: HOST:PORT to send the base's poses to, as live --pose udp:// hears them.
+        friction: median friction coefficient of the objects; contacts stick and slip. 0 is without friction.
+        friction_spread: standard deviation of its logarithm from object to object.
     """
     from contextlib import ExitStack
 
@@ -63,7 +67,7 @@ def simulate(
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
-    things = _pressed(model, scene)
+    things = _pressed(model, scene, friction, friction_spread, seed)
     motion = Motion(model, things)
     transducer = Transducer(model, motion.wrench_sensor, seed)
     with ExitStack() as on:
@@ -103,13 +107,15 @@ def _configuration(
     return replace(NATIVE, torque_unit=torque_unit, rate=rate, records=float(records), ranges=ranges)
 
 
-def _pressed(model: "ProbeModel", scene: str) -> "tuple[Pressed, ...]":
+def _pressed(
+    model: "ProbeModel", scene: str, friction: float, spread: float, seed: int
+) -> "tuple[Pressed, ...]":
     """The scene's objects, with what the probe reads of each; on a terminal whoever waits is told for what."""
     from probedesign.cli.output import working
     from probedesign.live.box.scene import press_scene
 
     with working(f"solving the presses of --scene {scene}"):
-        return press_scene(model, scene)
+        return press_scene(model, scene, friction, spread, seed)
 
 
 def _listening(host: str, source: str, bundle: Path) -> list[str]:

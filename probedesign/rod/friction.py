@@ -226,7 +226,7 @@ class CoulombSolver:
             raise InputError(
                 "the path must start clear of the rod: travel further, or in the other direction"
             )
-        if near.on_end or near.flush or near.s >= self.rod.length * (1.0 - 1e-9):
+        if near.on_end or near.s >= self.rod.length * (1.0 - 1e-9):
             return replace(blank, result="on_end")
         return self._begun(blank, obstacle, part, near)
 

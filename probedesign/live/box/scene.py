@@ -1,4 +1,8 @@
-"""What a simulated probe meets: sharp points and edges, each pressed by a straight move of the base."""
+"""Objects that a simulated probe meets: sharp points and edges, each pressed by a straight move of the base.
+
+With friction the contact sticks and slips by Coulomb's law (`probedesign.rod.friction`), so the wrench on the way off
+the object differs from that on the way onto it. Friction 0 is the contact without friction of `probedesign.rod.obstacle`.
+"""
 
 import math
 from collections.abc import Callable
@@ -11,6 +15,13 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.simulate import bearable
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.friction import (
+    ASSUMED_FRICTION,
+    ASSUMED_SPREAD,
+    CoulombContact,
+    CoulombSolver,
+    draw_friction,
+)
 from probedesign.rod.obstacle import Press, press_against_line, press_against_point
 from probedesign.units import MILLINEWTON, MM
 
@@ -20,8 +31,14 @@ TRIED = 0.005
 """Press by which an object's stiffness is found, of the length."""
 DEEPEST = 0.10
 """Press at most, of the length."""
+MAX_FRICTION = 3.0
+"""Largest friction coefficient that is simulated: rubber on dry glass reaches 1 to 2 (assumed bound)."""
+_LEAVES = 1e-6
+"""Of the length: to so much it is found where the probe leaves an object."""
 KNOTS = 17
 """Along the press; a force is so nearly straight in it that lines between them are within a thousandth."""
+KNOTS_BACK = 65
+"""Along the way off an object with friction: where it begins, the friction turns round within a short way."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +81,11 @@ class Pressed:
         point: of the object where the base starts, in base axes [m], (3,).
         way: of the base [m], (k,), increasing.
         wrench_base: there [N, N·m], (k, 6).
-        s_contact: at the end of the way [m].
+        s_contact: at the end of the way [m]; with friction that of the touched section.
         force: there [N].
+        friction: coefficient μ of this object.
+        way_back: of the base as it moves off again [m], (j,), increasing.
+        wrench_back: there [N, N·m], (j, 6).
     """
 
     thing: Thing
@@ -75,30 +95,46 @@ class Pressed:
     wrench_base: Array
     s_contact: float
     force: float
+    friction: float
+    way_back: Array
+    wrench_back: Array
 
     @property
     def line(self) -> str:
         """It in one line."""
-        return f"{self.thing.name}: s = {self.s_contact / MM:.1f} mm, {self.force / MILLINEWTON:.3g} mN"
+        where = f"{self.thing.name}: s = {self.s_contact / MM:.1f} mm, {self.force / MILLINEWTON:.3g} mN"
+        return f"{where}, friction {self.friction:.2g}" if self.friction else where
 
 
-def press_scene(model: ProbeModel, scene: str) -> tuple[Pressed, ...]:
+def press_scene(
+    model: ProbeModel,
+    scene: str,
+    friction: float = ASSUMED_FRICTION,
+    friction_spread: float = ASSUMED_SPREAD,
+    seed: int = 1,
+) -> tuple[Pressed, ...]:
     """Every object of a scene, pressed as hard as the probe bears well, in reference mode.
 
     Args:
         model: the probe.
         scene: one of `SCENES`.
+        friction: median of the friction coefficient μ; 0 is the contact without friction.
+        friction_spread: standard deviation of ln μ from object to object.
+        seed: of that.
 
     Raises:
-        InputError: there is no such scene, or the probe does not bear it.
+        InputError: there is no such scene, the friction is negative, or the probe does not bear the scene.
     """
     if scene not in SCENES:
         raise InputError(f"--scene {scene} is not known; there are {', '.join(SCENES)}")
-    free = model.rod.solve(model.gravity_base, mode="reference")
-    return tuple(_pressed(model, free, thing) for thing in SCENES[scene])
+    if not 0.0 <= friction <= MAX_FRICTION:
+        raise InputError(f"--friction {friction:g} must lie in 0 ... {MAX_FRICTION:g}")
+    free, rng = model.rod.solve(model.gravity_base, mode="reference"), np.random.default_rng(seed)
+    drawn = [draw_friction(friction, friction_spread, rng) for _ in SCENES[scene]]
+    return tuple(_pressed(model, free, thing, mu) for thing, mu in zip(SCENES[scene], drawn, strict=True))
 
 
-def _pressed(model: ProbeModel, free: Equilibrium, thing: Thing) -> Pressed:
+def _pressed(model: ProbeModel, free: Equilibrium, thing: Thing, friction: float) -> Pressed:
     length = model.rod.length
     along = None if thing.lean is None else np.array([math.sin(thing.lean), math.cos(thing.lean), 0.0])
     s = thing.part * length
@@ -107,6 +143,8 @@ def _pressed(model: ProbeModel, free: Equilibrium, thing: Thing) -> Pressed:
     towards /= np.linalg.norm(towards)
     surface = free.p_at(s) + towards * float(np.interp(s, model.rod.s, model.rod.radius))
     start = surface + CLEAR * length * towards
+    if friction > 0.0:
+        return _rubbed(model, free, thing, CoulombSolver(model.rod, friction, "reference"), towards, start, along)
 
     def pressed(depth: float) -> Press:
         travel = -(CLEAR * length + depth) * towards  # the object comes, as the base sees it
@@ -115,7 +153,7 @@ def _pressed(model: ProbeModel, free: Equilibrium, thing: Thing) -> Pressed:
             return press_against_point(model.rod, model.gravity_base, point, travel, mode="reference")
         return press_against_line(model.rod, model.gravity_base, point, along, travel, mode="reference")
 
-    depth = _depth(model, thing, pressed)
+    depth = _depth(model, thing, lambda depth: (pressed(depth).result, pressed(depth).magnitude))
     end = pressed(depth)
     knots = np.linspace(0.0, depth, KNOTS)[1:]
     presses = [pressed(d) for d in knots]
@@ -123,23 +161,76 @@ def _pressed(model: ProbeModel, free: Equilibrium, thing: Thing) -> Pressed:
     rows = [free.wrench_base, free.wrench_base] + [press.equilibrium.wrench_base for press in presses]
     way = np.concatenate([[0.0, touched], CLEAR * length + knots])
     keep = np.concatenate([[True], np.diff(way) > 0.0])  # a sagging flank may be met a little before or after
+    felt = np.array(rows)[keep]
     return Pressed(
-        thing, towards, start, way[keep], np.array(rows)[keep], float(end.s_contact), end.magnitude
+        thing, towards, start, way[keep], felt, float(end.s_contact), end.magnitude, 0.0, way[keep], felt
     )
 
 
-def _depth(model: ProbeModel, thing: Thing, pressed: Callable[[float], Press]) -> float:
-    """How far to press for a force that the probe bears well [m]; less where it would slip away."""
+def _rubbed(
+    model: ProbeModel,
+    free: Equilibrium,
+    thing: Thing,
+    solver: CoulombSolver,
+    towards: Array,
+    start: Array,
+    along: Array | None,
+) -> Pressed:
+    """An object with friction, onto it and off it again: the contact is followed along the whole way."""
+    clear = CLEAR * model.rod.length
+    last = start - (clear + DEEPEST * model.rod.length) * towards
+    first = solver.touch(model.gravity_base, last, last - start, along)
+
+    def at(contact: CoulombContact, way: float) -> CoulombContact:
+        return solver.advance(contact, start - way * towards)
+
+    def tried(depth: float) -> tuple[str, float]:
+        contact = at(first, clear + depth)
+        return contact.result, contact.magnitude
+
+    depth = _depth(model, thing, tried)
+    touched = float((start - first.object_point) @ towards)
+    on, way_on = [first], np.linspace(touched, clear + depth, KNOTS)
+    for way in way_on[1:]:
+        on.append(at(on[-1], float(way)))
+    off, way_off = [on[-1]], [clear + depth]
+    step = (clear + depth - touched) / (KNOTS_BACK - 1)
+    while off[-1].ok and way_off[-1] > 0.0:
+        way = max(way_off[-1] - step, 0.0)
+        found = at(off[-1], way)
+        if not found.ok:  # lost on the way: halved until it is known where
+            step *= 0.5
+            if step > _LEAVES * model.rod.length:
+                continue
+        off, way_off = [*off, found], [*way_off, way]
+    felt_on = [free.wrench_base, *(contact.equilibrium.wrench_base for contact in on)]
+    felt_off = [contact.equilibrium.wrench_base for contact in off]
+    end, back = on[-1], np.array([0.0, *way_off[::-1]])
+    keep = np.concatenate([np.diff(back) > 0.0, [True]])
+    return Pressed(
+        thing, towards, start, np.array([0.0, *way_on]), np.array(felt_on), end.s, end.magnitude,
+        solver.friction, back[keep], np.array([free.wrench_base, *felt_off[::-1]])[keep],
+    )  # fmt: skip
+
+
+def _depth(model: ProbeModel, thing: Thing, pressed: Callable[[float], tuple[str, float]]) -> float:
+    """How far to press for a force that the probe bears well [m]; less where it would slip away.
+
+    Args:
+        model: the probe.
+        thing: the object.
+        pressed: result and force [N] of a press by its depth [m].
+    """
     tried = TRIED * model.rod.length
-    while (press := pressed(tried)).result != "ok":
+    while (press := pressed(tried))[0] != "ok":
         tried *= 0.5
         if tried < 1e-4 * TRIED * model.rod.length:
             raise InputError(
-                f"{thing.name} at {thing.part:g} of the length: {press.result}; no scene for this probe"
+                f"{thing.name} at {thing.part:g} of the length: {press[0]}; no scene for this probe"
             )
     if thing.lean is None:
         return tried  # a sharp point soon lets it slip
-    depth = min(tried * bearable(model.rod) / press.magnitude, DEEPEST * model.rod.length)
-    while pressed(depth).result != "ok":
+    depth = min(tried * bearable(model.rod) / press[1], DEEPEST * model.rod.length)
+    while pressed(depth)[0] != "ok":
         depth *= 0.5
     return depth
