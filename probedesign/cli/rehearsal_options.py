@@ -23,12 +23,16 @@ class RehearsalOptions:
     """Write what touching a simulated card house would tell to this folder, and end; off as bundle and options say."""
     seed: int = 1
     """Of what is off in it."""
+    friction: float = 0.5
+    """Median friction coefficient of the simulated cards; contacts stick and slip. 0 is without friction."""
+    friction_spread: float = 0.2
+    """Standard deviation of its logarithm from touch to touch."""
 
     def write(self, folder: Path, model: "ProbeModel", base: "Base", force: bool) -> tuple[Path, ...]:
         """Make the run up and write its files.
 
         Raises:
-            InputError: the seed is none, the probe cannot touch the house, or files stand there already.
+            InputError: seed or friction make no sense, the probe cannot touch the house, or files stand there already.
         """
         import numpy as np
 
@@ -38,7 +42,11 @@ class RehearsalOptions:
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
+        if not 0.0 <= self.friction <= 3.0:
+            raise InputError(f"--friction {self.friction:g} must lie in 0 ... 3")
+        if not 0.0 <= self.friction_spread <= 1.0:
+            raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
         rng = np.random.default_rng(self.seed)
         with working("touching a card house"):
-            house = rehearse(model, spots(), rng, Errors.of(model, base))
+            house = rehearse(model, spots(), rng, Errors.of(model, base, self.friction, self.friction_spread))
             return write_rehearsal(house, model, folder, rng, force)

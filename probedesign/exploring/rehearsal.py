@@ -2,10 +2,14 @@
 
 The rod is solved in reference mode for a probe whose stiffness, base, poses and bias are off as `Errors` has it. The
 base stands at each pose while readings come, and moves between them along straight lines; between objects it is free.
+
+An edge sticks and slips by Coulomb's law, with a friction coefficient of its own at each touch; the contact is followed
+from pose to pose, as friction depends on where the base came from. Friction 0 is the contact without friction.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,6 +22,7 @@ from probedesign.exploring.card_house import Spot
 from probedesign.exploring.robot_way import Way
 from probedesign.frames import Array, pose
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD, CoulombContact, CoulombSolver, draw_friction
 from probedesign.rod.obstacle import Press, press_against_line
 from probedesign.rod.rod import Mode, Rod
 from probedesign.units import MILLINEWTON, MM
@@ -26,6 +31,8 @@ LIGHT, FIRM = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON
 """Between which the base presses to and fro [N]: the firm one leaves room below 5 mN for a robot that is off."""
 TIMES = 3
 """To and fro at each point."""
+_REACH = 5.0 * MM
+"""Past where the free probe should touch: so far the base is led to find where it does [m]."""
 CLEAR = 3.0 * MM
 """From where the base begins to move towards an edge [m]."""
 PITCH = np.radians(5.0)
@@ -43,6 +50,8 @@ class Errors:
         walk: of the bias in a second, in steps of the sensor's resolution; 0.2 from touch to touch.
         turn: of base and sensor together about the base's axes, the same all along [rad], (3,). The poses do not tell
             it; where the base goes is taught at the object by feel, so that the presses are as firm as without it.
+        friction: median friction coefficient μ of the edges; 0 is without friction.
+        friction_spread: standard deviation of ln μ from touch to touch.
     """
 
     stiffness: float = 0.01
@@ -50,12 +59,21 @@ class Errors:
     base_repeat: float = 0.01e-3
     walk: float = DRIFT_STEPS
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    friction: float = ASSUMED_FRICTION
+    friction_spread: float = ASSUMED_SPREAD
 
     @classmethod
-    def of(cls, model: ProbeModel, base: Base) -> "Errors":
-        """As a bundle and a base are said to be known."""
+    def of(
+        cls,
+        model: ProbeModel,
+        base: Base,
+        friction: float = ASSUMED_FRICTION,
+        friction_spread: float = ASSUMED_SPREAD,
+    ) -> "Errors":
+        """As a bundle and a base are said to be known, with the friction of the object."""
         unknowns, (x, y, z) = base.unknowns(model), base.turn.tolist()
-        return cls(unknowns.stiffness, unknowns.base_offset, unknowns.base_repeat, turn=(x, y, z))
+        return cls(unknowns.stiffness, unknowns.base_offset, unknowns.base_repeat, turn=(x, y, z),
+                   friction=friction, friction_spread=friction_spread)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,6 +89,8 @@ class TrueTouch:
         clearance: least room between the probe beyond the contact and the card behind its edge [m].
         wrenches: at the base at each pose, without bias and noise, (k, 6).
         Ts_told: poses as the robot tells them, (k, 4, 4).
+        friction: coefficient μ of this touch.
+        friction_ratios: tangential over normal force at each pose, (k,).
     """
 
     spot: Spot
@@ -82,6 +102,8 @@ class TrueTouch:
     clearance: float
     wrenches: Array
     Ts_told: Array
+    friction: float
+    friction_ratios: Array
 
 
 @dataclass(frozen=True)
@@ -134,7 +156,11 @@ def rehearse(
     turn = Rotation.from_rotvec(rng.spawn(1)[0].normal(0.0, errors.turn)).as_matrix()
     bench = _Bench(model, _stiffened(model.rod, factor), base_turn(), turn)
     way = Way(bench.R_told, bench.free_true.wrench_base, rng, pace, errors.walk)
-    touches = [_touch(bench, way, spot, offset, errors, rng) for spot in spots]
+    rubbing = rng.spawn(1)[0]
+    touches = [
+        _touch(bench, way, spot, offset, errors, rng, draw_friction(errors.friction, errors.friction_spread, rubbing))
+        for spot in spots
+    ]
     return Rehearsal(way, tuple(touches), bench.free_true.wrench_base, bench.gravity)
 
 
@@ -160,28 +186,54 @@ class _Bench:
         return start
 
     def press(self, spot: Spot, p_base: Array, true: bool) -> Press:
-        """The probe against the edge, the base having come there straight."""
-        rod, mode = (self.true, "reference") if true else (self.rod, "fast")
-        gone = (p_base - self.start(spot)) @ spot.towards + CLEAR
-        point, along = self.R.T @ (spot.p_world - p_base), self.R.T @ spot.card.along
-        travel = -gone * (self.R.T @ spot.towards)
-        return press_against_line(rod, self.gravity, point, along, travel, mode=_mode(mode))
+        """The probe against the edge without friction, the base having come there straight."""
+        point, along, travel = self._seen(spot, p_base)
+        rod, mode = self._rod(true)
+        return press_against_line(rod, self.gravity, point, along, travel, mode=mode)
 
-    def depth(self, spot: Spot, force: float) -> float:
-        """How far to press for a force by the probe as it is known [m]."""
-        start = self.start(spot)
+    def first(self, spot: Spot, p_base: Array, solver: CoulombSolver) -> CoulombContact:
+        """First touch of the probe and an edge with friction on the straight way of the base to a place."""
+        point, along, travel = self._seen(spot, p_base)
+        return solver.touch(self.gravity, point, travel, along)
 
-        def felt(depth: float) -> float:
-            press = self.press(spot, start + depth * spot.towards, true=False)
-            if press.result == "no_contact":
-                return 0.0
-            if press.result != "ok":
-                raise InputError(f"{spot.card.name} at {spot.fraction:.2f} of the length: {press.result}")
-            return press.magnitude
+    def moved(
+        self, spot: Spot, p_base: Array, solver: CoulombSolver, last: CoulombContact
+    ) -> CoulombContact:
+        """The contact with friction after the base has moved on."""
+        return solver.advance(last, self._seen(spot, p_base)[0])
 
-        low, high = 0.0, 0.1 * MM
+    def solver(self, friction: float, true: bool) -> CoulombSolver:
+        """Of contacts with friction, for the probe as it is or as it is known."""
+        rod, mode = self._rod(true)
+        return CoulombSolver(rod, friction, mode)
+
+    def depths(self, spot: Spot, forces: Sequence[float], friction: float) -> list[float]:
+        """How far to press for forces, in increasing order, by the probe as it is known [m]."""
+        if friction == 0.0:
+            return [self._depth(lambda depth: self._felt(spot, depth), force) for force in forces]
+        solver, start = self.solver(friction, true=False), self.start(spot)
+        first = self.first(spot, start + _REACH * spot.towards, solver)
+        _require_ok(spot, first.result)
+        here, found = first, list[float]()
+
+        def contact(depth: float) -> CoulombContact:
+            met = self.moved(spot, start + depth * spot.towards, solver, here)
+            _require_ok(spot, met.result)
+            return met
+
+        touched = float((spot.p_world - start - self.R @ first.object_point) @ spot.towards)
+        for force in forces:
+            past = max([touched, *found])
+            depth = self._depth(lambda depth: contact(depth).magnitude, force, past)
+            found.append(depth)
+            here = contact(depth)
+        return found
+
+    def _depth(self, felt: Callable[[float], float], force: float, past: float = 0.0) -> float:
+        """How far to press for a force, further than `past` [m]."""
+        low, high = past, past + 0.1 * MM
         while felt(high) < force:
-            low, high = high, 2.0 * high
+            low, high = high, 2.0 * high - past
         for _ in range(30):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if felt(middle) < force else (low, middle)
@@ -189,42 +241,110 @@ class _Bench:
                 break
         return high
 
+    def _felt(self, spot: Spot, depth: float) -> float:
+        """Force of the probe as it is known, without friction [N]."""
+        press = self.press(spot, self.start(spot) + depth * spot.towards, true=False)
+        if press.result == "no_contact":
+            return 0.0
+        _require_ok(spot, press.result)
+        return press.magnitude
 
-def _mode(name: str) -> Mode:
-    return "reference" if name == "reference" else "fast"
+    def _rod(self, true: bool) -> tuple[Rod, Mode]:
+        return (self.true, "reference") if true else (self.rod, "fast")
+
+    def _seen(self, spot: Spot, p_base: Array) -> tuple[Array, Array, Array]:
+        """A point of the edge, its direction and the way it has come, in base axes."""
+        gone = (p_base - self.start(spot)) @ spot.towards + CLEAR
+        point, along = self.R.T @ (spot.p_world - p_base), self.R.T @ spot.card.along
+        return point, along, -gone * (self.R.T @ spot.towards)
+
+
+def _require_ok(spot: Spot, result: str, why: str = "") -> None:
+    if result != "ok":
+        raise InputError(f"{spot.card.name} at {spot.fraction:.2f} of the length: {result}{why}")
+
+
+class _Pose(NamedTuple):
+    """The probe at one pose of the base.
+
+    Attributes:
+        p_base: where the base truly is [m], (3,).
+        equilibrium: of the probe.
+        p_surface_base: touched point [m], (3,).
+        s_surface: arclength of the touched section [m].
+        force: [N].
+        ratio: tangential over normal force.
+    """
+
+    p_base: Array
+    equilibrium: Equilibrium
+    p_surface_base: Array
+    s_surface: float
+    force: float
+    ratio: float
+
+
+def _poses(
+    bench: _Bench, spot: Spot, bases: Iterable[Array], friction: float
+) -> Iterator[tuple[float, _Pose]]:
+    """What happens at each place of the base in turn, with the way at which it first touched [m].
+
+    Raises:
+        InputError: the probe gives way, or does not touch.
+    """
+    off = ": the base, drawn off its place, does not press it; take another --seed"
+    solver, contact, touched = bench.solver(friction, true=True), None, np.nan
+    for base in bases:
+        if friction == 0.0:
+            press = bench.press(spot, base, true=True)
+            _require_ok(spot, press.result, off)
+            eq, s = press.equilibrium, press.s_surface
+            yield float(press.way_touched), _Pose(base, eq, press.p_surface_base, s, press.magnitude, 0.0)
+            continue
+        if contact is None:
+            contact = bench.first(spot, base, solver)
+            _require_ok(spot, contact.result, off)
+            begun = base + bench.R @ (bench.R.T @ (spot.p_world - base) - contact.object_point)
+            touched = float((begun - bench.start(spot)) @ spot.towards) + CLEAR
+        contact = bench.moved(spot, base, solver, contact)
+        _require_ok(spot, contact.result, off)
+        ratio = contact.tangential_force / contact.normal_force
+        yield touched, _Pose(base, contact.equilibrium, contact.p_surface_base, contact.s, contact.magnitude, ratio)
 
 
 def _touch(
-    bench: _Bench, way: Way, spot: Spot, offset: Array, errors: Errors, rng: np.random.Generator
+    bench: _Bench,
+    way: Way,
+    spot: Spot,
+    offset: Array,
+    errors: Errors,
+    rng: np.random.Generator,
+    friction: float,
 ) -> TrueTouch:
     """Go there, wait, press to and fro, go back; the truth of it."""
     start = bench.start(spot)
     way.go(start - CLEAR * spot.towards)
-    depths = [bench.depth(spot, force) for force in (LIGHT, FIRM)]
-    began, points, presses = way.now, list[Array](), list[Press]()
-    for depth in depths * TIMES:
-        told = start + depth * spot.towards
-        true = told + bench.R @ offset + rng.normal(0.0, errors.base_repeat, 3)
-        press = bench.press(spot, true, true=True)
-        if press.result != "ok":
-            missed = f"{spot.card.name} at {spot.fraction:.2f} of the length: {press.result}"
-            raise InputError(
-                f"{missed}: the base, drawn off its place, does not press it; take another --seed"
-            )
-        if not presses:
-            way.comes(start + (float(press.way_touched) - CLEAR) * spot.towards)
-        way.press(told, press.equilibrium.wrench_base)
-        points.append(true + bench.R @ press.p_surface_base)
-        presses.append(press)
+    depths = bench.depths(spot, (LIGHT, FIRM), friction)
+    told = [start + depth * spot.towards for depth in depths * TIMES]
+    began, poses = way.now, list[_Pose]()
+    offset_world = bench.R @ offset
+    drawn = (p + offset_world + rng.normal(0.0, errors.base_repeat, 3) for p in told)
+    for goal, (touched, here) in zip(told, _poses(bench, spot, drawn, friction), strict=True):
+        if not poses:
+            way.comes(start + (touched - CLEAR) * spot.towards)
+        way.press(goal, here.equilibrium.wrench_base)
+        poses.append(here)
     way.leave(start - CLEAR * spot.towards)
-    wrenches = np.array([press.equilibrium.wrench_base for press in presses])
+    wrenches = np.array([here.equilibrium.wrench_base for here in poses])
     beyond = wrenches - bench.free_true.wrench_base
+    points = [here.p_base + bench.R @ here.p_surface_base for here in poses]
     return TrueTouch(
-        spot, began, way.now, np.mean(points, axis=0), max(press.magnitude for press in presses),
+        spot, began, way.now, np.mean(points, axis=0), max(here.force for here in poses),
         float(np.linalg.norm(beyond[:, 3:], axis=1).max()),
-        min(_clearance(bench, spot, p, press.equilibrium, press.s_surface)
-            for p, press in zip(way.last_told(len(presses)), presses, strict=True)),
-        wrenches, np.array([pose(bench.R_told, p) for p in way.last_told(len(presses))]),
+        min(_clearance(bench, spot, p, here.equilibrium, here.s_surface)
+            for p, here in zip(way.last_told(len(poses)), poses, strict=True)),
+        wrenches, np.array([pose(bench.R_told, p) for p in way.last_told(len(poses))]),
+        friction, np.array([here.ratio for here in poses]),
     )  # fmt: skip
 
 

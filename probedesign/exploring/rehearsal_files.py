@@ -16,7 +16,7 @@ from probedesign.live.pose.words import NAMES
 from probedesign.units import MM
 
 FILES = ("house.mcap", "poses.csv", "truth.csv")
-TRUTH = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again")
+TRUTH = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again", "friction")
 
 
 def write_rehearsal(
@@ -68,7 +68,7 @@ def _truth(rehearsal: Rehearsal) -> str:
     lines = [",".join(TRUTH)]
     for touch in rehearsal.touches:
         numbers = (touch.start, *(touch.p_world / MM), touch.spot.fraction, touch.force)
-        lines.append(_cells(numbers) + f",{int(touch.spot.again)}")
+        lines.append(_cells(numbers) + f",{int(touch.spot.again)},{_cells([touch.friction])}")
     return "\n".join(lines) + "\n"
 
 

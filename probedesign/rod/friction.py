@@ -65,8 +65,6 @@ _MAX_TURN = 0.2
 """Of the tip and of the normal in one step [rad]: keeps the branch."""
 _MAX_SLIDE = 0.02
 """In one step [rod lengths]: beyond, the rod has snapped past the object."""
-_ON_CONE = 1e-9
-"""Relative distance from the friction cone that still counts as stick."""
 _BLEND = 0.005
 """Half-width over which the normal turns at a knot [rod lengths], at most a quarter of the frusta beside it."""
 
@@ -259,15 +257,18 @@ class CoulombSolver:
         if d0 is not None and d1 is not None:
             way += float(np.linalg.norm(d1 - d0))
         way += float(np.linalg.norm(g1 - g0)) / (1.0 + float(np.linalg.norm(g0)))
-        at, step, here = 0.0, _STEP / max(way, _STEP), last
+        if way == 0.0:
+            return last
+        whole = 1.0 / math.ceil(way / _STEP)
+        at, step, here = 0.0, whole, last
         while at < 1.0:
-            goal = min(1.0, at + step)
+            goal = 1.0 if at + 1.01 * step >= 1.0 else at + step  # no sliver is left for the last
             d = None if d0 is None or d1 is None else _unit((1.0 - goal) * d0 + goal * d1)
             found = self._increment(
                 here, last.object_point + goal * (end - last.object_point), d, g0 + goal * (g1 - g0)
             )
             if isinstance(found, CoulombContact):
-                at, here, step = goal, found, min(2.0 * step, _STEP / max(way, _STEP))
+                at, here, step = goal, found, min(2.0 * step, whole)
                 continue
             cut = _LOST_STEP if found == "no_contact" else _MIN_STEP
             if (goal - at) * way <= cut:
@@ -341,7 +342,7 @@ class CoulombSolver:
         stuck = None if self.friction == 0.0 else self._newton(last, goal, x, None)
         if isinstance(stuck, CoulombContact):
             size, pushes = stuck.tangential_force, stuck.normal_force
-            if pushes > 0.0 and size <= self.friction * pushes * (1.0 + _ON_CONE):
+            if pushes > 0.0 and size <= self.friction * pushes * (1.0 + 10.0 * _CLOSE[self.mode]):
                 return self._checked(last, stuck)
             if pushes > 0.0:  # radial return onto the cone
                 back = self.friction * pushes / size
@@ -349,14 +350,16 @@ class CoulombSolver:
                 x = self._unknowns(replace(stuck, force_base=force, couple_base=back * stuck.couple_base))
         if self.friction == math.inf:
             return "no_contact" if isinstance(stuck, CoulombContact) else str(stuck)
-        stiffness = max(float(np.linalg.norm(x[0:3])), _MIN_FORCE) / max(moved, 1e-9)
+        stiffness = max(float(np.linalg.norm(x[0:3])), _MIN_FORCE) / max(moved, _MIN_STEP)
         guess = stuck if isinstance(stuck, CoulombContact) else last
         slipped = self._newton(goal=goal, last=last, x=x, stiffness=stiffness, guess=guess)
         if isinstance(slipped, str):
             return slipped
         if not slipped.normal_force > 0.0:
             return "no_contact"
-        if self.friction > 0.0 and not float(slipped.slide @ slipped.tangential_force_base) > 0.0:
+        along = float(slipped.slide @ slipped.tangential_force_base)
+        least = -10.0 * _CLOSE[self.mode] * self.rod.length * slipped.tangential_force  # rounding of no slide
+        if not along >= least:
             return "not_converged"
         return self._checked(last, slipped)
 
