@@ -40,6 +40,8 @@ COMMANDS, HOUSES = 3, 20
 they hold or miss together: many houses tell more than many draws of one."""
 READINGS = 50
 """To a pose, in Python: a quarter of a second of a Net F/T box's samples, averaged by 36."""
+FRICTION = 0.0
+"""Median friction coefficient of the cards: 0 as long as `explore` fuses touches without friction."""
 TARGET = 2.0
 SYMMETRIC = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
 """Where a row of place and covariance has the covariance's entries."""
@@ -65,7 +67,7 @@ class Found:
 def report() -> None:
     """Print what is reached, and draw the first house."""
     model = replace(paper_models()["large"], stiffness_spread=0.01)
-    turned = Errors.of(model, Base())
+    turned = Errors.of(model, Base(), FRICTION)
     houses = list(islice(_houses(model), HOUSES))
     runs = [_through_command(model, house, seed, STILL) for seed, house in enumerate(houses[:COMMANDS])]
     turns = [_through_command(model, rehearse(model, spots(), np.random.default_rng(seed), turned), seed)
@@ -101,7 +103,7 @@ def _houses(model: ProbeModel) -> Iterator[Rehearsal]:
     """Houses touched, without those whose base is so far off that it misses an edge."""
     for seed in count():
         with suppress(InputError):
-            yield rehearse(model, spots(), np.random.default_rng(seed))
+            yield rehearse(model, spots(), np.random.default_rng(seed), Errors(friction=FRICTION))
 
 
 def _through_command(model: ProbeModel, house: Rehearsal, seed: int, known: Sequence[str] = ()) -> Found:

@@ -21,6 +21,8 @@ def campaign(
     marker_noise_mm: float | None = None,
     readings: int = 5,
     exact: bool = False,
+    friction: float = 0.0,
+    friction_spread: float = 0.2,
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -40,6 +42,9 @@ def campaign(
         marker_noise_mm: markers from another reference than cameras, with this standard deviation on each axis.
         readings: of the sensor in each test.
         exact: the print is as designed and stands where it is said to; only readings are noisy.
+        friction: median friction coefficient of what touches; the tangential force has any direction inside the
+            cone. 0 is without friction.
+        friction_spread: standard deviation of its logarithm from test to test.
         force: replace a synthetic campaign that stands there.
         as_json: print one JSON document.
     """
@@ -51,7 +56,8 @@ def campaign(
         return None if value is None else value * unit
 
     plan = Plan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
-                si(marker_noise_mm, MM), readings, exact, images)  # fmt: skip
+                si(marker_noise_mm, MM), readings, exact, images,
+                friction, friction_spread)  # fmt: skip
     with telling() as tell:
         made = pipeline.campaign(design, out, plan, force, tell)
     if as_json:

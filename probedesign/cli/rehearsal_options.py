@@ -39,11 +39,12 @@ class RehearsalOptions:
         from probedesign.exploring.card_house import spots
         from probedesign.exploring.rehearsal import Errors, rehearse
         from probedesign.exploring.rehearsal_files import write_rehearsal
+        from probedesign.rod.friction import MAX_FRICTION
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
-        if not 0.0 <= self.friction <= 3.0:
-            raise InputError(f"--friction {self.friction:g} must lie in 0 ... 3")
+        if not 0.0 <= self.friction <= MAX_FRICTION:
+            raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
         if not 0.0 <= self.friction_spread <= 1.0:
             raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
         rng = np.random.default_rng(self.seed)

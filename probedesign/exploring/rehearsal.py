@@ -22,7 +22,13 @@ from probedesign.exploring.card_house import Spot
 from probedesign.exploring.robot_way import Way
 from probedesign.frames import Array, pose
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD, CoulombContact, CoulombSolver, draw_friction
+from probedesign.rod.friction import (
+    ASSUMED_FRICTION,
+    ASSUMED_SPREAD,
+    CoulombContact,
+    CoulombSolver,
+    draw_friction,
+)
 from probedesign.rod.obstacle import Press, press_against_line
 from probedesign.rod.rod import Mode, Rod
 from probedesign.units import MILLINEWTON, MM
@@ -158,7 +164,15 @@ def rehearse(
     way = Way(bench.R_told, bench.free_true.wrench_base, rng, pace, errors.walk)
     rubbing = rng.spawn(1)[0]
     touches = [
-        _touch(bench, way, spot, offset, errors, rng, draw_friction(errors.friction, errors.friction_spread, rubbing))
+        _touch(
+            bench,
+            way,
+            spot,
+            offset,
+            errors,
+            rng,
+            draw_friction(errors.friction, errors.friction_spread, rubbing),
+        )
         for spot in spots
     ]
     return Rehearsal(way, tuple(touches), bench.free_true.wrench_base, bench.gravity)
@@ -196,9 +210,7 @@ class _Bench:
         point, along, travel = self._seen(spot, p_base)
         return solver.touch(self.gravity, point, travel, along)
 
-    def moved(
-        self, spot: Spot, p_base: Array, solver: CoulombSolver, last: CoulombContact
-    ) -> CoulombContact:
+    def moved(self, spot: Spot, p_base: Array, solver: CoulombSolver, last: CoulombContact) -> CoulombContact:
         """The contact with friction after the base has moved on."""
         return solver.advance(last, self._seen(spot, p_base)[0])
 
@@ -309,7 +321,10 @@ def _poses(
         contact = bench.moved(spot, base, solver, contact)
         _require_ok(spot, contact.result, off)
         ratio = contact.tangential_force / contact.normal_force
-        yield touched, _Pose(base, contact.equilibrium, contact.p_surface_base, contact.s, contact.magnitude, ratio)
+        yield (
+            touched,
+            _Pose(base, contact.equilibrium, contact.p_surface_base, contact.s, contact.magnitude, ratio),
+        )
 
 
 def _touch(

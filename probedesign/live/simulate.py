@@ -1,4 +1,5 @@
-"""`sim:`: the rod itself under a frictionless contact that moves along it, read with the sensor's noise."""
+"""`sim:`: the rod itself under a contact that moves along it, without friction or sliding with it, read with the
+sensor's noise."""
 
 import math
 from collections.abc import Generator, Iterator
@@ -13,6 +14,7 @@ from probedesign.live.flow import paced
 from probedesign.live.reading import FREE, Reading, Truth
 from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
 from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.friction import MAX_FRICTION, line_of_action, solve_surface_force
 from probedesign.rod.rod import Rod
 from probedesign.units import MILLINEWTON, MM
 
@@ -23,6 +25,7 @@ PARAMETERS = {
     "seconds": Parameter(20.0, 0.01, 1e7),
     "rate_hz": Parameter(50.0, 0.1, 7000.0),
     "seed": Parameter(1, 0, 1e9, whole=True),
+    "friction": Parameter(0.0, 0.0, MAX_FRICTION),
     "speed": SPEED,
 }
 
@@ -65,7 +68,7 @@ class Simulation:
         self._angle = math.radians(said["angle_deg"])
         self._period, self._rate, self._speed = said["period_s"], said["rate_hz"], said["speed"]
         self._count = max(1, round(said["seconds"] * said["rate_hz"]))
-        self._seed = int(said["seed"])
+        self._seed, self._friction = int(said["seed"]), said["friction"]
         low, high = min(WHERE) * model.rod.length / MM, max(WHERE) * model.rod.length / MM
         self.title = (
             f"simulated contact of {self._force / MILLINEWTON:.3g} mN sweeping s = {low:.1f} ... {high:.1f} mm, "
@@ -94,22 +97,37 @@ class Simulation:
         if press == 0.0:
             return self._model.rod.solve(self._model.gravity_base, mode="reference").wrench_base, FREE
         where = float(np.interp(phase, PHASE, WHERE))
-        return self._touched(where * self._model.rod.length, press * self._force)
+        slides = float(np.sign(np.diff(WHERE)[np.searchsorted(PHASE, phase, side="right") - 1]))
+        return self._touched(where * self._model.rod.length, press * self._force, slides)
 
-    def _touched(self, s: float, force: float) -> tuple[Array, Truth]:
-        """Base wrench (6,) and truth under a force [N] at s [m].
+    def _touched(self, s: float, force: float, slides: float = 0.0) -> tuple[Array, Truth]:
+        """Base wrench (6,) and truth under a normal force [N] at s [m].
+
+        Args:
+            s: of the contact; with friction, of the touched section.
+            force: normal to the surface.
+            slides: 1 where the contact slides towards the tip, -1 towards the base, 0 where it is pressed on the spot.
 
         Raises:
             InputError: there is no equilibrium.
         """
-        contact = solve_frictionless(
-            self._model.rod, self._model.gravity_base, s, self._angle, force, mode="reference"
-        )
-        if contact.result != "ok":
+        rod, gravity = self._model.rod, self._model.gravity_base
+        result, truth = "ok", FREE
+        if self._friction > 0.0:
+            ratio = (slides * self._friction, 0.0)
+            rubbed = solve_surface_force(rod, gravity, s, self._angle + math.pi, force, ratio, "reference")
+            result, eq = rubbed.result, rubbed.equilibrium
+            if result == "ok":
+                on_axis = line_of_action(rod, eq, rubbed.p_surface_base)
+                truth = Truth(on_axis, eq.p_at(on_axis), rubbed.force_base)
+        else:
+            contact = solve_frictionless(rod, gravity, s, self._angle, force, mode="reference")
+            result, eq = contact.result, contact.equilibrium
+            truth = Truth(s, eq.p_contact_base, contact.force_base)
+        if result != "ok":
             at = f"{force / MILLINEWTON:g} mN at s = {s / MM:.1f} mm"
-            raise InputError(f"sim: the probe does not bear {at} ({contact.result}); say a smaller force_mN")
-        eq = contact.equilibrium
-        return eq.wrench_base, Truth(s, eq.p_contact_base, contact.force_base)
+            raise InputError(f"sim: the probe does not bear {at} ({result}); say a smaller force_mN")
+        return eq.wrench_base, truth
 
 
 def bearable(rod: Rod) -> float:

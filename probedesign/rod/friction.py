@@ -46,6 +46,8 @@ ASSUMED_FRICTION = 0.5
 plastic or metal, which is to be measured for each resin."""
 ASSUMED_SPREAD = 0.2
 """Standard deviation of ln μ from touch to touch in the simulators: assumed."""
+MAX_FRICTION = 3.0
+"""Largest friction coefficient that the simulators take: rubber on dry glass reaches 1 to 2 (assumed bound)."""
 
 _U = 9
 """Unknowns: force (3), couple (3), s, φ, λ."""
@@ -359,16 +361,14 @@ class CoulombSolver:
             return "no_contact"
         along = float(slipped.slide @ slipped.tangential_force_base)
         least = -10.0 * _CLOSE[self.mode] * self.rod.length * slipped.tangential_force  # rounding of no slide
-        if not along >= least:
+        if self.friction > 0.0 and not along >= least:
             return "not_converged"
         return self._checked(last, slipped)
 
     def _checked(self, last: CoulombContact, found: CoulombContact) -> CoulombContact | str:
         """The contact, if it is the last one's continuation."""
         turn = float(np.linalg.norm(found.normal - last.normal))
-        turn = max(
-            turn, float(np.linalg.norm(found.equilibrium.tip_tangent - last.equilibrium.tip_tangent))
-        )
+        turn = max(turn, float(np.linalg.norm(found.equilibrium.tip_tangent - last.equilibrium.tip_tangent)))
         far = turn > _MAX_TURN or float(np.linalg.norm(found.slide)) > _MAX_SLIDE * self.rod.length
         return "far" if far else found
 
@@ -418,9 +418,7 @@ class CoulombSolver:
             x, tip = x - shrink * change, eq.tip
         return "not_converged"
 
-    def _equations(
-        self, z: Numbers, before: Array, goal: CoulombContact, stiffness: float | None
-    ) -> Numbers:
+    def _equations(self, z: Numbers, before: Array, goal: CoulombContact, stiffness: float | None) -> Numbers:
         """Residuals of couple, place, edge and Coulomb's law, (9, m), without dimension.
 
         Args:
@@ -591,10 +589,7 @@ def solve_surface_force(
                 break
             columns = [*range(3), *range(4, 7)]
             turned = np.stack(
-                [
-                    np.concatenate([_axes(d[:, j]) @ both[0:3], _axes(d[:, j]) @ both[3:6]])
-                    for j in columns
-                ],
+                [np.concatenate([_axes(d[:, j]) @ both[0:3], _axes(d[:, j]) @ both[3:6]]) for j in columns],
                 axis=1,
             )
             load = load - np.linalg.solve(np.eye(6) - size * turned, off)
@@ -607,6 +602,27 @@ def solve_surface_force(
             return SurfaceForce(found, eq, none, none)
     point = eq.p_contact_base + radius * (_axes(eq.sensitivity.frame) @ e)  # type: ignore[union-attr]
     return SurfaceForce("ok", eq, load[0:3], np.asarray(point))
+
+
+def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
+    """Arclength where the force's line of action passes the centreline, seen across both.
+
+    With the force F at x = p + r e of the section at s, that is s - r (F · t)/(F · e), from where F has no couple about
+    h = t × e: r tan α nearer the base than the touched section without friction, up to about μ r to either side with
+    friction.
+
+    Args:
+        rod: the rod.
+        eq: its equilibrium under the force at the touched section.
+        p_surface: x, in base axes [m], (3,).
+
+    Returns:
+        The arclength [m], held to the rod.
+    """
+    t, arm, force = eq.R_at(eq.s_contact)[:, 2], np.asarray(p_surface) - eq.p_contact_base, eq.load[0:3]
+    radius = float(np.linalg.norm(arm))
+    s = eq.s_contact - radius * float(force @ t) / (float(force @ arm) / radius)
+    return min(max(s, 0.0), rod.length)
 
 
 def draw_friction(friction: float, spread: float, rng: np.random.Generator) -> float:

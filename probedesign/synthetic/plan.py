@@ -9,6 +9,7 @@ from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
+from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION
 from probedesign.rod.rod import Rod
 from probedesign.units import MM
 
@@ -38,6 +39,8 @@ class Plan:
         readings: of the sensor in each test, each the mean of the design's averaging_samples.
         exact: the true probe is the design's and stands where it is said to; only readings and pictures are noisy.
         images: make photographs too.
+        friction: median friction coefficient μ of what touches; 0 is without friction.
+        friction_spread: standard deviation of ln μ from test to test.
     """
 
     kind: Kind = "cameras"
@@ -48,6 +51,8 @@ class Plan:
     readings: int = 5
     exact: bool = False
     images: bool = False
+    friction: float = 0.0
+    friction_spread: float = ASSUMED_SPREAD
 
     def __post_init__(self) -> None:
         """Raises InputError where a number makes no sense or two wishes exclude each other."""
@@ -58,6 +63,10 @@ class Plan:
             raise InputError(f"--marker-noise-mm {self.marker_noise / MM:g} must lie in 0.001 ... 20")
         if not 1 <= self.readings <= 1000:
             raise InputError(f"--readings {self.readings} must lie in 1 ... 1000")
+        if not 0.0 <= self.friction <= MAX_FRICTION:
+            raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
+        if not 0.0 <= self.friction_spread <= 1.0:
+            raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
         if self.kind == "stage" and (self.images or self.marker_noise is not None):

@@ -75,7 +75,7 @@ def tests_of(world: World, states: list[State], rng: np.random.Generator) -> str
         force = ["", "", ""] if state.weight is None else [f"{value + 0.0:.6g}" for value in state.weight]
         s, contact, spread = ["", ""], ["", "", ""], ""
         std = STD_CONTACT[world.plan.kind]
-        true_s = state.equilibrium.s_contact
+        true_s = state.s_contact
         if state.weight is not None and state.weight.any():
             s = _known(true_s + rng.normal() * STD_WEIGHT_PLACE, STD_WEIGHT_PLACE)
         elif state.p_surface_base is not None:
@@ -184,9 +184,10 @@ def _true(world: World, state: State) -> dict[str, object]:
     surface = state.p_surface_base
     return {
         "force_world_N": force.tolist(),
-        "s_contact_mm": eq.s_contact / MM if touched else None,
+        "s_contact_mm": state.s_contact / MM if touched else None,
+        "friction": state.friction if surface is not None else None,
         "contact_world_mm": None if surface is None else (world.to_world(surface) / MM).tolist(),
-        "axis_world_mm": (world.to_world(eq.p_contact_base) / MM).tolist() if touched else None,
+        "axis_world_mm": (world.to_world(eq.p_at(state.s_contact)) / MM).tolist() if touched else None,
         "wrench_sensor": state.wrench_sensor.tolist(),
     }
 

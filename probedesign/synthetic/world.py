@@ -16,6 +16,7 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.friction import draw_friction, line_of_action, solve_surface_force
 from probedesign.rod.rod import Rod
 from probedesign.synthetic.plan import Plan, touches_of, weights_of
 from probedesign.units import MM
@@ -41,6 +42,8 @@ class State:
         direction: of a touch.
         weight: force in the world as it is known, straight down [N], (3,); zero for a free probe, None for a touch.
         wrench_sensor: what a perfect sensor reads [N, N·m], (6,).
+        s_contact: where the force's line of action passes the axis [m].
+        friction: of a touch: tangential over normal force.
     """
 
     name: str
@@ -49,6 +52,8 @@ class State:
     direction: str
     weight: Array | None
     wrench_sensor: Array
+    s_contact: float
+    friction: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +141,9 @@ class World:
         return self._state(name, eq, None, "", np.array([0.0, 0.0, -newtons]))
 
     def _touched(self, name: str, fraction: float, newtons: float, direction: str) -> State:
-        """A touch without friction, as hard as planned or as the probe bears."""
+        """A touch, as hard as planned or as the probe bears, with its own friction if the plan has any."""
+        if self.plan.friction > 0.0:
+            return self._rubbed(name, fraction, newtons, direction)
         s = fraction * self.rod.length
         for _ in range(LEAST_HALVINGS):
             found = solve_frictionless(self.rod, self.gravity_base, s, DIRECTIONS[direction], newtons)
@@ -146,8 +153,31 @@ class World:
         eq = found.equilibrium
         return self._state(name, eq, surface_point(self.rod, eq) if eq.ok else None, direction, None)
 
+    def _rubbed(self, name: str, fraction: float, newtons: float, direction: str) -> State:
+        """A touch within Coulomb's cone: μ of its own, tangential force uniform in the circle of radius μ F_n."""
+        rng = np.random.default_rng([self.plan.seed, 2, int(name.rsplit("-", 1)[1])])
+        mu = draw_friction(self.plan.friction, self.plan.friction_spread, rng)
+        size, turn = mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
+        along = (size * math.cos(turn), size * math.sin(turn))
+        s, angle = fraction * self.rod.length, DIRECTIONS[direction] + math.pi  # it lies against its push
+        for _ in range(LEAST_HALVINGS):
+            found = solve_surface_force(self.rod, self.gravity_base, s, angle, newtons, along)
+            if found.result == "ok":
+                break
+            newtons /= 2.0
+        eq, point = found.equilibrium, found.p_surface_base
+        axis = line_of_action(self.rod, eq, point) if eq.ok else s
+        return self._state(name, eq, point if eq.ok else None, direction, None, axis, size)
+
     def _state(
-        self, name: str, eq: Equilibrium, surface: Array | None, direction: str, weight: Array | None
+        self,
+        name: str,
+        eq: Equilibrium,
+        surface: Array | None,
+        direction: str,
+        weight: Array | None,
+        s_contact: float | None = None,
+        friction: float = 0.0,
     ) -> State:
         if not eq.ok:
             raise InputError(
@@ -158,7 +188,8 @@ class World:
         force, moment = R @ eq.wrench_base[:3], R @ eq.wrench_base[3:]
         told = np.concatenate([force, moment + np.cross(shift, force)])
         pulled = self.T_world_mount[:3, :3].T @ self.gravity_world
-        return State(name, eq, surface, direction, weight, self.model.to_sensor(told, pulled))
+        return State(name, eq, surface, direction, weight, self.model.to_sensor(told, pulled),
+                     eq.s_contact if s_contact is None else s_contact, friction)  # fmt: skip
 
 
 def _facing(gravity_base: Array) -> Array:

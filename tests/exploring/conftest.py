@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.exploring.card_house import spots
-from probedesign.exploring.rehearsal import rehearse
+from probedesign.exploring.rehearsal import Errors, rehearse
 from probedesign.exploring.rehearsal_files import write_rehearsal
 from tests.live.conftest import bundle as bundle  # the paper's large probe
 from tests.live.conftest import estimator as estimator
@@ -26,7 +26,9 @@ def house(probe, tmp_path_factory):
     """(rehearsal, folder of its files): the third touch is of the first one's point from another depth."""
     model, rng = load_estimator(probe).model, np.random.default_rng(7)
     one, two = spots()[9], spots()[6]
-    rehearsal = rehearse(model, (one, two, replace(one, fraction=0.93, again=True)), rng)
+    rehearsal = rehearse(
+        model, (one, two, replace(one, fraction=0.93, again=True)), rng, Errors(friction=0.0)
+    )
     folder = tmp_path_factory.mktemp("house")
     write_rehearsal(rehearsal, model, folder, rng)
     return rehearsal, folder

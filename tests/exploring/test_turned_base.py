@@ -20,7 +20,7 @@ def houses(estimator):
     """(without a turn, with a drawn one), nothing else being off."""
     told = []
     for turn in ((0.0, 0.0, 0.0), tuple(TURN)):
-        errors = Errors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, walk=0.0, turn=turn)
+        errors = Errors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, walk=0.0, turn=turn, friction=0.0)
         told.append(rehearse(estimator.model, spots()[9:10], np.random.default_rng(2), errors))
     return told
 

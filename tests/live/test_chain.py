@@ -37,7 +37,7 @@ def motion(estimator):
     """Rest, onto one edge at 0.6 of the length, hold, off it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(scene.SCENES, "edge", (scene.Thing("edge", 0.6, 0.0),))
-        return Motion(estimator.model, scene.press_scene(estimator.model, "edge"))
+        return Motion(estimator.model, scene.press_scene(estimator.model, "edge", friction=0.0))
 
 
 def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):

@@ -218,7 +218,7 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
     from probedesign.live.box.motion import Motion
     from probedesign.live.box.scene import press_scene
 
-    things = press_scene(estimator.model, "edges")[2:]
+    things = press_scene(estimator.model, "edges", friction=0.0)[2:]
     motion = Motion(estimator.model, things)
 
     def hurried(when):  # ten times as fast: the rest is over after half a second
@@ -236,12 +236,13 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
     assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * held[0]["std_s_mm"])
 
 
-def test_a_scene_of_cards_is_pressed_and_left_again(estimator):
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
     from probedesign.live.box.motion import MOVE, PRESS, REST, Motion
     from probedesign.live.box.scene import press_scene
 
     model = estimator.model
-    things = press_scene(model, "card-house")
+    things = press_scene(model, "card-house", friction)
     motion = Motion(model, things)
     free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
     rest, held = motion.wrench_sensor(np.array([1.0, REST + MOVE + PRESS + 0.5]))
@@ -252,9 +253,37 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator):
     assert np.allclose(after, free, atol=1e-6)
 
 
+def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
+    """The tangential force turns round while the base turns round; without friction both ways are one."""
+    from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
+    from probedesign.live.box.scene import press_scene
+
+    model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
+    begun = REST + MOVE + PRESS
+    for friction in (0.0, 0.5):
+        things = press_scene(model, "edges", friction)[:1]
+        motion = Motion(model, things)
+        on, off = motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + HOLD + before)
+        apart = np.abs(on - off).max(axis=1)
+        assert (apart > 1e-3).all() if friction else (apart < 1e-9).all()
+        free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
+        assert np.allclose(motion.wrench_sensor(np.array([motion.round - 0.01])), free, atol=1e-6)
+
+
+def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator):
+    from probedesign.live.box.scene import press_scene
+
+    drawn = [
+        [thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)]
+        for seed in (1, 1, 2)
+    ]
+    assert drawn[0] == drawn[1] != drawn[2] and len(set(drawn[0])) == 3
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [
+        (["--friction", "-0.1"], "--friction -0.1 must lie in 0 ... 3"),
         (["--rate-hz", "6000"], "must be 7000 over a whole number"),
         (["--records", "41"], "must be 1 ... 40"),
         (["--scene", "castle"], "--scene castle is not known; there are edges"),

@@ -1,7 +1,8 @@
 """Objects that a simulated probe meets: sharp points and edges, each pressed by a straight move of the base.
 
 With friction the contact sticks and slips by Coulomb's law (`probedesign.rod.friction`), so the wrench on the way off
-the object differs from that on the way onto it. Friction 0 is the contact without friction of `probedesign.rod.obstacle`.
+the object differs from that on the way onto it. Friction 0 is the contact without friction of
+`probedesign.rod.obstacle`.
 """
 
 import math
@@ -18,6 +19,7 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,
     ASSUMED_SPREAD,
+    MAX_FRICTION,
     CoulombContact,
     CoulombSolver,
     draw_friction,
@@ -31,8 +33,6 @@ TRIED = 0.005
 """Press by which an object's stiffness is found, of the length."""
 DEEPEST = 0.10
 """Press at most, of the length."""
-MAX_FRICTION = 3.0
-"""Largest friction coefficient that is simulated: rubber on dry glass reaches 1 to 2 (assumed bound)."""
 _LEAVES = 1e-6
 """Of the length: to so much it is found where the probe leaves an object."""
 KNOTS = 17
@@ -144,7 +144,9 @@ def _pressed(model: ProbeModel, free: Equilibrium, thing: Thing, friction: float
     surface = free.p_at(s) + towards * float(np.interp(s, model.rod.s, model.rod.radius))
     start = surface + CLEAR * length * towards
     if friction > 0.0:
-        return _rubbed(model, free, thing, CoulombSolver(model.rod, friction, "reference"), towards, start, along)
+        return _rubbed(
+            model, free, thing, CoulombSolver(model.rod, friction, "reference"), towards, start, along
+        )
 
     def pressed(depth: float) -> Press:
         travel = -(CLEAR * length + depth) * towards  # the object comes, as the base sees it
