@@ -88,4 +88,4 @@ def test_a_sticking_touch_keeps_its_place_on_the_probe():
     found = press(probes, GRAVITY, goal, first, sticks=True)
     assert found.ok.all() and found.s[0] == first.s[0] and found.phi[0] == first.phi[0]
     assert_allclose(found.p_surface, goal, atol=1e-9)
-    assert abs(found.surface_force[0, 2]) > 0.05 * found.surface_force[0, 0]
+    assert np.abs(found.surface_force[0, 1:]).max() > 1e-3 * found.surface_force[0, 0]
