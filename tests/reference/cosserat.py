@@ -436,7 +436,7 @@ def _rows_of(load: _Load, rows: Array) -> _Load:
 
 def _touches(probes: Probes, tip: Array, ends: _Ends, load: _Load, worst: Array) -> Touches:
     """What is found, a row a case."""
-    ok = (worst < 10.0 * CONVERGED) & _stable(probes, tip, ends, load)
+    ok = (worst < 100.0 * CONVERGED) & _stable(probes, tip, ends, load)
     axes = [_turn(ends.touch_q, a) for a in _surface_axes(probes, load.s, load.phi)]
     frame = np.stack(axes, axis=-1).transpose(1, 0, 2)
     force = ends.force.T

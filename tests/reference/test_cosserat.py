@@ -84,8 +84,9 @@ def test_a_pressed_probe_touches_the_point_with_the_friction_given():
 def test_a_sticking_touch_keeps_its_place_on_the_probe():
     probes = Probes.of(LARGE)
     first = solve(probes, GRAVITY, 0.5 * LARGE.length, 0.3, (0.02, 0.0, 0.0), axes="surface")
-    goal = first.p_surface + 2e-3 * first.frame[:, :, 0] + 0.5e-3 * first.frame[:, :, 2]
+    goal = first.p_surface + 1e-3 * first.frame[:, :, 0]
     found = press(probes, GRAVITY, goal, first, sticks=True)
     assert found.ok.all() and found.s[0] == first.s[0] and found.phi[0] == first.phi[0]
     assert_allclose(found.p_surface, goal, atol=1e-9)
-    assert np.abs(found.surface_force[0, 1:]).max() > 1e-3 * found.surface_force[0, 0]
+    # Bent further without sliding, the rod is drawn out, so that the touch pulls it back towards the base.
+    assert found.surface_force[0, 2] < -0.1 * found.surface_force[0, 0]
