@@ -8,7 +8,7 @@ from benchmarks.timing import print_machine
 
 PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "prediction", "optimisation", "sweep", "export", "live", "recording", "view",
-         "explore")  # fmt: skip
+         "explore", "coverage")  # fmt: skip
 """Modules, each imported when its turn comes: worker processes import this one again."""
 
 
@@ -20,13 +20,24 @@ def main(arguments: list[str]) -> int:
         "--minutes", type=float, help="how long live streams, a third of a minute if not said"
     )
     parser.add_argument("--view", action="store_true", help="live with the page of live --view")
+    parser.add_argument("--draws", type=int, help="coverage: single touches a row")
+    parser.add_argument("--only", help="coverage: only rows with this in their name")
+    parser.add_argument("--bounds", action="store_true", help="coverage: the bounds of one touch instead")
+    parser.add_argument("--workers", type=int, help="coverage: processes, 2 if not said")
+    parser.add_argument("--json", action="store_true", help="coverage: one JSON document")
     said = parser.parse_args(arguments)
     unknown = [name for name in said.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
-    print_machine()
+    if not said.json:
+        print_machine()
     for name in said.parts or PARTS:
-        asked = {"minutes": said.minutes, "view": said.view or None} if name == "live" else {}
+        asked: dict[str, object] = {}
+        if name == "live":
+            asked = {"minutes": said.minutes, "view": said.view or None}
+        elif name == "coverage":
+            asked = {"draws": said.draws, "only": said.only, "bounds_only": said.bounds or None,
+                     "as_json": said.json or None, "workers": said.workers}  # fmt: skip
         options = {option: value for option, value in asked.items() if value is not None}
         import_module(f"benchmarks.{name}").report(**options)
     return 0
