@@ -53,6 +53,8 @@ FRICTION = 0.6
 """Of the prior, where the design states none. Assumed, docs/design-file.md."""
 WITHIN_95 = float(chdtri(3, 0.05))
 TOUCHES = 5
+SLIDE = 1.0 * MM
+"""Way that a sliding touch goes along the probe from the first to the last of them, at most. Assumed."""
 SAMPLES = 36
 """Samples that the tracker gets at each touch; together they are the reading that `fuse` gets."""
 DRAWS, FUSED_DRAWS, BOUND_DRAWS = 200, 60, 6
@@ -306,8 +308,8 @@ def run_fused(case: Case, n: int, seed: int) -> Tally:
     estimator, noise = estimator_for(model, stated), model.noise_base()
     z, ratios, phi = sources.draw(n, rng), _ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
     limits = _limits(case, model, ratios, phi)
-    aside = rng.uniform(-0.3, 0.3, n) if case.sticks else None
-    pressed = presses(sources.worlds(z), z, case.place, phi, ratios, case.newtons, aside)
+    aside, slide = rng.uniform(-0.3, 0.3, n) if case.sticks else None, rng.uniform(0.0, SLIDE, n)
+    pressed = presses(sources.worlds(z), z, case.place, phi, ratios, case.newtons, slide, aside)
     root = np.linalg.cholesky(noise).T
     for i in np.flatnonzero(pressed.ok):
         Ts = np.array([pose(np.eye(3), p) for p in pressed.places[i]])
@@ -333,9 +335,8 @@ def _limits(case: Case, model: ProbeModel, ratios: Array, phi: Array) -> float:
     z = np.zeros((min(BOUND_DRAWS, len(phi)), sources.size))
     first = slice(0, len(z))
     # The prior's information is taken at the touch without friction, as the table of bounds is.
-    pressed = presses(
-        sources.worlds(z), z, case.place, phi[first], 0.0 * ratios[first], case.newtons, columns=True
-    )
+    pressed = presses(sources.worlds(z), z, case.place, phi[first], 0.0 * ratios[first], case.newtons,
+                      np.zeros(len(z)), columns=True)  # fmt: skip
     cov = fused_bound(pressed, model.noise_base(), friction_of(model), case.kind == "moments")
     return float(np.sqrt(np.nanmean(rms(cov)[pressed.ok] ** 2)))
 
@@ -370,16 +371,6 @@ def run(cases: Sequence[Case], draws: int, fused_draws: int, workers: int,
 
 HEAD = ("draws", "ok", "RMS mm", "bound mm", "RMS ÷ bound", "in 95 %", "NEES, 3 is right", "in or refused",
         "other answers")  # fmt: skip
-    "draws",
-    "ok",
-    "RMS mm",
-    "bound mm",
-    "RMS ÷ bound",
-    "in 95 %",
-    "NEES, 3 is right",
-    "in or refused",
-    "other answers",
-)
 
 
 def _row(found: dict[str, Any]) -> list[str]:

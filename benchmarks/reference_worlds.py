@@ -388,6 +388,10 @@ def rms(cov: Array) -> Array:
 # Several touches of one point
 
 
+HOLDS = 1.0
+"""Largest friction ratio that a sticking touch bears; beyond it the press is not counted. Assumed."""
+
+
 @dataclass(frozen=True)
 class Presses:
     """k touches of the world's origin in each of n worlds, as the base presses on without turning.
@@ -411,33 +415,48 @@ class Presses:
 
 
 def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array, newtons: float,
-            aside: Array | None = None, columns: bool = False) -> Presses:  # fmt: skip
-    """Press probes on against a fixed point, evenly from a fifth of a normal force up to all of it.
+            slide: Array, aside: Array | None = None, columns: bool = False) -> Presses:  # fmt: skip
+    """Press probes on against a fixed point, about evenly from a fifth of a normal force up to all of it.
+
+    A touch that slides has the same friction ratios throughout, and the object drags its place along the probe in the
+    direction of the tangential force; the base moves as that needs. If it sticks, the material point stays, the base
+    moves straight, and the force is what that needs.
 
     Args:
         worlds: n of them, for k touches.
         z: their normals.
         fraction: of the length, where the first touch is.
         phi: angle about the section there [rad], (n,).
-        ratios: tangential over normal force, (n, 2): at every touch if it slides, at the first if it sticks.
+        ratios: tangential over normal force, (n, 2); if it sticks, at the first touch.
         newtons: largest normal force [N].
-        aside: None for a touch that slides; else it sticks, and the base moves sideways by this share of its
-            way, (n,).
+        slide: way along the surface from the first to the last touch [m], (n,); of no account if it sticks.
+        aside: None for a touch that slides; else it sticks, and the base moves sideways by this share of its way, (n,).
         columns: whether the readings carry columns, for `fused_bound`.
     """
     n, k = len(z), worlds.sources.touches
     s, free = fraction * worlds.probes.length, worlds.free()
     push = np.column_stack([np.ones(n), ratios])
-    first, last = (solve(worlds.at_touch(i), worlds.gravity, s, phi, f * newtons * push, axes="surface")
-                   for i, f in ((0, 1.0 / k), (k - 1, 1.0)))  # fmt: skip
-    way = last.p_surface - first.p_surface
+    way = slide[:, None] * ratios / np.maximum(np.linalg.norm(ratios, axis=1), 1e-9)[:, None]
     if aside is not None:
-        way = way + (aside * np.linalg.norm(way, axis=1))[:, None] * first.frame[:, :, 1]
-    solved = [first]
-    for i in range(1, k):
-        goal = np.nan_to_num(first.p_surface + i / (k - 1) * way)
-        solved.append(press(worlds.at_touch(i), worlds.gravity, goal, first, friction=ratios,
-                            sticks=aside is not None, moves=2))  # fmt: skip
+        way = np.zeros((n, 2))
+
+    def every(value: Array) -> Array:
+        return np.concatenate([value] * k)
+
+    rods, g = Probes.joined([worlds.at_touch(i) for i in range(k)]), every(worlds.gravity)
+    shares, passed = (np.repeat(row, n) for row in (np.arange(1, k + 1) / k, np.arange(k) / (k - 1)))
+    around = every(phi) + passed * every(way[:, 0] / worlds.probes.radius_at(s))
+    found = solve(rods, g, every(s) + passed * every(way[:, 1]), around, newtons * shares[:, None] * every(push),
+                  axes="surface", loads=3)  # fmt: skip
+    if aside is not None:
+        first, last = (found.p_surface[rows] for rows in (slice(0, n), slice(n * (k - 1), None)))
+        moved = last - first
+        moved = moved + (aside * np.linalg.norm(moved, axis=1))[:, None] * found.frame[:n, :, 1]
+        goal = np.nan_to_num(every(first) + passed[:, None] * every(moved))
+        found = press(rods, g, goal, found, sticks=True, moves=2)
+        tangential = np.linalg.norm(found.surface_force[:, 1:], axis=1)
+        found = replace(found, ok=found.ok & (tangential <= HOLDS * found.surface_force[:, 0]))
+    solved = [found.take(np.arange(i * n, (i + 1) * n)) for i in range(k)]
     readings = tuple(read(worlds, z, touch, free, i, columns) for i, touch in enumerate(solved))
     places = np.stack([-one.point - worlds.robot[:, i] for i, one in enumerate(readings)], axis=1)
     return Presses(np.all([touch.ok for touch in solved], axis=0), readings, places, worlds.sources)

@@ -78,6 +78,11 @@ class Probes:
         return cls(row("s").T, row("radius").T, row("youngs_modulus"), row("shear_modulus"), row("density"),
                    row("shear_coefficient"), row("rigid_length"), row("finite_strain"))  # fmt: skip
 
+    @classmethod
+    def joined(cls, parts: Sequence["Probes"]) -> "Probes":
+        """Return the rods of all parts, one after the other."""
+        return cls(*(np.concatenate([getattr(part, e.name) for part in parts], axis=-1) for e in fields(cls)))
+
     def __len__(self) -> int:
         return self.E.shape[-1]
 
@@ -297,8 +302,9 @@ def _slopes(q: Array, m: Array, medium: tuple[Array, ...]) -> tuple[Array, Array
     n = _back(q, n_base)
     e, B = stretch * n[2], large * (m[0] * m[0] + m[1] * m[1])
     yields = f * bend * (1.0 + finite * 3.0 * e + C4 * B)
-    u = np.stack([yields * m[0], yields * m[1], twist * m[2]])
-    v = np.stack([shear * n[0], shear * n[1], 1.0 + e + finite * e * e + C5 * f * B])
+    u, v = np.empty_like(m), np.empty_like(m)
+    u[0], u[1], u[2] = yields * m[0], yields * m[1], twist * m[2]
+    v[0], v[1], v[2] = shear * n[0], shear * n[1], 1.0 + e + finite * e * e + C5 * f * B
     w, x, y, z = q
     dq = 0.5 * np.stack([
         -x * u[0] - y * u[1] - z * u[2], w * u[0] + y * u[2] - z * u[1],
@@ -308,7 +314,11 @@ def _slopes(q: Array, m: Array, medium: tuple[Array, ...]) -> tuple[Array, Array
 
 
 def _cross(a: Array, b: Array) -> Array:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    found = np.empty_like(b)
+    found[0] = a[1] * b[2] - a[2] * b[1]
+    found[1] = a[2] * b[0] - a[0] * b[2]
+    found[2] = a[0] * b[1] - a[1] * b[0]
+    return found
 
 
 def _turn(q: Array, v: Array) -> Array:
@@ -619,6 +629,8 @@ def differences(
         Changes of the wrench [N, N·m], (n, 6, j), and of the touched point [m], (n, 3, j); not divided by a step.
     """
     n, g = len(probes), _vectors(gravity, len(probes))
+    if not variants:
+        return np.zeros((n, 6, 0)), np.zeros((n, 3, 0))
     parts = [_differences(probes.take(rows), g[:, rows], touches.take(rows), [
         (variant[0].take(rows), *(np.asarray(value)[rows] for value in variant[1:])) for variant in variants
     ]) for rows in np.array_split(np.arange(n), max(1, -(-n // CHUNK)))]  # fmt: skip
@@ -627,25 +639,27 @@ def differences(
 
 def _differences(probes: Probes, gravity: Array, touches: Touches, variants: Sequence[Variant]
                  ) -> tuple[Array, Array]:  # fmt: skip
-    n, zero, one = len(probes), np.zeros((3, len(probes))), np.ones(len(probes))
+    n, count = len(probes), 4 + len(variants)
     tip = np.nan_to_num(touches.tip.T, nan=0.5)
-
-    def at(rods: Probes, tip: Array, g: Array, s: Array, phi: Array, force: Array) -> Array:
-        load = _Load(g, s, phi, np.nan_to_num(force), zero, one, True)
-        turn, ends = _residual(rods, tip, np.zeros((0, n)), lambda *_: (load, lambda ends: np.zeros((0, n))),
-                               2 * COARSE, np.arange(n))  # fmt: skip
-        return np.concatenate([turn, ends.force + rods.mass * g, ends.m, ends.touch_p + ends.arm])
-
-    own = (gravity, touches.s, touches.phi, touches.surface_force.T)
-    base = at(probes, tip, *own)
-    by_turn = np.stack([(at(probes, _turned(tip, STEP * np.tile(e[:, None], n)), *own) - base) / STEP
-                        for e in np.eye(3)])  # fmt: skip
-    jacobian = by_turn[:, :3].transpose(2, 1, 0)
-    good = np.isfinite(jacobian).all(axis=(1, 2))
+    own: Variant = (probes, gravity.T, touches.s, touches.phi, touches.surface_force)
+    # The touch itself, with its tip turned about each axis, and the variants, in one integration.
+    every = [own] * 4 + list(variants)
+    rods = Probes.joined([v[0] for v in every])
+    g, force = (np.concatenate([np.asarray(v[i]) for v in every]).T for i in (1, 4))
+    s, phi = (np.concatenate([np.asarray(v[i]) for v in every]) for i in (2, 3))
+    turns = np.zeros((3, count, n))
+    turns[:, 1:4] = STEP * np.eye(3)[:, :, None]
+    load = _Load(g, s, phi, np.nan_to_num(force), np.zeros((3, count * n)), np.ones(count * n), True)
+    turn, ends = _residual(rods, _turned(np.tile(tip, count), turns.reshape(3, -1)), np.zeros((0, count * n)),
+                           lambda *_: (load, lambda ends: np.zeros((0, count * n))), 2 * COARSE,
+                           np.arange(count * n))  # fmt: skip
+    found = np.concatenate([turn, ends.force + rods.mass * g, ends.m, ends.touch_p + ends.arm])
+    found = found.reshape(12, count, n) - found.reshape(12, count, n)[:, :1]
+    by_turn = found[:, 1:4] / STEP
+    jacobian = by_turn[:3].transpose(2, 0, 1)
+    good = np.isfinite(jacobian).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
     inverse = np.linalg.inv(np.where(good[:, None, None], jacobian, np.eye(3)))
-    found = np.empty((n, 9, len(variants)))
-    for j, (rods, g, s, phi, force) in enumerate(variants):
-        change = at(rods, tip, np.asarray(g).T, s, phi, np.asarray(force).T) - base
-        turns = -np.einsum("nij,jn->in", inverse, change[:3])
-        found[:, :, j] = (change[3:] + np.einsum("jkn,jn->kn", by_turn[:, 3:], turns)).T
-    return found[:, :6], found[:, 6:]
+    change = found[:, 4:]
+    back = -np.einsum("nij,jvn->ivn", inverse, change[:3])
+    total = (change[3:] + np.einsum("rjn,jvn->rvn", by_turn[3:], back)).transpose(2, 0, 1)
+    return total[:, :6], total[:, 6:]
