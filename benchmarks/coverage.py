@@ -23,8 +23,11 @@ from scipy.special import chdtri
 
 from benchmarks.reference_worlds import (
     FIELDS,
+    Presses,
     Priors,
+    Readings,
     Sources,
+    Worlds,
     bound,
     fused_bound,
     presses,
@@ -36,7 +39,7 @@ from benchmarks.touches import paper_models
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
-from probedesign.frames import Array, pose
+from probedesign.frames import Array, inverse, pose, wrench_map
 from probedesign.units import MM
 from tests.reference.cosserat import solve
 
@@ -57,8 +60,12 @@ SLIDE = 1.0 * MM
 """Way that a sliding touch goes along the probe from the first to the last of them, at most. Assumed."""
 SAMPLES = 36
 """Samples that the tracker gets at each touch; together they are the reading that `fuse` gets."""
-DRAWS, FUSED_DRAWS, BOUND_DRAWS = 200, 60, 6
-"""By default: single touches a row, fused ones, and those of them whose bound is computed."""
+DRAWS, FUSED_DRAWS = 150, 40
+"""By default: single touches and fused ones a row."""
+WRONG = ("stiffness", "pull", "moved", "bias")
+STIFFNESS_OFF, MOVED, BIAS_STEPS = 1.2, 1.0 * MM, 5.0
+"""Of what is wrong: factor on E and G or its inverse, way of the object [m] and step of the bias in steps of the
+resolution, both between the third and the fourth of five touches."""
 ALL = tuple(FIELDS)
 SINGLE = tuple(source for source in ALL if source != "robot")
 
@@ -122,6 +129,7 @@ class Case:
         kind: "estimate", "moments", "all six" or "tracker".
         sticks: whether the material point stays where it is through a press.
         youngs_modulus: stated for E and G of fused touches; None as the design has it.
+        wrong: what no single contact of the stated priors explains: "" or one of `WRONG`.
     """
 
     group: str
@@ -135,6 +143,7 @@ class Case:
     kind: str = "estimate"
     sticks: bool = False
     youngs_modulus: float | None = None
+    wrong: str = ""
 
 
 def single_cases() -> list[Case]:
@@ -162,10 +171,10 @@ def fused_cases() -> list[Case]:
                  youngs_modulus=0.03)  # fmt: skip
     for place in (0.5, 0.8):
         for newtons in (2e-3, 5e-3):
-            for kind in ("moments", "all six"):
+            for kind in ("all six", "moments"):
                 name = f"{place:g} L, up to {1e3 * newtons:g} mN, {kind}, friction "
                 cases += [of(name=name + ("prior" if mu is None else f"{mu:g}"), friction=mu, place=place,
-                             newtons=newtons, kind=kind) for mu in (0.0, 0.3, 0.6, None)]  # fmt: skip
+                             newtons=newtons, kind=kind) for mu in (0.0, 0.3, 0.6)]  # fmt: skip
     at = partial(replace, of(name="", place=0.8, newtons=5e-3, kind="all six"))
     cases.append(
         at(name="0.8 L, up to 5 mN, all six, friction 0.6, E to 0.5 %", friction=0.6, youngs_modulus=0.005)
@@ -183,6 +192,19 @@ def fused_cases() -> list[Case]:
     return cases
 
 
+def negative_cases() -> list[Case]:
+    """Return the rows of readings that should be refused."""
+    single = Case("Readings that no single contact explains, all error sources", "", SINGLE)
+    press = replace(single, sources=ALL, place=0.8, newtons=5e-3, kind="all six")
+    return [
+        replace(single, name="one touch, E and G off by 20 %", wrong="stiffness"),
+        replace(single, name="one touch that pulls", wrong="pull"),
+        replace(press, name="five touches, E and G off by 20 %", wrong="stiffness"),
+        replace(press, name="five touches, the object moves by 1 mm", wrong="moved"),
+        replace(press, name="five touches, the bias jumps by 5 steps", wrong="bias"),
+    ]
+
+
 @dataclass
 class Tally:
     """Answers as they come in.
@@ -193,6 +215,7 @@ class Tally:
         errors: squared [m²].
         results: by code.
         bounds: squared, of all that counts [m²].
+        beyond: answers further off than three stated standard deviations of the point.
     """
 
     ratios: list[float] = field(default_factory=list)
@@ -200,6 +223,7 @@ class Tally:
     errors: list[float] = field(default_factory=list)
     results: Counter[str] = field(default_factory=Counter)
     bounds: list[float] = field(default_factory=list)
+    beyond: int = 0
 
     def add(self, answer: tuple[str, Array, Array], truth: Array, limit: float) -> None:
         """Count one answer against the true point and the bound's RMS [m]."""
@@ -210,6 +234,7 @@ class Tally:
             return
         off = np.asarray(point) - truth
         self.errors.append(float(off @ off))
+        self.beyond += bool(off @ off > 9.0 * np.trace(cov))
         self.ratios.append(float(off @ off) / limit**2)
         # A covariance of a point on a surface may lack its third direction.
         values, vectors = np.linalg.eigh(np.asarray(cov, dtype=float))
@@ -223,12 +248,13 @@ class Tally:
         self.errors += other.errors
         self.bounds += other.bounds
         self.results += other.results
+        self.beyond += other.beyond
 
     def summary(self) -> dict[str, Any]:
         """Return what the tables and `--json` show; None where nothing was answered."""
         n, answered, nees = self.results.total(), len(self.nees), np.array(self.nees)
         inside = int((nees <= WITHIN_95).sum())
-        none = not answered
+        none, wrong = not answered, n - answered + self.beyond
         return {
             "draws": n,
             "ok_share": None if not n else answered / n,
@@ -239,6 +265,8 @@ class Tally:
             "mean_nees": None if none else float(nees.mean()),
             "median_nees": None if none else float(np.median(nees)),
             "inside_or_refused_share": None if not n else (inside + n - answered) / n,
+            "beyond_3_std": self.beyond,
+            "flagged_of_wrong_share": (n - answered) / wrong if wrong else None,
             "results": dict(self.results),
         }  # fmt: skip
 
@@ -260,11 +288,18 @@ def run_single(case: Case, probe: str, n: int, seed: int) -> Tally:
     worlds, phi = sources.worlds(z), rng.uniform(-np.pi, np.pi, n)
     force = newtons[:, None] * np.column_stack([np.ones(n), ratios])
     force /= np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
-    touches = solve(
-        worlds.probes, worlds.gravity, fraction * worlds.probes.length, phi, force, axes="surface"
-    )
-    readings = read(worlds, z, touches, worlds.free())
+
+    def touched(worlds: Worlds, force: Array, columns: bool) -> Readings:
+        s = fraction * worlds.probes.length
+        touches = solve(worlds.at_touch(0), worlds.gravity, s, phi, force, axes="surface")
+        return read(worlds, z, touches, worlds.free(), columns=columns)
+
+    readings = touched(worlds, force, columns=True)
     limits = rms(bound(readings, noise))
+    if case.wrong:
+        sign = -1.0 if case.wrong == "pull" else 1.0
+        readings = touched(_wrong_worlds(case, worlds), sign * force, columns=False)
+    touches = readings.touches
     wrenches = readings.wrench + rng.normal(size=(n, 6)) @ np.linalg.cholesky(noise).T
     for i in np.flatnonzero(touches.ok & (limits < LIMIT)):
         if model.reads(model.to_sensor(wrenches[i], model.gravity_base)):
@@ -307,19 +342,21 @@ def run_fused(case: Case, n: int, seed: int) -> Tally:
     sources = Sources.of(model, stated.times(case.spread), TOUCHES)
     estimator, noise = estimator_for(model, stated), model.noise_base()
     z, ratios, phi = sources.draw(n, rng), _ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
-    limits = _limits(case, model, ratios, phi)
+    limit = _fused_limit(model, _stated(case, model), case.place, case.newtons, case.kind == "moments")
     aside, slide = rng.uniform(-0.3, 0.3, n) if case.sticks else None, rng.uniform(0.0, SLIDE, n)
-    pressed = presses(sources.worlds(z), z, case.place, phi, ratios, case.newtons, slide, aside)
+    worlds = _wrong_worlds(case, sources.worlds(z))
+    pressed = presses(worlds, z, case.place, phi, ratios, case.newtons, slide, aside)
+    wrenches, places = _wrong_readings(case, model, pressed.wrenches, pressed.places, rng)
     root = np.linalg.cholesky(noise).T
     for i in np.flatnonzero(pressed.ok):
-        Ts = np.array([pose(np.eye(3), p) for p in pressed.places[i]])
+        Ts = np.array([pose(np.eye(3), p) for p in places[i]])
         if case.kind == "tracker":
             scatter = math.sqrt(model.averaging_samples) * rng.normal(size=(TOUCHES, SAMPLES, 6)) @ root
-            answer = tracked(estimator, pressed.wrenches[i][:, None] + scatter, Ts)
+            answer = tracked(estimator, wrenches[i][:, None] + scatter, Ts)
         else:
-            wrenches = pressed.wrenches[i] + rng.normal(size=(TOUCHES, 6)) @ root
-            answer = fused(estimator, wrenches, Ts, case.kind == "moments")
-        tally.add(answer, np.zeros(3), limits)
+            noisy = wrenches[i] + rng.normal(size=(TOUCHES, 6)) @ root
+            answer = fused(estimator, noisy, Ts, case.kind == "moments")
+        tally.add(answer, np.zeros(3), limit)
     return tally
 
 
@@ -329,15 +366,49 @@ def _stated(case: Case, model: ProbeModel) -> Priors:
     return priors if E is None else Priors(priors.by_name | {"youngs_modulus": E, "shear_modulus": E})
 
 
-def _limits(case: Case, model: ProbeModel, ratios: Array, phi: Array) -> float:
-    """RMS of the bound [m] with the friction prior, over the first draws, at the design's own probe."""
-    sources = Sources.of(model, _stated(case, model), TOUCHES)
-    z = np.zeros((min(BOUND_DRAWS, len(phi)), sources.size))
-    first = slice(0, len(z))
+def _wrong_worlds(case: Case, worlds: Worlds) -> Worlds:
+    """Worlds with a stiffness far from what is stated, every other one stiffer and softer."""
+    if case.wrong != "stiffness":
+        return worlds
+    factor = np.where(np.arange(len(worlds.gravity)) % 2, STIFFNESS_OFF, 1.0 / STIFFNESS_OFF)
+    return replace(
+        worlds, probes=replace(worlds.probes, E=factor * worlds.probes.E, G=factor * worlds.probes.G)
+    )
+
+
+def _wrong_readings(case: Case, model: ProbeModel, wrenches: Array, places: Array, rng: np.random.Generator
+                    ) -> tuple[Array, Array]:  # fmt: skip
+    """Readings and places with the object moved or the bias changed after the third touch."""
+    way = rng.normal(size=(len(places), 1, 3))
+    signs = rng.choice([-1.0, 1.0], (len(places), 1, 6))
+    after = (np.arange(TOUCHES) >= 3)[None, :, None]
+    if case.wrong == "moved":
+        # A base that is reported elsewhere is an object that has moved the other way.
+        return wrenches, places + after * MOVED * way / np.linalg.norm(way, axis=2, keepdims=True)
+    if case.wrong == "bias":
+        step = np.sqrt(np.diag(model.noise.covariance()) * model.averaging_samples)
+        jump = BIAS_STEPS * signs * step
+        return wrenches + after * (jump @ wrench_map(inverse(model.T_sensor_base)).T), places
+    return wrenches, places
+
+
+_PRESSED: dict[Any, Presses] = {}
+
+
+def _fused_limit(
+    model: ProbeModel, stated: Priors, place: float, newtons: float, moments_only: bool
+) -> float:
+    """RMS of the bound [m] with the friction prior, at the design's own probe, over directions of the touch."""
     # The prior's information is taken at the touch without friction, as the table of bounds is.
-    pressed = presses(sources.worlds(z), z, case.place, phi[first], 0.0 * ratios[first], case.newtons,
-                      np.zeros(len(z)), columns=True)  # fmt: skip
-    cov = fused_bound(pressed, model.noise_base(), friction_of(model), case.kind == "moments")
+    key = (model.name, tuple(stated.by_name.items()), place, newtons)
+    if key not in _PRESSED:
+        sources = Sources.of(model, stated, TOUCHES)
+        phi = np.linspace(-np.pi, np.pi, 6, endpoint=False)
+        z = np.zeros((len(phi), sources.size))
+        _PRESSED[key] = presses(sources.worlds(z), z, place, phi, np.zeros((len(phi), 2)), newtons,
+                                np.zeros(len(phi)), columns=True)  # fmt: skip
+    pressed = _PRESSED[key]
+    cov = fused_bound(pressed, model.noise_base(), friction_of(model), moments_only)
     return float(np.sqrt(np.nanmean(rms(cov)[pressed.ok] ** 2)))
 
 
@@ -370,7 +441,7 @@ def run(cases: Sequence[Case], draws: int, fused_draws: int, workers: int,
 
 
 HEAD = ("draws", "ok", "RMS mm", "bound mm", "RMS ÷ bound", "in 95 %", "NEES, 3 is right", "in or refused",
-        "other answers")  # fmt: skip
+        "flagged of wrong", "other answers")  # fmt: skip
 
 
 def _row(found: dict[str, Any]) -> list[str]:
@@ -382,7 +453,7 @@ def _row(found: dict[str, Any]) -> list[str]:
     nees = f"{shown('mean_nees', '.2f')}, median {shown('median_nees', '.2f')}"
     return [str(found["draws"]), shown("ok_share", ".1%"), shown("rms_mm", ".2f"), shown("bound_mm", ".2f"),
             shown("rms_over_bound", ".2f"), shown("inside_95_share", ".1%"), nees,
-            shown("inside_or_refused_share", ".1%"), others]  # fmt: skip
+            shown("inside_or_refused_share", ".1%"), shown("flagged_of_wrong_share", ".1%"), others]  # fmt: skip
 
 
 def bounds() -> list[dict[str, Any]]:
@@ -429,7 +500,7 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
         else:
             print_bounds(rows)
         return
-    cases = [case for case in (*single_cases(), *fused_cases())
+    cases = [case for case in (*single_cases(), *fused_cases(), *negative_cases())
              if only is None or only.lower() in f"{case.group}, {case.name}".lower()]  # fmt: skip
     fused_draws = max(1, round(draws * FUSED_DRAWS / DRAWS))
     found = run(cases, draws, fused_draws, workers, lambda line: print(line, file=sys.stderr, flush=True))
