@@ -60,7 +60,7 @@ SLIDE = 1.0 * MM
 """Way that a sliding touch goes along the probe from the first to the last of them, at most. Assumed."""
 SAMPLES = 36
 """Samples that the tracker gets at each touch; together they are the reading that `fuse` gets."""
-DRAWS, FUSED_DRAWS = 150, 40
+DRAWS, FUSED_DRAWS = 100, 30
 """By default: single touches and fused ones a row."""
 WRONG = ("stiffness", "pull", "moved", "bias")
 STIFFNESS_OFF, MOVED, BIAS_STEPS = 1.2, 1.0 * MM, 5.0
@@ -284,8 +284,11 @@ def run_single(case: Case, probe: str, n: int, seed: int) -> Tally:
     n = len(fraction)
     if n == 0:
         return tally
-    z, ratios = sources.draw(n, rng), _ratios(case, model, n, rng)
-    worlds, phi = sources.worlds(z), rng.uniform(-np.pi, np.pi, n)
+    # What every row shares is drawn first, so that rows differ by their worlds alone.
+    ratios, phi = _ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
+    scatter = rng.normal(size=(n, 6)) @ np.linalg.cholesky(noise).T
+    z = sources.draw(n, rng)
+    worlds = sources.worlds(z)
     force = newtons[:, None] * np.column_stack([np.ones(n), ratios])
     force /= np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
 
@@ -300,7 +303,7 @@ def run_single(case: Case, probe: str, n: int, seed: int) -> Tally:
         sign = -1.0 if case.wrong == "pull" else 1.0
         readings = touched(_wrong_worlds(case, worlds), sign * force, columns=False)
     touches = readings.touches
-    wrenches = readings.wrench + rng.normal(size=(n, 6)) @ np.linalg.cholesky(noise).T
+    wrenches = readings.wrench + scatter
     for i in np.flatnonzero(touches.ok & (limits < LIMIT)):
         if model.reads(model.to_sensor(wrenches[i], model.gravity_base)):
             tally.add(located(estimator, wrenches[i]), readings.point[i], float(limits[i]))
@@ -341,9 +344,9 @@ def run_fused(case: Case, n: int, seed: int) -> Tally:
     stated = _stated(case, model)
     sources = Sources.of(model, stated.times(case.spread), TOUCHES)
     estimator, noise = estimator_for(model, stated), model.noise_base()
-    z, ratios, phi = sources.draw(n, rng), _ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
+    ratios, phi, z = _ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n), sources.draw(n, rng)
     limit = _fused_limit(model, _stated(case, model), case.place, case.newtons, case.kind == "moments")
-    aside, slide = rng.uniform(-0.3, 0.3, n) if case.sticks else None, rng.uniform(0.0, SLIDE, n)
+    aside, slide = rng.uniform(-0.1, 0.1, n) if case.sticks else None, rng.uniform(0.0, SLIDE, n)
     worlds = _wrong_worlds(case, sources.worlds(z))
     pressed = presses(worlds, z, case.place, phi, ratios, case.newtons, slide, aside)
     wrenches, places = _wrong_readings(case, model, pressed.wrenches, pressed.places, rng)

@@ -16,7 +16,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, inverse, wrench_map
 from probedesign.units import MM
-from tests.reference.cosserat import Probes, Touches, differences, press, solve
+from tests.reference.cosserat import Touches, differences, press, solve
+from tests.reference.round_rods import Probes
 
 FIELDS = {
     "E": ("youngs_modulus",),
@@ -420,7 +421,7 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
 
     A touch that slides has the same friction ratios throughout, and the object drags its place along the probe in the
     direction of the tangential force; the base moves as that needs. If it sticks, the material point stays, the base
-    moves straight, and the force is what that needs.
+    moves a little aside of that, and the force is what that needs.
 
     Args:
         worlds: n of them, for k touches.
@@ -430,7 +431,8 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
         ratios: tangential over normal force, (n, 2); if it sticks, at the first touch.
         newtons: largest normal force [N].
         slide: way along the surface from the first to the last touch [m], (n,); of no account if it sticks.
-        aside: None for a touch that slides; else it sticks, and the base moves sideways by this share of its way, (n,).
+        aside: None for a touch that slides; else it sticks, and the base moves sideways by this share of its way,
+            (n,); beyond a tenth the probe is drawn out and no friction holds it.
         columns: whether the readings carry columns, for `fused_bound`.
     """
     n, k = len(z), worlds.sources.touches
@@ -449,10 +451,9 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
     found = solve(rods, g, every(s) + passed * every(way[:, 1]), around, newtons * shares[:, None] * every(push),
                   axes="surface", loads=3)  # fmt: skip
     if aside is not None:
-        first, last = (found.p_surface[rows] for rows in (slice(0, n), slice(n * (k - 1), None)))
-        moved = last - first
-        moved = moved + (aside * np.linalg.norm(moved, axis=1))[:, None] * found.frame[:n, :, 1]
-        goal = np.nan_to_num(every(first) + passed[:, None] * every(moved))
+        way_long = np.linalg.norm(found.p_surface[-n:] - found.p_surface[:n], axis=1)
+        sideways = every((aside * way_long)[:, None] * found.frame[:n, :, 1])
+        goal = np.nan_to_num(found.p_surface + passed[:, None] * sideways)
         found = press(rods, g, goal, found, sticks=True, moves=2)
         tangential = np.linalg.norm(found.surface_force[:, 1:], axis=1)
         found = replace(found, ok=found.ok & (tangential <= HOLDS * found.surface_force[:, 0]))

@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
-from tests.reference.cosserat import Probes, press, solve
+from tests.reference.cosserat import press, solve
+from tests.reference.round_rods import Probes
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
 LARGE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), 2.32e6, 0.761e6, 1010.0, rigid_length=0.72e-3,

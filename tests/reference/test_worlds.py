@@ -96,7 +96,7 @@ def test_pressing_on_locates_better_and_needs_a_friction_prior_for_moments_alone
     assert not free < 10.0 * moments
 
 
-@pytest.mark.parametrize("aside", [None, np.full(4, 0.2)], ids=["slides", "sticks"])
+@pytest.mark.parametrize("aside", [None, np.full(4, 0.05)], ids=["slides", "sticks"])
 def test_pressed_touches_lie_where_the_robot_reports_the_point(aside):
     rng = np.random.default_rng(3)
     sources = Sources.of(MODEL, Priors.of(MODEL).only(("base place", "base tilt", "diameter")), 5)
