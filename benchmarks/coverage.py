@@ -15,7 +15,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,11 +36,11 @@ from benchmarks.reference_worlds import (
     rms,
 )
 from benchmarks.timing import print_table
-from benchmarks.touches import paper_models
+from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tracker import Tracker
 from probedesign.frames import Array, inverse, pose, wrench_map
+from probedesign.probe import build_probe
 from probedesign.units import MM
 from tests.reference.cosserat import solve
 
@@ -73,6 +74,13 @@ SINGLE = tuple(source for source in ALL if source != "robot")
 # The package under test: everything that is called of it
 
 
+@cache
+def paper_models() -> dict[str, ProbeModel]:
+    """Return the paper's probes."""
+    folder = Path(__file__).parents[1] / "designs"
+    return {name: build_probe(load_design(folder / f"{name}.toml")).model for name in PROBES}
+
+
 def estimator_for(model: ProbeModel, priors: Priors) -> Estimator:
     """Return the estimator with these priors; none at all takes probe, mount and bench for exactly known."""
     return Estimator(model).with_tolerances(priors.tolerances())
@@ -92,6 +100,8 @@ def fused(estimator: Estimator, wrenches: Array, Ts: Array, moments_only: bool) 
 
 def tracked(estimator: Estimator, samples: Array, Ts: Array) -> tuple[str, Array, Array]:
     """Return the same after the last of single samples, (k, SAMPLES, 6)."""
+    from probedesign.estimation.tracker import Tracker  # only these rows wait for it
+
     tracker = Tracker(estimator, gravity_world=estimator.model.gravity_base)
     clock, f = 0.0, None
     for readings, T in zip(samples, Ts, strict=True):
