@@ -1,5 +1,6 @@
 """One answer of an estimator. Numbers never come without their result code."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,11 +24,11 @@ Result = Literal[
 RESULTS: dict[Result, str] = {
     "ok": "one contact was located",
     "no_contact": "the reading is that of the free probe under gravity",
-    "too_light": "something touches, but the reading does not tell where",
+    "too_light": "something touches, but too lightly to be located",
     "ambiguous": "several places explain the reading; see candidates",
-    "inconsistent": "no single contact without friction explains the reading",
-    "unobservable": "the force does not bend the probe, so its place leaves no trace",
-    "out_of_range": "the reading is not finite, beyond the sensor, or asks for a contact off the probe",
+    "inconsistent": "no single contact that pushes explains the reading",
+    "unobservable": "the force hardly bends the probe, so its place is not observable",
+    "out_of_range": "the reading is not finite, beyond the sensor, or needs a contact off the probe",
     "not_converged": "no equilibrium was found",
 }
 
@@ -38,21 +39,28 @@ def _nan(*shape: int) -> Array:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One place that would explain a reading.
+    """One touch that would explain a reading.
 
     Attributes:
-        s_contact: [m].
+        s_contact: arclength of `p_contact_base` [m].
         std_s: its standard deviation [m].
-        p_contact_base: point of the centreline [m], (3,).
+        p_contact_base: point of the centreline where the force's line of action comes nearest [m], (3,).
         p_surface_base: the touched point of the surface [m], (3,).
         force_base: [N], (3,).
-        cov_contact_base: of p_contact_base [m²], (3, 3).
-        chi2: how badly it explains the reading: a χ² of `dof` degrees of freedom if it is the true place.
-        dof: 3 of "ml", 2 of "paper".
+        cov_contact_base: covariance of p_contact_base [m²], (3, 3).
+        cov_surface_base: covariance of p_surface_base [m²], (3, 3).
+        force_normal: component of the force into the surface [N]; NaN where the method does not know the surface.
+        force_tangential: magnitude of the rest, the friction [N].
+        chi2: misfit, a χ² of `dof` degrees of freedom if it is the true touch.
+        chi2_friction: the part of it that the friction takes of its prior.
+        dof: degrees of freedom.
         lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
-        tip: the tip's section, for a neighbouring reading to start from, (6,).
         shape: the probe touched there.
-        cov_linear_base: what cov_contact_base is to first order, without the curve of the probe [m²], (3, 3).
+        at_end: whether an end of the probe holds the place.
+        touch: unknowns, dead loads and tip, for a neighbouring reading to start from; None for the force–moment method.
+        cov_touch: covariance of the five unknowns, (5, 5).
+        whiten: whitening of the reading at this touch, (6, 6).
+        cov_linear_base, cov_linear_contact_base: the covariances to first order, without the curvature of the probe.
     """
 
     s_contact: float
@@ -61,12 +69,30 @@ class Candidate:
     p_surface_base: Array
     force_base: Array
     cov_contact_base: Array
+    cov_surface_base: Array
+    force_normal: float
+    force_tangential: float
     chi2: float
     dof: int
     lever: float
-    tip: Array = field(repr=False)
     shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
+    chi2_friction: float = 0.0
+    at_end: bool = False
+    touch: Array | None = field(default=None, repr=False)
+    cov_touch: Array = field(default_factory=lambda: _nan(5, 5), repr=False)
+    whiten: Array = field(default_factory=lambda: _nan(6, 6), repr=False)
     cov_linear_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
+    cov_linear_contact_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
+
+    @property
+    def rms(self) -> float:
+        """Root of the trace of the touched point's covariance [m]."""
+        return math.sqrt(max(float(np.trace(self.cov_surface_base)), 0.0))
+
+    @property
+    def friction_ratio(self) -> float:
+        """Tangential over normal force."""
+        return self.force_tangential / self.force_normal if self.force_normal > 0.0 else math.nan
 
 
 @dataclass(frozen=True)
@@ -75,15 +101,20 @@ class Estimate:
 
     Attributes:
         result: one of `RESULTS`.
-        s_contact: arclength of the contact [m].
+        s_contact: arclength of the centreline point at which the force acts without a couple about it [m].
         std_s: its standard deviation [m].
-        p_contact_base: point of the centreline where the equivalent force acts [m], (3,).
+        p_contact_base: that point of the centreline [m], (3,).
         p_surface_base: the touched point of the surface [m], (3,).
         force_base: what the object does to the probe [N], (3,).
         cov_contact_base: covariance of p_contact_base [m²], (3, 3).
+        cov_surface_base: covariance of p_surface_base [m²], (3, 3).
+        force_normal: component of the force into the surface [N].
+        force_tangential: magnitude of the friction [N].
+        friction_ratio: tangential over normal force.
         detection_chi2: how far the reading is from the free probe's, six degrees of freedom.
-        candidates: every place that was considered, best first.
+        candidates: every touch that was considered, best first.
         solve_shape: for `shape`.
+        solve_interval: for `s_interval_95`.
     """
 
     result: Result
@@ -93,9 +124,23 @@ class Estimate:
     p_surface_base: Array = field(default_factory=lambda: _nan(3))
     force_base: Array = field(default_factory=lambda: _nan(3))
     cov_contact_base: Array = field(default_factory=lambda: _nan(3, 3))
+    cov_surface_base: Array = field(default_factory=lambda: _nan(3, 3))
+    force_normal: float = float("nan")
+    force_tangential: float = float("nan")
+    friction_ratio: float = float("nan")
     detection_chi2: float = float("nan")
     candidates: tuple[Candidate, ...] = ()
     solve_shape: Callable[[], Equilibrium] | None = field(default=None, repr=False, compare=False)
+
+    solve_interval: Callable[[], tuple[float, float]] | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def s_interval_95(self) -> tuple[float, float]:
+        """Arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN if not located.
+
+        It is found when first asked for, and holds where the posterior is not normal: near the tip, for light touches.
+        """
+        return self.solve_interval() if self.solve_interval is not None else (math.nan, math.nan)
 
     @property
     def ok(self) -> bool:

@@ -1,4 +1,4 @@
-"""The estimator's door: gravity, detection, one of the methods, and what the answer is worth."""
+"""Where a probe is touched: detection, one of the methods, and the result code."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -7,61 +7,66 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri
 
 from probedesign.errors import InputError
-from probedesign.estimation import doubtful, likelihood, paper
-from probedesign.estimation.doubts import Doubts
+from probedesign.estimation import force_moment, likelihood
+from probedesign.estimation.arclength_scan import Scan
+from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, Result
-from probedesign.estimation.fused import Fused, MomentsAbout
-from probedesign.estimation.locate import Scan
+from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation import Observation
+from probedesign.estimation.observation import Observation, covariance
+from probedesign.estimation.problem import Problem
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.unknowns import Unknowns
-from probedesign.estimation.weighing import Causes
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.sensor import Noise
+from probedesign.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, max_chi2
 
-Method = Literal["ml", "paper"]
+Method = Literal["ml", "force_moment", "paper"]
+"""Ways to locate a single contact; "paper" is another name of "force_moment"."""
 
-FALSE_ALARM = 1.4e-6
-"""Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
-ALARM_CHI2 = float(chdtri(6, FALSE_ALARM))
-LEAST_FORCE = 5.0
+ALARM_CHI2 = max_chi2(6, FALSE_ALARM)
+MIN_FORCE = 5.0
 """Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
 normal where F is known to less than a fifth (tests/estimation/test_statistics.py)."""
 SETTLED = 16.0
 """Age of a tare [s] for which the tolerance of drift is meant. Assumed: the detector's walk of 0.05 steps a root of a
 second makes the default 0.2 steps of it."""
-INCONSISTENT = 1e-3
-"""Chance that a true single contact is called inconsistent."""
-MOST_CHI2 = {dof: float(chdtri(dof, INCONSISTENT)) for dof in (paper.DOF, likelihood.DOF)}
-LEAST_LEVER = 0.1
-"""Change of the base moment with s, over the force, below which a force leaves no trace of its place."""
-AMBIGUOUS = 9.0
-"""Candidates whose misfit χ² lies within 3² of the best explain a reading about as well."""
+MAX_ZERO = 7.0
+"""Standard deviations of a force beyond which a sensor does not read zero: more than the limit of the test over all six
+channels allows any one of them."""
+MIN_LEVER = 0.1
+"""Change of the base moment with s, over the force, below which the place of a force is not observable."""
 
 
 @dataclass(frozen=True)
 class Estimator:
     """Locates one contact from one base wrench, or from a window of them.
 
-    Two methods behind one door. "ml", maximum likelihood: the contact without friction whose base wrench lies
-    nearest to the reading, weighted by the sensor's covariance. "paper", the published one: the force by its
-    equation 5, then the arclength where that force, of any direction, makes the measured moment.
+    Two methods: "ml", maximum a posteriori: the touch of the surface, by a force of any direction with a prior on its
+    friction, whose base wrench lies nearest to the reading, weighted by the sensor's noise and all error sources.
+    "force_moment", the published one: the force by its equation 5, then the arclength where that force, of any
+    direction, makes the measured moment.
 
     Attributes:
         model: the probe.
-        tolerances: how well the probe is known; None takes it for exactly what the model says.
+        tolerances: standard deviations of what the model says of it; None: as its design has them.
     """
 
     model: ProbeModel
     tolerances: Tolerances | None = None
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
-    _last_causes: dict[bytes, Causes] = field(default_factory=dict, compare=False, repr=False)
+    _last_sources: dict[bytes, tuple[ErrorSources, Array]] = field(
+        default_factory=dict, compare=False, repr=False
+    )
     _last_aged: dict[int, "Estimator"] = field(default_factory=dict, compare=False, repr=False)
+
+    @cached_property
+    def priors(self) -> Tolerances:
+        """The tolerances that count."""
+        return Tolerances.of(self.model) if self.tolerances is None else self.tolerances
 
     def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
         """The same estimator for readings with these standard deviations of each channel.
@@ -81,15 +86,24 @@ class Estimator:
     def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
         """The same estimator for a probe that is known only so well.
 
-        E, G, density, diameters, length, mount, gravity and drift then count in the weights of "ml", and in the test
-        of consistency and the covariance of both methods, for any one reading or window; the place that "paper"
-        finds, and `fuse`, which has unknowns of its own, stay as they are.
-
         Args:
             tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
         """
-        known = Tolerances.of(self.model) if tolerances is None else tolerances
-        return Estimator(self.model, None if known.exact else known)
+        return Estimator(self.model, tolerances)
+
+    def with_friction(self, friction: float) -> "Estimator":
+        """The same estimator with another prior on friction.
+
+        Args:
+            friction: standard deviation of tangential over normal force in each direction; 0: the force is normal to
+                the surface; inf: its direction is free.
+
+        Raises:
+            InputError: friction is NaN or below 0.
+        """
+        if not friction >= 0.0:
+            raise InputError(f"friction = {friction} must be 0 or more; inf leaves the direction free")
+        return Estimator(replace(self.model, friction=float(friction)), self.tolerances)
 
     def estimate(
         self,
@@ -105,7 +119,7 @@ class Estimator:
             wrench_base: what the probe does to its mount, about the base origin [N, N·m], (6,), or a window of
                 independent readings of one and the same touch, (n, 6).
             gravity_base: gravity in base axes [m/s²], (3,); the design's mount if None.
-            method: "ml" or "paper".
+            method: "ml" or "force_moment" (also "paper").
             near: an estimate of a touch close by, which "ml" then starts from; it looks no further if it finds
                 a contact there.
 
@@ -117,8 +131,8 @@ class Estimator:
         """
         wrenches = np.asarray(wrench_base, dtype=float)
         gravity = self._gravity(gravity_base)
-        if method not in ("ml", "paper"):
-            raise InputError(f"method = {method!r} is not known; known: ml, paper")
+        if method not in ("ml", "force_moment", "paper"):
+            raise InputError(f"method = {method!r} is not known; known: ml, force_moment (or paper)")
         if wrenches.shape[-1:] != (6,) or wrenches.ndim > 2 or len(wrenches) == 0:
             raise InputError(
                 f"wrench_base has shape {wrenches.shape}; it must be (6,), force and moment, or (n, 6) of them"
@@ -134,44 +148,49 @@ class Estimator:
         chi2 = seen.chi2 / self._scatter(readings)
         if not self._exceeds(chi2):
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
+        sources, drift = self._sources(gravity)
+        if self._reads_nothing(seen, readings):
+            return Estimate("inconsistent", detection_chi2=chi2)
+        noise = covariance(self.model, seen.wrench, readings) + drift
+        problem = Problem(sources, seen, self.model.friction, noise)
         scan = Scan.of(self.model.rod, seen)
-        if method == "paper":
-            return self._decide(
-                paper.locate(self.model.rod, seen, scan, self._doubts(gravity)), chi2, readings
-            )
+        if method != "ml":
+            return self._decide(force_moment.locate(problem, scan), chi2, readings, problem)
         start = near.candidates[0] if near is not None and near.candidates else None
-        found = self._likeliest(seen, start, scan)
-        if found:
-            return self._decide(found, chi2, readings)
-        # Why there is none the paper's method may tell, but its place is not the one that was asked for.
-        why = self._decide(paper.locate(self.model.rod, seen, scan), chi2, readings)
-        return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
+        found = likelihood.locate(problem, start, scan)
+        if not found:
+            # Why there is none, the force–moment method may show, but its place is not the one that was asked for.
+            why = self._decide(force_moment.locate(problem, scan), chi2, readings)
+            return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
+        return self._decide(found, chi2, readings, problem)
 
-    def _likeliest(self, seen: Observation, start: Candidate | None, scan: Scan) -> list[Candidate]:
-        """The contacts of greatest likelihood, by the noise and, if there are any, the tolerances."""
-        if self.tolerances is None:
-            return likelihood.locate(self.model.rod, seen, start, scan)
-        return doubtful.locate(self._causes(seen.gravity), seen, start, scan)
+    def _reads_nothing(self, seen: Observation, readings: int) -> bool:
+        """Whether the sensor itself reads zero: the sensor was tared with the probe mounted, and that zero was not
+        taken into account. A contact that balances all six channels is not a coincidence to believe in."""
+        noise = self.model.noise
+        far = MAX_ZERO * noise.force * math.sqrt(self._scatter(readings) / readings)
+        weight = self._hanging_weight(seen.gravity)
+        if any(abs(float(f) + w) > far for f, w in zip(seen.wrench[:3], weight, strict=True)):
+            return False
+        read = self.model.to_sensor(seen.wrench, seen.gravity)
+        std = np.repeat([noise.force, noise.moment], 3) * math.sqrt(self._scatter(readings) / readings)
+        return bool(((read / std) ** 2).sum() < ALARM_CHI2)
 
-    def _doubts(self, gravity: Array) -> Doubts | None:
-        """The tolerances, as the paper's method counts them."""
-        return None if self.tolerances is None else Doubts.of(self.model, gravity, self.tolerances)
+    def _hanging_weight(self, gravity: Array) -> tuple[float, float, float]:
+        """Weight of what hangs between sensor and base, in base axes [N]."""
+        mass = self.model.hanging.mass
+        return mass * float(gravity[0]), mass * float(gravity[1]), mass * float(gravity[2])
 
-    def _causes(self, gravity: Array) -> Causes:
-        """What may differ under a gravity; the last one is kept."""
-        assert self.tolerances is not None
+    def _sources(self, gravity: Array) -> tuple[ErrorSources, Array]:
+        """The error sources under a gravity and the covariance of the drift; the last ones are kept."""
         key = gravity.tobytes()
-        causes = self._last_causes.get(key)
-        if causes is None:
-            free, last = self._free(gravity), next(iter(self._last_causes.values()), None)
-            causes = (
-                Causes.of(self.model, self.tolerances, gravity, free)
-                if last is None
-                else last.under(gravity, free)
-            )
-            self._last_causes.clear()
-            self._last_causes[key] = causes
-        return causes
+        found = self._last_sources.get(key)
+        if found is None:
+            sources = ErrorSources.of(self.model, self.priors, gravity, self._free(gravity))
+            found = sources, sources.drift
+            self._last_sources.clear()
+            self._last_sources[key] = found
+        return found
 
     def _gravity(self, gravity_base: ArrayLike | None) -> Array:
         if gravity_base is None:
@@ -190,8 +209,9 @@ class Estimator:
         moments_only: bool = False,
         moments_about: MomentsAbout = "base",
         touched: ArrayLike | None = None,
+        priors: Tolerances | None = None,
         unknowns: Unknowns | None = None,
-    ) -> Fused:
+    ) -> FusedEstimate:
         """Locate one fixed point of the world that the probe touches from several poses of its base.
 
         Args:
@@ -204,7 +224,8 @@ class Estimator:
                 times its lever shows, or those that the sensor reads itself, which need all six numbers to be got
                 back and are then free of it.
             touched: where there was contact, (k,), all if None; readings without it tie the bias down.
-            unknowns: what is not known and how well it is; as the design's material has it if None.
+            priors: standard deviations of the error sources; those of the estimator if None.
+            unknowns: former form of the priors, kept for one release.
 
         Returns:
             The answer with its bound; anything that goes wrong is its result code, never an exception.
@@ -212,9 +233,13 @@ class Estimator:
         Raises:
             InputError: an argument has the wrong shape.
         """
-        from probedesign.estimation.fuse import fuse  # only who fuses waits for it
+        from probedesign.estimation.fuse import (
+            fuse,
+        )  # imported here: its kernels compile for those who fuse alone
 
-        return fuse(self.model, wrenches_base, Ts_world_base, gravity_world, touched, unknowns,
+        if priors is None:
+            priors = self.priors if unknowns is None else Tolerances.from_unknowns(unknowns)
+        return fuse(self.model, wrenches_base, Ts_world_base, gravity_world, touched, priors,
                     moments_about if moments_only else None)  # fmt: skip
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
@@ -243,7 +268,7 @@ class Estimator:
         """
         return bool(
             std_s < self.model.rod.length / math.sqrt(12.0)
-            and math.sqrt(force @ force) > LEAST_FORCE * self._std_force(readings)
+            and math.sqrt(force @ force) > MIN_FORCE * self._std_force(readings)
         )
 
     def since_tare(self, seconds: float) -> "Estimator":
@@ -252,13 +277,13 @@ class Estimator:
         A tolerance `drift_steps` is taken for the bias after `SETTLED` seconds, which gives the detector's walk. The
         age is rounded up to that, or twice, four times, ... as long; the last such estimator is kept.
         """
-        if self.tolerances is None or not seconds > SETTLED:
+        if self.priors.drift_steps == 0.0 or not seconds > SETTLED:
             return self
         doublings = math.ceil(math.log2(seconds / SETTLED))
         aged = self._last_aged.get(doublings)
         if aged is None:
-            steps = self.tolerances.drift_steps * math.sqrt(2.0**doublings)
-            aged = Estimator(self.model, replace(self.tolerances, drift_steps=steps), self._last_free)
+            steps = self.priors.drift_steps * math.sqrt(2.0**doublings)
+            aged = Estimator(self.model, replace(self.priors, drift_steps=steps), self._last_free)
             self._last_aged.clear()
             self._last_aged[doublings] = aged
         return aged
@@ -269,8 +294,7 @@ class Estimator:
 
     def _scatter(self, readings: int = 1) -> float:
         """Variance of the mean of so many readings, over that of their noise alone: they share the drift."""
-        steps = 0.0 if self.tolerances is None else self.tolerances.drift_steps
-        return 1.0 + readings * steps**2 * self.model.averaging_samples
+        return 1.0 + readings * self.priors.drift_steps**2 * self.model.averaging_samples
 
     @staticmethod
     def _exceeds(chi2: float) -> bool:
@@ -294,7 +318,9 @@ class Estimator:
         off = self.model.whiten @ (wrench - free.wrench_base)
         return float(off @ off) / self._scatter()
 
-    def _decide(self, found: list[Candidate], detection_chi2: float, readings: int) -> Estimate:
+    def _decide(
+        self, found: list[Candidate], detection_chi2: float, readings: int, problem: Problem | None = None
+    ) -> Estimate:
         """Turn the candidates into one answer with its code."""
         if not found:
             return Estimate("not_converged", detection_chi2=detection_chi2)
@@ -305,19 +331,23 @@ class Estimator:
             return Estimate(
                 result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed
             )
-        return Estimate("ok", best.s_contact, best.std_s, best.p_contact_base, best.p_surface_base,
-                        best.force_base, best.cov_contact_base, detection_chi2, listed, best.shape)  # fmt: skip
+        return Estimate(
+            "ok", best.s_contact, best.std_s, best.p_contact_base, best.p_surface_base, best.force_base,
+            best.cov_contact_base, best.cov_surface_base, best.force_normal, best.force_tangential,
+            best.friction_ratio, detection_chi2, listed, best.shape,
+            None if problem is None else lambda: likelihood.profile_interval(problem, best),
+        )  # fmt: skip
 
     def _result(self, listed: tuple[Candidate, ...], readings: int) -> Result:
         """The code of the best candidate beside its rivals."""
         best = listed[0]
-        if best.chi2 > MOST_CHI2[best.dof]:
-            return "out_of_range" if best.s_contact in (0.0, self.model.rod.flank_end) else "inconsistent"
+        if best.chi2 > max_chi2(best.dof, MISFIT_CHANCE) or best.force_normal <= 0.0:
+            return "out_of_range" if best.at_end else "inconsistent"
         if not self.locates(best.std_s, best.force_base, readings):
-            return "unobservable" if best.lever < LEAST_LEVER else "too_light"
+            return "unobservable" if best.lever < MIN_LEVER else "too_light"
         for rival in listed[1:]:
             near = abs(rival.s_contact - best.s_contact) <= 3.0 * (rival.std_s + best.std_s)
-            if rival.chi2 < best.chi2 + AMBIGUOUS and not near:
+            if rival.chi2 < best.chi2 + RIVAL_CHI2 and not near:
                 return "ambiguous"
         return "ok"
 

@@ -1,15 +1,14 @@
-"""From a user's arrays to a fusion: what comes from outside is checked here."""
+"""Check a user's arrays and fuse them."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probedesign.errors import InputError
-from probedesign.estimation.equations import Equations, Reading, channels_of
-from probedesign.estimation.fused import Fused, MomentsAbout
-from probedesign.estimation.fusion import Fusion
+from probedesign.estimation.fused import FusedEstimate, MomentsAbout
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import covariance
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, is_pose
 
 
@@ -19,9 +18,9 @@ def fuse(
     Ts_world_base: ArrayLike,
     gravity_world: ArrayLike,
     touched: ArrayLike | None,
-    unknowns: Unknowns | None,
+    priors: Tolerances,
     moments: MomentsAbout | None,
-) -> Fused:
+) -> FusedEstimate:
     """The point that the probe touches from several poses; see `Estimator.fuse`.
 
     Args:
@@ -37,7 +36,7 @@ def fuse(
     wrenches, poses, gravity, contact = _checked(wrenches_base, Ts_world_base, gravity_world, touched)
     needed = wrenches[:, 3:] if moments == "base" else wrenches
     if not (np.isfinite(needed).all() and np.isfinite(gravity).all() and all(is_pose(T) for T in poses)):
-        return Fused("out_of_range")
+        return FusedEstimate("out_of_range")
     readings = tuple(
         Reading(w, covariance(model, w), T, g, bool(c))
         for w, T, g, c in zip(
@@ -45,11 +44,10 @@ def fuse(
         )
     )
     if not all(_can_be_read(model, reading, moments) for reading in readings):
-        return Fused("out_of_range")
+        return FusedEstimate("out_of_range")
     if not all(model.rod.solve(reading.gravity).ok for reading in readings):
-        return Fused("not_converged")
-    equations = Equations(model, readings, unknowns or Unknowns.of(model), channels_of(model, moments))
-    return Fusion(equations).solve()
+        return FusedEstimate("not_converged")
+    return Fusion(model, readings, priors, channels_of(model, moments), gravity).solve()
 
 
 def _can_be_read(model: ProbeModel, reading: Reading, moments: MomentsAbout | None) -> bool:

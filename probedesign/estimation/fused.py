@@ -1,4 +1,4 @@
-"""What a fusion answers."""
+"""The result of a fusion: one fixed point touched from several poses."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,11 +8,8 @@ import numpy as np
 from probedesign.estimation.estimate import Result
 from probedesign.frames import Array
 
-Fixed = Literal["surface", "contact"]
-"""What of the touch stays at one point of the world: the touched point of the surface, as on a tip or an edge; or the
-point of the centreline, where the force's line meets it."""
 MomentsAbout = Literal["base", "sensor"]
-"""Where the moments are told about that count alone: the base's origin, or the sensor's own."""
+"""Where the moments are taken about that count alone: the base's origin, or the sensor's own."""
 
 
 def _nan(*shape: int) -> Array:
@@ -20,37 +17,40 @@ def _nan(*shape: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Fused:
+class FusedEstimate:
     """One fixed point touched from several poses. With any result but "ok" the position is NaN.
 
     Attributes:
         result: one of `estimate.RESULTS`.
-        p_contact_world: point of the centreline where the force acts, the mean over the poses [m], (3,).
-        p_surface_world: the touched point, likewise [m], (3,).
-        cov_contact_world: covariance of p_contact_world with everything unknown counted [m²], (3, 3).
-        cov_fixed_world: likewise of the point that stands still, one of the two [m²], (3, 3).
-        fixed: which of the two points the readings say stands still: "surface" or "contact".
-        s_contact: arclength of the contact at each pose, NaN where free [m], (k,).
+        p_surface_world: the touched point of the object, which does not move [m], (3,).
+        cov_surface_world: its covariance with every error source counted [m²], (3, 3).
+        p_contact_world: point of the centreline where the force's line of action comes nearest, the mean over the poses
+            [m], (3,).
+        cov_contact_world: its covariance [m²], (3, 3).
+        s_contact: arclength of that point at each pose, NaN where free [m], (k,).
         force_base: at each pose [N], (k, 3).
-        stiffness, std_stiffness: factor on E and G, and its standard deviation.
-        chi2, dof: how well it all fits.
-        rms: of the position [m].
-        rms_without: the same if one source of error were gone: "stiffness", "bias" or "robot" [m].
-        rms_with: the same with "one more touch" like the last, a "further press" as far again, or the
-            "stiffness" known half as vaguely [m].
-        iterations: of Gauss and Newton.
-        candidates_world: the centreline's mean point of every place that explains the readings about as well, best
-            first [m], (j, 3).
+        force_normal, force_tangential: at each pose [N], NaN where free, (k,).
+        friction_ratio: tangential over normal force at each pose, (k,).
+        stiffness, std_stiffness: factor on E, and its standard deviation.
+        chi2, dof: misfit of all readings and priors, and its degrees of freedom.
+        rms: root of the trace of cov_surface_world [m].
+        rms_without: the same if one group of error sources were gone: "stiffness", "bias" or "robot" [m].
+        rms_with: the same with "one more touch" like the last, a "further press" as far again, or the "stiffness" known
+            to half its standard deviation [m].
+        iterations: of Gauss-Newton.
+        candidates_world: touched point of every solution that explains the readings about as well, best first [m],
+            (j, 3).
     """
 
     result: Result
-    p_contact_world: Array = field(default_factory=lambda: _nan(3))
     p_surface_world: Array = field(default_factory=lambda: _nan(3))
+    cov_surface_world: Array = field(default_factory=lambda: _nan(3, 3))
+    p_contact_world: Array = field(default_factory=lambda: _nan(3))
     cov_contact_world: Array = field(default_factory=lambda: _nan(3, 3))
-    cov_fixed_world: Array = field(default_factory=lambda: _nan(3, 3))
-    fixed: Fixed | None = None
     s_contact: Array = field(default_factory=lambda: _nan(0))
     force_base: Array = field(default_factory=lambda: _nan(0, 3))
+    force_normal: Array = field(default_factory=lambda: _nan(0))
+    force_tangential: Array = field(default_factory=lambda: _nan(0))
     stiffness: float = float("nan")
     std_stiffness: float = float("nan")
     chi2: float = float("nan")
@@ -65,3 +65,13 @@ class Fused:
     def ok(self) -> bool:
         """Whether the point was located."""
         return self.result == "ok"
+
+    @property
+    def friction_ratio(self) -> Array:
+        """Tangential over normal force at each pose, (k,)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.force_tangential / self.force_normal)
+
+
+Fused = FusedEstimate
+"""Former name."""

@@ -1,215 +1,275 @@
-"""Maximum likelihood: the contact without friction whose base wrench lies nearest to the reading, in its noise.
+"""Maximum a posteriori: the touch of the surface that explains a reading best, with its noise, the error sources and
+the prior on friction.
 
-Where it may lie one integration tells (`trace.py`); where that leads to no place at all, the scan of the paper's method
-does (`locate.py`). A reading for which the trace leads to places that do not explain it is not searched further: of
-2000 such readings of touches with a bias the scan explained one, of 61,000 estimates without one another (counted
-once, by hand, on the paper's probes), and it costs some thirty times as much. The fit itself is compiled (`fit.py`,
-`spread.py`, `everywhere.py`).
+Where it may lie follows from one integration (`candidates.py`); where that leads to no place at all, from the scan of
+the force–moment method (`arclength_scan.py`). The fit itself is compiled (`contact_fit.py`, `multistart.py`).
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from typing import Any
+import math
+from collections.abc import Callable
 
 import numpy as np
-from scipy.special import chdtri
 
-from probedesign.estimation import everywhere, fit, round_end, spread
+from probedesign.estimation import multistart, rounded_tip
+from probedesign.estimation.arclength_scan import Scan
+from probedesign.estimation.contact_fit import AT_END, FITTED, STALLED
+from probedesign.estimation.contact_fit import WORK as FIT_WORK
 from probedesign.estimation.estimate import Candidate
-from probedesign.estimation.locate import Scan
-from probedesign.estimation.observation import Observation
+from probedesign.estimation.multistart import (
+    CENTRE_AT,
+    FORCE_AT,
+    FOUND,
+    KNOWN,
+    MAX_STARTS,
+    POINTS,
+    ROW,
+    S_AT,
+    STATUS,
+    SURFACE_AT,
+    SWEEPS_AT,
+    WHITEN_AT,
+)
+from probedesign.estimation.problem import Problem
+from probedesign.estimation.surface_contact_kernel import (
+    ALONG,
+    AROUND,
+    DEAD,
+    NORMAL,
+    ROWS,
+    TIP,
+    TOUCH,
+    UNKNOWNS,
+    S,
+    work_size,
+)
+from probedesign.estimation.uncertainty_kernel import (
+    CHI2,
+    CHI2_FRICTION,
+    COV_CENTRE,
+    COV_POINT,
+    COV_TOUCH,
+    LEVER,
+    LINEAR,
+    RESULT,
+    VAR_S,
+)
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.rod import Rod
+from probedesign.statistics import MISFIT_CHANCE, max_chi2
 
-DOF = 3
-"""Six channels, three unknowns: arclength, angle around the section, normal force."""
-UNLIKELY = 1e-3
-"""Chance of a true contact's misfit beyond which it is looked for elsewhere too."""
-MOST_CHI2 = float(chdtri(DOF, UNLIKELY))
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
 _ALIKE = 0.05
 """Likewise over a standard deviation; a fit ends within a hundredth or so."""
-_UNKNOWNS = slice(everywhere.FOUND, everywhere.TOLD)
-_NONE = np.empty((0, everywhere.ROW))
 
 
-def locate(
-    rod: Rod, seen: Observation, near: Candidate | None = None, scan: Scan | None = None
-) -> list[Candidate]:
-    """The contacts of greatest likelihood.
+def dof_of(friction: float) -> int:
+    """Degrees of freedom left to test a contact by: six channels and the prior's two components, less five unknowns;
+    one where the direction of the force is free."""
+    return 3 if math.isfinite(friction) else 1
+
+
+def locate(problem: Problem, near: Candidate | None = None, scan: Scan | None = None) -> list[Candidate]:
+    """Touches of greatest posterior probability, each with its covariance.
 
     Args:
-        rod: of the probe.
-        seen: the reading.
-        near: a neighbouring reading's place: only from there is then searched, everywhere only if nothing is there.
+        problem: the reading and what it is known to.
+        near: a touch close by: only from there is then searched, everywhere only if nothing is there.
         scan: of the reading, if there is one already.
     """
-    return Fitter(rod, seen, scan or Scan.of(rod, seen)).locate(near)
+    if near is not None and near.touch is not None:
+        found = _places(problem, _fit(problem, near.touch))
+        if found and explains(found[0]):
+            return found[:1]
+    places = _places(problem, _fit(problem, None))
+    if not any(explains(place) for place in places):
+        scan = scan or Scan.of(problem.sources.model.rod, problem.seen)
+        for s, tip in scan.starts:
+            places += _places(problem, _fit(problem, _started(problem, s, tip, scan.force)))
+    if problem.sources.model.rod.rounded_from is not None:
+        places += _at_rounded_tip(problem, places)
+    return _distinct(problem, places)
 
 
-@dataclass
-class Fitter:
-    """Fits contacts to one reading.
+def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate]:
+    """The touch of a round end, if it explains the reading where no touch of the flank close to it does."""
+    end = rounded_tip.locate(problem)
+    if end is None or not explains(end):
+        return []
+    near = (
+        abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s) and not p.at_end
+        for p in places
+        if explains(p)
+    )
+    return [] if any(near) else [end]
 
-    Attributes:
-        rod: of the probe.
-        seen: the reading.
-        scan: of it.
-        stalled: where fits ended that found no least misfit but one that explains nothing.
+
+def explains(place: Candidate) -> bool:
+    """Whether a contact there may well have made the reading."""
+    return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
+
+
+def _fit(problem: Problem, near: Array | None) -> Array:
+    """Rows of what was fitted, from a touch alone or from everywhere, (n, ROW)."""
+    model, seen = problem.sources.model, problem.seen
+    rows = np.empty((MAX_STARTS, ROW))
+    if near is not None:
+        rows[0, FOUND:KNOWN] = near
+    count = multistart.fit_contacts(
+        model.rod.body,
+        model.rod.flank_end,
+        seen.gravity,
+        model.mass,
+        seen.wrench,
+        problem.noise,
+        problem.friction,
+        *problem.sources.arguments(),
+        near is not None,
+        np.empty(problem.sources.room),
+        rows,
+    )
+    found: Array = rows[:count]
+    return found
+
+
+def _started(problem: Problem, s: float, tip: Array, force: Array) -> Array:
+    """A guess from a place of the scan, (TOUCH,)."""
+    touch = np.zeros(TOUCH)
+    eq = problem.sources.model.rod.solve(problem.seen.gravity, force, s, guess=tip)
+    R = eq.R_at(s) if eq.ok else np.eye(3)
+    rod = problem.sources.model.rod
+    multistart.placed(rod.body, rod.flank_end, s, force, R[:, 2].copy(), R[:, 0].copy(), touch)
+    touch[TIP:] = tip
+    return touch
+
+
+def _places(problem: Problem, rows: Array) -> list[Candidate]:
+    """Candidates of the rows that are least misfits, or of those that end where nothing explains the reading."""
+    places = []
+    for row in rows:
+        status = row[STATUS]
+        if status in (FITTED, AT_END):
+            places.append(_candidate(problem, row))
+        elif status == STALLED:
+            place = _candidate(problem, row)
+            if not explains(place) or place.force_normal <= _PULLED * np.linalg.norm(place.force_base):
+                places.append(place)
+    return places
+
+
+_PULLED = 1e-3
+"""Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling."""
+
+
+def _candidate(problem: Problem, row: Array) -> Candidate:
+    model = problem.sources.model
+    touch, known = row[FOUND:KNOWN], row[KNOWN:POINTS]
+    friction = float(touch[NORMAL]) * math.hypot(touch[AROUND], touch[ALONG])
+    return Candidate(
+        s_contact=min(max(float(row[S_AT]), 0.0), model.rod.length),
+        std_s=math.sqrt(max(float(known[VAR_S]), 0.0)),
+        p_contact_base=row[CENTRE_AT:S_AT],
+        p_surface_base=row[SURFACE_AT:CENTRE_AT],
+        force_base=row[FORCE_AT:SURFACE_AT],
+        cov_contact_base=known[COV_CENTRE:LINEAR].reshape(3, 3),
+        cov_surface_base=known[COV_POINT:COV_CENTRE].reshape(3, 3),
+        force_normal=float(touch[NORMAL]),
+        force_tangential=friction,
+        cov_linear_base=known[LINEAR : LINEAR + 9].reshape(3, 3),
+        cov_linear_contact_base=known[LINEAR + 9 : RESULT].reshape(3, 3),
+        chi2=float(known[CHI2]),
+        chi2_friction=float(known[CHI2_FRICTION]),
+        dof=dof_of(problem.friction),
+        lever=float(known[LEVER]),
+        at_end=bool(row[STATUS] == AT_END),
+        shape=_shape_of(problem, touch),
+        touch=touch,
+        cov_touch=known[COV_TOUCH:COV_POINT].reshape(5, 5),
+        whiten=row[WHITEN_AT:SWEEPS_AT].reshape(6, 6),
+    )
+
+
+def _shape_of(problem: Problem, touch: Array) -> Callable[[], Equilibrium]:
+    rod, gravity = problem.sources.model.rod, problem.seen.gravity
+
+    def shape() -> Equilibrium:
+        return rod.solve(
+            gravity, touch[DEAD : DEAD + 3], float(touch[S]), couple=touch[DEAD + 3 : TIP], guess=touch[TIP:]
+        )
+
+    return shape
+
+
+def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
+    """Arclengths s_contact [m] between which the contact lies with a probability of 95 %.
+
+    The bounds are where the misfit, least over everything but the touched section, has grown by the 95 % quantile of a
+    χ² with one degree of freedom; an end of the probe bounds the interval where the misfit grows by less. Where the
+    posterior is normal these are 1.96 standard deviations to either side; near the tip and for light touches they are
+    not.
+
+    Args:
+        problem: the reading and what it is known to.
+        place: the touch that explains it best; one without unknowns of a touch has the normal interval.
     """
+    rod = problem.sources.model.rod
+    if place.touch is None:
+        low, high = (place.s_contact + way * 1.96 * place.std_s for way in (-1.0, 1.0))
+        return max(low, 0.0), min(high, rod.length)
+    return _bound(problem, place, -1.0), _bound(problem, place, 1.0)
 
-    rod: Rod
-    seen: Observation
-    scan: Scan
-    stalled: list[Candidate] = field(default_factory=list)
 
-    def __post_init__(self) -> None:
-        """The memory that the kernels work in."""
-        self._work = np.empty(everywhere.room_for(len(self.rod.body.knots)))
-        self._rows = _NONE
-        self._scanned: list[Candidate] = []
+def _bound(problem: Problem, place: Candidate, way: float) -> float:
+    """One end of `profile_interval`, by steps of a standard deviation and bisection."""
+    assert place.touch is not None
+    model, end = problem.sources.model, problem.sources.model.rod.flank_end
+    touch, s = place.touch.copy(), float(place.touch[S])
+    limit, lin = place.chi2 + max_chi2(1, 0.05), np.empty((ROWS, 1 + UNKNOWNS))
+    sweep_work, work = np.empty(work_size(0)), np.empty(FIT_WORK)
 
-    @property
-    def _reading(self) -> tuple[Any, ...]:
-        """What every fit is told."""
-        seen = self.seen
-        return self.rod.body, self.rod.flank_end, seen.gravity, seen.weight, seen.wrench, seen.whiten
+    def misfit(at: float) -> float:
+        return float(multistart.profile_misfit(
+            model.rod.body, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten, problem.friction, at,
+            touch, sweep_work, lin, work,
+        ))  # fmt: skip
 
-    def known_to(self, whiten: Array) -> None:
-        """From now on the reading is known otherwise: see `Observation.whiten`, (6, 6)."""
-        self.seen, self.stalled = replace(self.seen, whiten=whiten), []
+    inside, outside = s, math.nan
+    for _ in range(MAX_PROFILE_STEPS):
+        there = min(max(inside + 0.7 * way * place.std_s, 0.0), end)
+        before = touch.copy()
+        if misfit(there) > limit:
+            touch, outside = before, there
+            break
+        inside = there
+        if there in (0.0, end):
+            break
+    if math.isfinite(outside):
+        for _ in range(6):
+            middle = 0.5 * (inside + outside)
+            before = touch.copy()
+            if misfit(middle) > limit:
+                touch, outside = before, middle
+            else:
+                inside = middle
+    found = np.empty(1)
+    multistart.contact_arclengths(model.rod.body, touch[None], found)
+    return float(min(max(found[0], 0.0), model.rod.length))
 
-    def likeliest(self) -> Array | None:
-        """The unknowns of the likeliest of the places that one integration tells or else the scan, (STATE,); None if
-        neither tells any. One that explains nothing as the reading is known may do as it is known to tolerances."""
-        rows = [row for row in self._everywhere(rough=True) if row[everywhere.FITTED] <= fit.STALLED]
-        if rows:
-            found: Array = min(rows, key=_misfit)[_UNKNOWNS]
-            return found
-        places = self._from_scan()
-        if places:
-            return unknowns_of(min(places, key=lambda place: place.chi2))
-        least = self.scan.likeliest
-        return None if least is None else np.concatenate([least[1], self.scan.force, (least[0],)])
 
-    def locate(self, near: Candidate | None = None) -> list[Candidate]:
-        """As the function of that name."""
-        if near is not None:
-            found = self.fit(near.tip, near.force_base, near.s_contact)
-            if found is not None and self.explains(found):
-                return [found]
-        places = self.traced() or self.scanned()
-        if self.rod.rounded_from is not None:
-            places += self.at_round_end(places)
-        return places or self.stalled
+MAX_PROFILE_STEPS = 12
+"""Steps of 0.7 standard deviations in which a bound of the interval is looked for."""
 
-    def explains(self, place: Candidate) -> bool:
-        """Whether a contact there may well have made the reading."""
-        return place.chi2 <= MOST_CHI2
 
-    def traced(self) -> list[Candidate]:
-        """What is found from wherever the trace says."""
-        return self._distinct(self._place(row) for row in self._everywhere(rough=False))
-
-    def scanned(self) -> list[Candidate]:
-        """What is found from wherever the scan along the probe says."""
-        places = self._from_scan()
-        if not any(self.explains(place) for place in places):
-            # The scan may be too coarse where the probe gives way.
-            exact = self.scan.candidates
-            places += self.places((eq.tip, self.scan.force, eq.s_contact) for eq in exact)
-        return places
-
-    def _from_scan(self) -> list[Candidate]:
-        """Fits from wherever the scan says or, where it was asked before, from what was fitted there."""
-        before = [(place.tip, place.force_base, place.s_contact) for place in self._scanned]
-        starts = ((tip, self.scan.force, s) for s, tip in self.scan.starts)
-        self._scanned = self.places(before or starts)
-        return list(self._scanned)
-
-    def _everywhere(self, rough: bool) -> Array:
-        """Fits from wherever the trace says or, where it was asked before, from what was fitted there, (n, ROW)."""
-        rows = np.empty((everywhere.MOST, everywhere.ROW))
-        count = everywhere.fit_contacts(*self._reading, False, self._rows, rough, self._work, rows)
-        self._rows = rows[:count]
-        return self._rows
-
-    def places(self, guesses: Iterable[tuple[Array, Array, float]]) -> list[Candidate]:
-        """What is found from each guess, each place once."""
-        return self._distinct(self.fit(*guess) for guess in guesses)
-
-    def at_round_end(self, places: list[Candidate]) -> list[Candidate]:
-        """The touch of a round end, if it explains the reading where no touch of the flank close to it does."""
-        end = round_end.touch(self.rod, self.seen)
-        if end is None or not self.explains(end):
-            return []
-        near = (
-            abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s)
-            for p in places
-            if self.explains(p)
+def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
+    """Each place once, best first."""
+    found: list[Candidate] = []
+    length = problem.sources.model.rod.length
+    for place in sorted(places, key=lambda of: of.chi2):
+        same = (
+            np.linalg.norm(place.p_surface_base - of.p_surface_base)
+            < _SAME * length + _ALIKE * min(place.std_s, of.std_s)
+            for of in found
         )
-        return [] if any(near) else [end]
-
-    def fit(self, tip: Array, force: Array, s: float) -> Candidate | None:
-        """The fit from one guess; None if there is no least misfit near."""
-        rows = np.empty((1, everywhere.ROW))
-        state = rows[0, _UNKNOWNS]
-        state[: fit.PUSH], state[fit.PUSH : fit.PLACE], state[fit.PLACE] = tip, force, s
-        everywhere.fit_contacts(*self._reading, True, _NONE, False, self._work, rows)
-        return self._place(rows[0])
-
-    def _place(self, row: Array) -> Candidate | None:
-        """What a fit has found, if it is a least misfit."""
-        if row[everywhere.FITTED] == fit.LOST:
-            return None
-        place = self._candidate(row[_UNKNOWNS], row[everywhere.TOLD : everywhere.FROM])
-        if row[everywhere.FITTED] != fit.STALLED:
-            return place
-        if not self.explains(place):
-            self.stalled.append(place)
-        return None
-
-    def _candidate(self, state: Array, answer: Array) -> Candidate:
-        rod, gravity = self.rod, self.seen.gravity
-        s, force, tip = float(state[fit.PLACE]), state[fit.PUSH : fit.PLACE], state[: fit.PUSH]
-        chi2, std, lever = answer[: spread.POINT].tolist()
-
-        def shape() -> Equilibrium:
-            return rod.solve(gravity, force, s, guess=tip)
-
-        return Candidate(
-            s_contact=s,
-            std_s=std,
-            p_contact_base=answer[spread.POINT : spread.COV],
-            p_surface_base=answer[spread.SURFACE : spread.LINEAR],
-            force_base=force,
-            cov_contact_base=answer[spread.COV : spread.SURFACE].reshape(3, 3),
-            cov_linear_base=answer[spread.LINEAR :].reshape(3, 3),
-            chi2=chi2,
-            dof=DOF,
-            lever=lever,
-            tip=tip,
-            shape=shape,
-        )
-
-    def _distinct(self, places: Iterable[Candidate | None]) -> list[Candidate]:
-        """Each place once."""
-        found: list[Candidate] = []
-        for place in places:
-            if place is not None and not any(self._same(place, other) for other in found):
-                found.append(place)
-        return found
-
-    def _same(self, a: Candidate, b: Candidate) -> bool:
-        return abs(a.s_contact - b.s_contact) < _SAME * self.rod.length + _ALIKE * min(a.std_s, b.std_s)
-
-
-def unknowns_of(place: Candidate) -> Array:
-    """As the fit has them, (STATE,)."""
-    return np.concatenate([place.tip, place.force_base, (place.s_contact,)])
-
-
-def _misfit(row: Array) -> float:
-    return float(row[everywhere.TOLD + spread.CHI2])
+        if not any(same):
+            found.append(place)
+    return found

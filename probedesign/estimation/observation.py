@@ -17,9 +17,10 @@ NEGLIGIBLE = 1e-2
 
 def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
     """Of the mean of so many independent readings, near such a wrench (6,), with the solver's own error, (6, 6)."""
-    cov = model.noise_base() / readings
-    moment = wrench[3:]
-    cov[[3, 4, 5], [3, 4, 5]] += NUMERICAL**2 * (moment @ moment)
+    cov = model._noise_base / readings
+    numerical = NUMERICAL**2 * float(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2)
+    if numerical > (NEGLIGIBLE * model.noise.moment) ** 2 / readings:
+        cov[[3, 4, 5], [3, 4, 5]] += numerical
     return cov
 
 

@@ -7,10 +7,12 @@ from typing import Any
 
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.unknowns import Unknowns, stiffness_spread
+from probedesign.units import MM
 
 SOURCES = {
     "drift_steps": "assumed, as in fusion",
+    "walk_steps": "assumed: 0.05 steps a root of a second over a quarter of a minute, as drift_steps",
     "youngs_modulus": "assumed: prints of one resin differ so; 0.005 where E is identified",
     "shear_modulus": "assumed, as E",
     "youngs_modulus_by_diameter": "assumed: E is known apart from the diameters",
@@ -41,6 +43,7 @@ class Tolerances:
     Attributes:
         drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
             resolution; `Estimator.since_tare` lets it grow with the root of time.
+        walk_steps: of the step that the bias takes from one reading of a fusion to the next, in the same steps.
         youngs_modulus, shear_modulus, density: relative, each by itself.
         youngs_modulus_by_diameter: no standard deviation: the power of the base diameter with which E goes where all
             diameters are other than designed together. About -4 where E was identified with the design's diameters,
@@ -81,6 +84,7 @@ class Tolerances:
     root_radii: float = 0.15
     gain: float = 0.005
     stiffness_scatter: float = 0.01
+    walk_steps: float = 0.2
 
     def __post_init__(self) -> None:
         """Raises InputError where a standard deviation is none, or the power is not finite."""
@@ -101,9 +105,8 @@ class Tolerances:
         """
         if model.tolerances is not None:
             return model.tolerances
-        spread = Unknowns.of(model)
-        own = cls(youngs_modulus=spread.stiffness, shear_modulus=spread.stiffness,
-                  creep=spread.creep or cls.creep)  # fmt: skip
+        spread = stiffness_spread(model)
+        own = cls(youngs_modulus=spread, shear_modulus=spread, creep=model.creep_spread or cls.creep)
         return replace(own, **{name: value for name, value in (said or {}).items() if value is not None})
 
     @classmethod
@@ -112,10 +115,34 @@ class Tolerances:
         nothing: dict[str, Any] = {entry.name: 0.0 for entry in fields(cls) if entry.name != "tared"}
         return cls(**nothing)
 
+    @classmethod
+    def exact_probe(cls, model: ProbeModel) -> "Tolerances":
+        """Return priors in which probe, mount and bench are exact; bias and poses scatter as in `of`."""
+        known = cls.of(model)
+        return replace(cls.none(), drift_steps=known.drift_steps, walk_steps=known.walk_steps,
+                       robot_mm=known.robot_mm)  # fmt: skip
+
+    @classmethod
+    def from_unknowns(cls, unknowns: Unknowns) -> "Tolerances":
+        """The priors of a fusion in which all but stiffness, base and bias is exact."""
+        return replace(
+            cls.none(),
+            youngs_modulus=unknowns.stiffness,
+            shear_modulus=unknowns.stiffness,
+            base_mm=unknowns.base_offset / MM,
+            robot_mm=unknowns.base_repeat / MM,
+            drift_steps=unknowns.bias_steps,
+            walk_steps=unknowns.bias_walk_steps,
+            creep=unknowns.creep,
+        )
+
     @property
     def exact(self) -> bool:
         """Whether one reading is of a probe that is all as the model says."""
-        return replace(self, robot_mm=0.0, tared=True, youngs_modulus_by_diameter=0.0) == Tolerances.none()
+        return (
+            replace(self, robot_mm=0.0, walk_steps=0.0, tared=True, youngs_modulus_by_diameter=0.0)
+            == Tolerances.none()
+        )
 
     def sources(self) -> dict[str, str]:
         """Where each comes from, by name."""

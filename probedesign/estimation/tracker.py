@@ -1,53 +1,94 @@
 """The fusion of `fusion.py` as readings come: bounded time and memory, forgetting when the touch is lost.
 
-Readings from nearly one pose are kept as their mean, a node; no more than so many nodes are kept, and the two that lie
-closest become one where there is one too many. Each update puts its reading into a node, linearises that node anew,
-now and then one of the others in turn, and takes one step of Gauss and Newton over all nodes as they were linearised
-last. So the answer is that of the batch over the nodes' means. The arithmetic is compiled (`node_kernel.py`,
-`normal_kernel.py`).
+Readings from nearly one pose are kept as their mean, a keyframe; no more than so many are kept, and the two that lie
+closest become one where there is one too many. Each update puts its reading into a keyframe, linearises that one anew,
+now and then one of the others in turn, and solves all of them as they were linearised last. So the result is that of
+the batch over the keyframes' means.
 """
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.errors import InputError
-from probedesign.estimation import node_kernel as node
-from probedesign.estimation import normal_kernel as normal
-from probedesign.estimation.answer import most_chi2, told, widened
-from probedesign.estimation.bow import Bow, bow_of
+from probedesign.estimation import fusion_kernel as kernel
+from probedesign.estimation import multistart, tracker_kernel
 from probedesign.estimation.detector import Detector, Touching
-from probedesign.estimation.equations import POINT, Equations, Reading, channels_of
+from probedesign.estimation.error_sources import FINE, ErrorSources, across
 from probedesign.estimation.estimate import Result
-from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import Fixed, Fused, MomentsAbout
-from probedesign.estimation.fusion import Fusion
-from probedesign.estimation.pressed import Push
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.estimator import SETTLED, Estimator
+from probedesign.estimation.fused import FusedEstimate, MomentsAbout
+from probedesign.estimation.fusion import (
+    BETTER_THAN_NOTHING,
+    Fusion,
+    Reading,
+    add_single_pose_curvature,
+    channels_of,
+    pulls,
+)
+from probedesign.estimation.surface_contact_kernel import (
+    ALONG,
+    AROUND,
+    DEAD,
+    NORMAL,
+    OWN,
+    ROWS,
+    TOUCH,
+    UNKNOWNS,
+    work_size,
+)
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
+from probedesign.statistics import MISFIT_CHANCE, max_chi2
+from probedesign.units import MM
 
-MOST_NODES = 8
+MAX_KEYFRAMES = 8
 IN_TURN = 4
-"""Readings after which one of the older nodes is linearised anew too."""
-LONGEST_WAIT = 256
+"""Readings after which one of the older keyframes is linearised anew too."""
+MAX_WAIT = 256
 """Readings from one start to the next, which come after 1, 2, 4 ... of them: a start may take a tenth of a second, and
 a touch that fits no single point must not hold up the readings."""
 SETTLING = 8
-"""Steps of Gauss and Newton at the first readings, from the place that one reading by itself tells."""
+"""Gauss-Newton steps at the first readings, from the place that one reading by itself gives."""
 _APART = 5e-6
 """Poses nearer than this [m], and their rotations [rad] likewise over a tenth of a metre, are one."""
 _MIXED = 1e-4
-"""Poses further apart than this, measured likewise, are not mixed into one node: their readings differ too much."""
+"""Poses further apart than this, measured likewise, are not mixed into one keyframe: their readings differ too much."""
 _HELD, _HELD_SECONDS = 256.0, 0.15
-"""Free readings that are held back before they count, the fewer: the last ones may be touches that were not told yet;
-the contact test takes a seventh of a second at most."""
+"""Free readings that are held back before they count, the fewer: the last ones may be touches not yet detected; the
+contact test takes a seventh of a second at most."""
 _ANCHOR_SECONDS = 1.0
 """How long free readings count in the free probe's mean [s]: before, the bias was another."""
-_LARGE = 1e9
+_MAX_COUNT = 1e9
+MAX_STEP = 0.1
+"""Of arclength over length, in one step."""
+
+
+@dataclass
+class _Keyframe:
+    """The mean reading of one pose, and its touch as it was linearised last."""
+
+    slot: int
+    wrench: Array
+    T: Array
+    time: float
+    sources: ErrorSources
+    touch: Array
+    lin: Array
+    D: Array
+    local: Array
+    reduced: Array
+    count: float = 1.0
+    known: bool = False
+
+    def take_in(self, wrench: Array) -> None:
+        """One more reading of this pose."""
+        self.count = min(self.count + 1.0, _MAX_COUNT)
+        self.wrench += (wrench - self.wrench) / self.count
 
 
 @dataclass
@@ -56,63 +97,90 @@ class Tracker:
 
     Attributes:
         estimator: of the probe.
-        unknowns: what is not known; as the design's material has it if None.
+        priors: standard deviations of the error sources; those of the estimator if None.
         gravity_world: [m/s²], (3,).
         moments_only, moments_about: as in `Estimator.fuse`.
         rate: of readings [Hz], each one sample of the sensor, not averaged.
-        nodes: kept at most.
+        keyframes: kept at most.
     """
 
     estimator: Estimator
-    unknowns: Unknowns | None = None
+    priors: Tolerances | None = None
     gravity_world: ArrayLike = (0.0, 0.0, -9.81)
     moments_only: bool = False
     moments_about: MomentsAbout = "sensor"
     rate: float = 7000.0
-    nodes: int = MOST_NODES
+    keyframes: int = MAX_KEYFRAMES
+    _kept: list[_Keyframe] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Raises InputError where an argument makes no sense."""
         self._gravity_world = np.asarray(self.gravity_world, dtype=float)
         if self._gravity_world.shape != (3,) or not np.isfinite(self._gravity_world).all():
             raise InputError(f"gravity_world = {self.gravity_world} must be three finite numbers in m/s²")
-        if self.nodes < 2:
-            raise InputError(f"nodes = {self.nodes} must be 2 or more")
+        if self.keyframes < 2:
+            raise InputError(f"keyframes = {self.keyframes} must be 2 or more")
         model = self.estimator.model
-        self._unknowns = self.unknowns or Unknowns.of(model)
+        self._priors = self.priors or self.estimator.priors
         self._detector = Detector(model, self.rate)
         self._channels = channels_of(model, self.moments_about if self.moments_only else None)
+        self._moments = self.moments_about if self.moments_only else None
+        sample = model.noise_base() * model.averaging_samples
+        of = np.linalg.cholesky(self._channels @ sample @ self._channels.T)
+        self._whiten, self._sample = np.ascontiguousarray(np.linalg.inv(of)), sample
+        self._bias = np.ascontiguousarray(self._channels @ np.linalg.cholesky(sample))
         self._time = -math.inf
-        # What free readings are beyond the free probe first, then the nodes of the touch, and room for one too many.
-        self._rows = np.zeros((self.nodes + 2, node.NODE))
+        self._gravity = np.empty(3)
+        self._axes = across(self._gravity_world)
+        self._anchor, self._anchored = np.zeros(6), 0.0
         self._held = np.zeros((2, 7))  # sum and number of the readings held back, the younger first
-        self._gravity, self._result = np.empty(3), np.empty(normal.RESULT)
+        self._tared: ErrorSources | None = None
+        self._memory()
         self._forget()
 
-    @cached_property
-    def _work(self) -> Array:
-        return np.empty(max(node.WORK, normal.work_for(self.nodes + 1, len(self._channels))))
-
-    @cached_property
-    def _doubts(self) -> tuple[Array, Array, Array, float, float, float, float]:
-        """What `normal_step` needs to know of noise and unknowns."""
-        model, unknowns = self.estimator.model, self._unknowns
-        sample = self._channels @ model.noise_base() @ self._channels.T * model.averaging_samples
-        return (np.ascontiguousarray(self._channels), np.ascontiguousarray(sample), unknowns.prior,
-                unknowns.base_repeat, unknowns.bias_steps, unknowns.bias_walk_steps, unknowns.creep)  # fmt: skip
+    def _memory(self) -> None:
+        """The arrays that the kernels work in."""
+        free = self.estimator.free(self.estimator.model.gravity_base)
+        sources = ErrorSources.of(self.estimator.model, self._priors, self.estimator.model.gravity_base, free)
+        names = sources.names
+        self._causes, self._width = len(names), kernel.columns(len(names))
+        self._scatter = names.index("stiffness scatter") if "stiffness scatter" in names else -1
+        self._creep = names.index("creep") if "creep" in names else -1
+        self._E = 3 + names.index("E") if "E" in names else -1
+        m, parameters = len(self._channels), OWN + len(self.estimator.model.rod.s)
+        self._columns = 1 + UNKNOWNS + parameters
+        self._sweep_work = np.empty(work_size(parameters))
+        self._block = np.empty((kernel.rows_of(m), kernel.LOCAL + self._width))
+        self._work = np.empty(kernel.solve_work(self._causes))
+        room = self.keyframes + 2  # the first for the free probe's mean, the last for one keyframe too many
+        self._all = np.empty((room, m, self._width))
+        self._lins, self._Ds = np.empty((room, ROWS, self._columns)), np.empty((room, 12, self._causes))
+        self._locals = np.empty((room, kernel.LOCAL, kernel.LOCAL + self._width))
+        self._poses, self._touches = np.empty((room, 4, 4)), np.empty((room, TOUCH))
+        self._mean_work, self._mean, self._cov_mean = (
+            np.empty(6 * self._width + 100),
+            np.empty(3),
+            np.empty((3, 3)),
+        )
+        self._step_work = np.empty(60)
+        self._cov = np.empty((3, 3))
+        self._last_sources: dict[bytes, ErrorSources] = {}
 
     def _forget(self) -> None:
-        self._kept = 0
+        self._kept.clear()
         self._x: Array | None = None
-        self._fixed: Fixed = "surface"
-        self._turn, self._bowed_at = 0, 0.0
-        self._idle, self._wait = 0, 1
-        self._bow_found: Bow | None = None
-        self._said = Fused("unobservable")
+        self._turn, self._idle, self._wait = 0, 0, 1
+        self._curved_at, self._curvature = 0.0, (0.0, np.zeros((3, 3)), np.zeros((3, 3)))
+        self._last = FusedEstimate("unobservable")
+
+    @property
+    def kept(self) -> int:
+        """How many keyframes of the present touch are kept."""
+        return len(self._kept)
 
     def update(
         self, wrench_base: ArrayLike, T_world_base: ArrayLike, time: float, touching: Touching | None = None
-    ) -> Fused:
+    ) -> FusedEstimate:
         """Take in one reading.
 
         Args:
@@ -122,45 +190,28 @@ class Tracker:
             touching: what another test says of the reading, as `Detector` would; the tracker's own test if None.
 
         Returns:
-            What is known of the touched point: "ok" with its covariance, "no_contact", or why there is no number. A
-            reading that cannot be ("out_of_range": not finite, beyond the sensor, no pose, time running backward)
-            changes nothing.
+            The touched point: "ok" with its covariance, "no_contact", or why there is no number. A reading that cannot
+            be ("out_of_range": not finite, beyond the sensor, no pose, time running backward) changes nothing.
         """
-        wrench, T = (
-            np.ascontiguousarray(wrench_base, dtype=float),
-            np.ascontiguousarray(T_world_base, dtype=float),
-        )
+        wrench = np.ascontiguousarray(wrench_base, dtype=float)
+        T = np.ascontiguousarray(T_world_base, dtype=float)
         if wrench.shape != (6,) or T.shape != (4, 4) or not self._time < time < math.inf:
-            return Fused("out_of_range")
+            return FusedEstimate("out_of_range")
         reach, hanging, most, _ = self.estimator.model.sight
-        if not node.admit(wrench, T, self._gravity_world, reach, hanging, most, self._gravity):
-            return Fused("out_of_range")
+        if not tracker_kernel.admit(wrench, T, self._gravity_world, reach, hanging, most, self._gravity):
+            return FusedEstimate("out_of_range")
         free = self.estimator.free(self._gravity)
         if not free.ok:
-            return Fused("not_converged")
+            return FusedEstimate("not_converged")
         self._time = float(time)
         said = touching or self._detector.update(wrench - free.wrench_base)
         if said != "contact":
             self._release(wrench - free.wrench_base, lost=said == "lost")
-            return Fused("no_contact")
+            return FusedEstimate("no_contact")
         i = self._place(wrench, T)
         return self._solve(i) if self._x is not None else self._begin()
 
-    @property
-    def kept(self) -> int:
-        """How many nodes of the present touch are kept."""
-        return self._kept
-
-    @property
-    def _touched(self) -> Array:
-        """The nodes of the touch."""
-        return self._rows[1 : 1 + self._kept]
-
-    @property
-    def _counting(self) -> Array:
-        """All that counts: the free probe's mean too where the bias is not known."""
-        anchored = self._unknowns.bias_steps > 0.0 and self._rows[0, node.COUNT] > 0.0
-        return self._rows[0 if anchored else 1 : 1 + self._kept]
+    # Readings into keyframes -----------------------------------------------------------------------------------------
 
     def _release(self, beyond: Array, lost: bool) -> None:
         """A free reading, less what the free probe makes there: it ties the bias down, wherever the base is."""
@@ -170,224 +221,261 @@ class Tracker:
         self._held[0, 6] += 1.0
         if self._held[0, 6] < min(_HELD, _HELD_SECONDS * self.rate):
             return
-        anchor, (old, count) = self._rows[0], (self._held[1, :6], self._held[1, 6])
+        old, count = self._held[1, :6], self._held[1, 6]
         if count:
-            total = min(anchor[node.COUNT] + count, max(_ANCHOR_SECONDS * self.rate, count))
-            anchor[node.WRENCH : node.ROTATION] += (old - count * anchor[node.WRENCH : node.ROTATION]) / total
-            anchor[node.COUNT] = total
+            total = min(self._anchored + count, max(_ANCHOR_SECONDS * self.rate, count))
+            self._anchor += (old - count * self._anchor) / total
+            self._anchored = total
         self._held[1], self._held[0] = self._held[0], 0.0
 
-    def _set(self, row: Array, wrench: Array, T: Array) -> None:
-        """A node of one reading."""
-        row[:] = 0.0
-        row[node.WRENCH : node.ROTATION] = wrench
-        row[node.ROTATION : node.ORIGIN], row[node.ORIGIN : node.GRAVITY] = T[:3, :3].ravel(), T[:3, 3]
-        row[node.GRAVITY : node.COUNT] = self._gravity
-        row[node.COUNT], row[node.TOUCHED] = 1.0, 1.0
+    def _sources_at(self, T: Array) -> ErrorSources:
+        """The error sources under the present gravity; the sensor was tared where the first touch came."""
+        key = self._gravity.tobytes()
+        found = self._last_sources.get(key)
+        if found is None:
+            gravity = self._gravity.copy()
+            found = ErrorSources.of(
+                self.estimator.model, self._priors, gravity, self.estimator.free(gravity), self._tared,
+                self._axes @ T[:3, :3],
+            )  # fmt: skip
+            self._tared = self._tared or found
+            self._last_sources = {key: found}
+        return found
 
     def _place(self, wrench: Array, T: Array) -> int:
-        """Put a reading into the node that it belongs to; which of the touch's nodes that is."""
+        """Put a reading into the keyframe that it belongs to; which of the touch's keyframes that is."""
         self._held[:] = 0.0
-        last = self._rows[self._kept]
-        if self._kept and node.apart(last, T) <= _APART:
-            node.take_in(last, wrench, _LARGE)
-            return self._kept - 1
-        self._kept += 1
-        new = self._rows[self._kept]
-        self._set(new, wrench, T)
-        if self._kept > 1:
-            new[node.PLACE :] = last[node.PLACE :]
-        if self._kept > self.nodes:
+        if self._kept and tracker_kernel.apart(self._kept[-1].T, T) <= _APART:
+            self._kept[-1].take_in(wrench)
+            return len(self._kept) - 1
+        touch = self._kept[-1].touch.copy() if self._kept else np.zeros(TOUCH)
+        slot = next(i for i in range(1, self.keyframes + 2) if all(frame.slot != i for frame in self._kept))
+        self._poses[slot], self._touches[slot] = T, touch
+        self._kept.append(_Keyframe(
+            slot, wrench.copy(), self._poses[slot], self._time, self._sources_at(T), self._touches[slot],
+            self._lins[slot], self._Ds[slot], self._locals[slot], self._all[slot],
+        ))  # fmt: skip
+        if len(self._kept) > self.keyframes:
             self._join()
-        return self._kept - 1
+        return len(self._kept) - 1
 
     def _join(self) -> None:
         """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""
-        rows = self._touched
-        gaps = [node.apart(after, _pose(before)) for before, after in pairwise(rows)]
+        gaps = [tracker_kernel.apart(a.T, b.T) for a, b in pairwise(self._kept)]
         i = int(np.argmin(gaps))
-        a, b = rows[i], rows[i + 1]
-        kept = (a if a[node.COUNT] >= b[node.COUNT] and i + 2 < len(rows) else b).copy()
+        a, b = self._kept[i], self._kept[i + 1]
+        kept, other = (a, b) if a.count >= b.count and i + 2 < len(self._kept) else (b, a)
         if gaps[i] <= _MIXED:
-            total = a[node.COUNT] + b[node.COUNT]
-            for part in (slice(node.WRENCH, node.ROTATION), slice(node.ORIGIN, node.GRAVITY)):
-                kept[part] = (a[node.COUNT] * a[part] + b[node.COUNT] * b[part]) / total
-            kept[node.COUNT] = total
-        rows[i] = kept
-        rows[i + 1 : -1] = rows[i + 2 :].copy()
-        self._kept -= 1
+            total = a.count + b.count
+            kept.wrench = (a.count * a.wrench + b.count * b.wrench) / total
+            kept.T[:3, 3] = (a.count * a.T[:3, 3] + b.count * b.T[:3, 3]) / total
+            kept.count = total
+            if kept.known:
+                self._reduce(kept, self._kept.index(kept))
+        del self._kept[self._kept.index(other)]
 
-    def _solve(self, i: int) -> Fused:
-        """The answer after a reading came into node i: linearised there, and one step over all nodes."""
-        assert self._x is not None
+    # One step over all keyframes -------------------------------------------------------------------------------------
+
+    def _solve(self, i: int) -> FusedEstimate:
+        """The result after a reading came into keyframe i: linearised there, and all keyframes solved."""
         self._turn += 1
-        older = self._turn // IN_TURN % self._kept
+        older = self._turn // IN_TURN % len(self._kept)
         for k in (i, older) if self._turn % IN_TURN == 0 and older != i else (i,):
-            if not self._linearise(k, move=True):
-                return self._lost()
-        return self._say(self._step())
+            if not self._linearise(k):
+                return self._remember(FusedEstimate("not_converged"))
+        return self._remember(self._step())
 
-    def _say(self, answer: Fused) -> Fused:
-        """What fits no more may have run away, so it begins again; what cannot fit stays so."""
-        if answer.result in ("inconsistent", "not_converged"):
+    def _remember(self, result: FusedEstimate) -> FusedEstimate:
+        """A fit that fits no more may have run away, so it begins again; what cannot fit stays so."""
+        if result.result in ("inconsistent", "not_converged"):
             self._x = None
-        self._said = answer
-        return answer
+        self._last = result
+        return result
 
-    def _lost(self) -> Fused:
-        return self._say(Fused("not_converged"))
+    def _linearise(self, k: int) -> bool:
+        """A keyframe, its touch first moved to where the unknowns put it; whether the probe holds it."""
+        frame, model = self._kept[k], self.estimator.model
+        if frame.known and self._x is not None:
+            kernel.step_keyframe(frame.touch, frame.lin, frame.local, self._x, 1.0,
+                                 MAX_STEP * model.rod.length, model.rod.flank_end, self._step_work)  # fmt: skip
+        if not kernel.linearise_keyframe(
+            model.rod.body, frame.sources.gravity, model.mass, FINE, frame.touch, *frame.sources.arguments(),
+            self._sweep_work, frame.lin, frame.D,
+        ):  # fmt: skip
+            return False
+        frame.known = True
+        self._reduce(frame, k)
+        return True
 
-    def _linearise(self, k: int, move: bool) -> bool:
-        """A node of the touch, its push first moved to where the unknowns put it or not; whether it stands."""
-        rod, model = self.estimator.model.rod, self.estimator.model
-        return bool(node.linearise(rod.body, rod.flank_end, model.mass, self._x, move, self._fixed == "contact",
-                                   self._touched[k], self._work))  # fmt: skip
+    def _reduce(self, frame: _Keyframe, k: int) -> None:
+        ramp = float(self._ramps(len(self._kept))[k])
+        kernel.reduce_keyframe(
+            frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
+            math.sqrt(frame.count) * self._whiten, self._bias, self.estimator.model.friction,
+            self._priors.robot_mm * MM, self._scatter, self._creep, ramp, self._block, frame.local, frame.reduced,
+        )  # fmt: skip
 
-    def _step(self) -> Fused:
-        """One step over all nodes as they are linearised, and what is known then."""
-        assert self._x is not None
-        rows, result = self._counting, self._result
-        most = 0.1 * self.estimator.model.rod.length
-        if not normal.normal_step(rows, self._x, most, *self._doubts, self._work, result):
-            return Fused("not_converged")
-        return self._told(rows, self._x.copy(), result.copy())
+    def _gather(self) -> tuple[Array, Array]:
+        """Which rows count, the free probe's mean first, and the variance of the bias's step before each."""
+        order, walk, drift = [], [], self._priors.walk_steps**2 / SETTLED
+        if self._priors.drift_steps > 0.0 and self._anchored > 0.0:
+            free = self.estimator.free(self._kept[0].sources.gravity).wrench_base
+            kernel.reduce_free(
+                np.zeros((6, self._causes)), free, free + self._anchor, self._channels,
+                math.sqrt(self._anchored) * self._whiten, self._bias, self._all[0],
+            )  # fmt: skip
+            order, walk = [0], [0.0]
+        last = self._kept[0].time
+        for frame in self._kept:
+            if frame.known:
+                order.append(frame.slot)
+                walk.append(drift * max(frame.time - last, 0.0) + (drift if frame is self._kept[0] else 0.0))
+                last = frame.time
+        return np.array(order), np.array(walk)
 
-    def _told(self, rows: Array, x: Array, result: Array) -> Fused:
-        """The answer in words."""
-        cov, chi2 = result[normal.COV : normal.CHI2].reshape(7, 7), float(result[normal.CHI2])
-        dof, rms = max(len(rows) * len(self._channels) - 3, 1), math.sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])
-        stiffness, std = math.exp(x[node.STIFFNESS]), math.sqrt(cov[node.STIFFNESS, node.STIFFNESS])
-        code = self._code(chi2, dof, rms, bool(result[normal.PULLS]))
+    def _step(self) -> FusedEstimate:
+        """Solve all keyframes as they are linearised."""
+        order, walk = self._gather()
+        x = np.empty(self._width - 1)
+        chi2 = kernel.solve_reduced(
+            self._all, order, walk, self._priors.drift_steps, self._causes, self._work, x, self._cov
+        )
+        if not math.isfinite(chi2):
+            return FusedEstimate("not_converged")
+        self._x = x
+        return self._result(x, float(chi2))
+
+    def _result(self, x: Array, chi2: float) -> FusedEstimate:
+        model, frames = self.estimator.model, [frame for frame in self._kept if frame.known]
+        free = 0 if math.isfinite(model.friction) else 2
+        dof = max(len(frames) * (len(self._channels) - free) - 3, 1)
+        rms = math.sqrt(max(float(np.trace(self._cov)), 0.0))
+        stiffness, std = 1.0, 0.0
+        if self._E >= 0:
+            scale = self._priors.youngs_modulus
+            stiffness, std = (
+                math.exp(scale * float(x[self._E])),
+                scale * kernel.standard_deviation(self._work, len(x), self._E, self._mean_work),
+            )
+        order = np.array([frame.slot for frame in frames])
+        touches = self._touches[order]
+        code = self._code(chi2, dof, rms, touches, np.array([frame.count for frame in frames]))
         if code != "ok":
-            return Fused(code, fixed=self._fixed, stiffness=stiffness, std_stiffness=stiffness * std, chi2=chi2,
-                         dof=dof, rms=rms, iterations=1)  # fmt: skip
-        free = rows[:, node.TOUCHED] == 0.0
-        answer = Fused(
+            return FusedEstimate(code, stiffness=stiffness, std_stiffness=stiffness * std, chi2=chi2, dof=dof, rms=rms,
+                                 iterations=1)  # fmt: skip
+        kernel.mean_centre(
+            self._lins, self._Ds, self._locals, self._poses, order, x, self._scatter, self._creep,
+            self._ramps(len(frames)), self._mean_work, self._work, self._mean, self._cov_mean,
+        )  # fmt: skip
+        s = np.empty(len(frames))
+        multistart.contact_arclengths(model.rod.body, touches, s)
+        result = FusedEstimate(
             "ok",
-            p_contact_world=x[POINT] + result[normal.AT_CONTACT : normal.AT_SURFACE],
-            p_surface_world=x[POINT] + result[normal.AT_SURFACE : normal.COV_CONTACT],
-            cov_contact_world=result[normal.COV_CONTACT : normal.PULLS].reshape(3, 3),
-            cov_fixed_world=cov[POINT, POINT],
-            fixed=self._fixed,
-            s_contact=np.where(free, np.nan, rows[:, node.PLACE]),
-            force_base=rows[:, node.FORCE : node.TIP].copy(),
+            p_surface_world=x[:3].copy(),
+            cov_surface_world=self._cov.copy(),
+            p_contact_world=self._mean.copy(),
+            cov_contact_world=self._cov_mean.copy(),
+            s_contact=s,
+            force_base=touches[:, DEAD : DEAD + 3],
+            force_normal=touches[:, NORMAL],
+            force_tangential=touches[:, NORMAL] * np.hypot(touches[:, AROUND], touches[:, ALONG]),
             stiffness=stiffness,
             std_stiffness=stiffness * std,
             chi2=chi2,
             dof=dof,
             rms=rms,
             iterations=1,
+            candidates_world=x[None, :3].copy(),
         )
-        if self._kept > 1 or self.moments_only:
-            return answer
-        bow = self._bow()
-        return answer if bow is None else widened(answer, bow, _pose(self._touched[0])[:3, :3])
+        return self._curved(result) if len(self._kept) == 1 and not self.moments_only else result
 
-    def _bow(self) -> Bow | None:
-        """Of the first pose, looked at anew each time it has twice the readings."""
-        row = self._touched[0]
-        if row[node.COUNT] >= 2.0 * self._bowed_at or self._bowed_at == 0.0:
-            model, self._bowed_at = self.estimator.model, float(row[node.COUNT])
-            cov = model.noise_base() * model.averaging_samples / self._bowed_at
-            wrench, gravity = row[node.WRENCH : node.ROTATION].copy(), row[node.GRAVITY : node.COUNT].copy()
-            self._bow_found = bow_of(model.rod, wrench, cov, gravity)
-        return self._bow_found
+    @staticmethod
+    @cache
+    def _ramps(k: int) -> Array:
+        """How far creep has gone at each of k keyframes."""
+        return np.linspace(0.0, 1.0, k) if k > 1 else np.ones(1)
 
-    def _code(self, chi2: float, dof: int, rms: float, pulls: bool) -> Result:
-        if chi2 > most_chi2(dof) or pulls:
+    def _curved(self, result: FusedEstimate) -> FusedEstimate:
+        """The result of one pose with the curvature of the probe added, evaluated as its readings double."""
+        frame = self._kept[0]
+        if frame.count >= 2.0 * self._curved_at or self._curved_at == 0.0:
+            self._curved_at = frame.count
+            wide = add_single_pose_curvature(
+                result, self.estimator.model, [self._reading(frame)], frame.sources
+            )
+            self._curvature = (
+                float(np.trace(result.cov_surface_world)),
+                wide.cov_surface_world - result.cov_surface_world,
+                wide.cov_contact_world - result.cov_contact_world,
+            )
+        before, surface, contact = self._curvature
+        share = (float(np.trace(result.cov_surface_world)) / before) ** 2 if before > 0.0 else 0.0
+        cov = result.cov_surface_world + share * surface
+        return replace(
+            result,
+            cov_surface_world=cov,
+            cov_contact_world=result.cov_contact_world + share * contact,
+            rms=math.sqrt(max(float(np.trace(cov)), 0.0)),
+        )
+
+    def _code(self, chi2: float, dof: int, rms: float, touches: Array, counts: Array) -> Result:
+        std = math.sqrt(float(self._sample[0, 0])) / np.sqrt(counts)
+        if chi2 > max_chi2(dof, MISFIT_CHANCE) or pulls(touches, std):
             return "inconsistent"
-        if not rms < self.estimator.model.rod.length / math.sqrt(12.0):
+        if not rms < self.estimator.model.rod.length * BETTER_THAN_NOTHING:
             return "unobservable" if self.moments_only else "too_light"
         return "ok"
 
-    def _begin(self) -> Fused:
-        """Start, but not at every reading; between, what was said last holds, never "ok"."""
-        if self.moments_only and self._kept < 2:
-            self._said = Fused("unobservable")
-            return self._said
+    # Starting --------------------------------------------------------------------------------------------------------
+
+    def _begin(self) -> FusedEstimate:
+        """Start, but not at every reading; between, the last result holds, never "ok"."""
+        if self.moments_only and len(self._kept) < 2:
+            self._last = FusedEstimate("unobservable")
+            return self._last
         self._idle += 1
         if self._idle < self._wait:
-            return self._said
-        self._idle, self._wait = 0, min(2 * self._wait, LONGEST_WAIT)
-        self._model_anchor()
+            return self._last
+        self._idle, self._wait = 0, min(2 * self._wait, MAX_WAIT)
         # Moments alone may have rivals that one reading does not show; of one pose, a batch knows no more.
-        answer = Fused("not_converged") if self.moments_only else self._from_one()
-        if answer.result not in ("ok", "too_light") and self._kept > 1:
-            answer = self._from_batch()
-        return self._say(answer)
+        result = FusedEstimate("not_converged") if self.moments_only else self._from_one()
+        if result.result not in ("ok", "too_light") and len(self._kept) > 1:
+            result = self._from_batch()
+        return self._remember(result)
 
-    def _model_anchor(self) -> None:
-        """How what free readings are beyond the free probe goes with its stiffness."""
-        anchor, gravity = self._rows[0], self._touched[-1, node.GRAVITY : node.COUNT].copy()
-        anchor[node.GRAVITY : node.COUNT] = gravity
-        anchor[node.ROTATION : node.GRAVITY] = self._touched[-1, node.ROTATION : node.GRAVITY]
-        eq = self.estimator.model.rod.solve(gravity, columns="all")
-        if eq.sensitivity is not None:
-            by, names = eq.sensitivity.d_wrench, eq.sensitivity.names
-            anchor[node.BY_STIFFNESS : node.FIXED] = by[:, names.index("log_E")] + by[:, names.index("log_G")]
-
-    def _from_one(self) -> Fused:
-        """Start from the place that the last node's reading tells by itself."""
-        last, rod = self._touched[-1], self.estimator.model.rod
-        found = self.estimator.estimate(last[node.WRENCH : node.ROTATION], last[node.GRAVITY : node.COUNT])
+    def _from_one(self) -> FusedEstimate:
+        """Start from the touch that the last keyframe's reading gives by itself."""
+        last = self._kept[-1]
+        found = self.estimator.estimate(last.wrench, last.sources.gravity)
         if found.result == "ambiguous":
-            return Fused("ambiguous")
-        if not found.candidates or not (eq := found.candidates[0].shape()).ok:
-            return Fused("not_converged")
-        push, self._fixed = Push.under(rod, eq), "surface"
-        self._x = x = np.zeros(node.UNKNOWNS)
-        for row in self._touched:
-            _push(row, push)
-        if not self._linearise(self._kept - 1, move=False):
-            return self._lost()
-        x[POINT] = last[node.ORIGIN : node.GRAVITY] + _pose(last)[:3, :3] @ last[node.FIXED : node.CONTACT]
-        for row in self._touched[:-1]:
-            row[node.PLACE :] = last[node.PLACE :]
-        for _ in range(SETTLING):
-            if not all(self._linearise(k, move=True) for k in range(self._kept)):
-                return self._lost()
-            answer = self._step()
-        return answer
+            return FusedEstimate("ambiguous")
+        if not found.candidates or found.candidates[0].touch is None:
+            return FusedEstimate("not_converged")
+        return self._settled([found.candidates[0].touch] * len(self._kept))
 
-    def _free_wrench(self, row: Array) -> Array:
-        """What the free probe makes where a row is the free readings' mean, which is kept without it; else nothing."""
-        if row[node.TOUCHED]:
-            return np.zeros(6)
-        return self.estimator.free(row[node.GRAVITY : node.COUNT].copy()).wrench_base
+    def _settled(self, touches: list[Array]) -> FusedEstimate:
+        """A few steps over all keyframes from a guess of their touches."""
+        self._x = None
+        for frame, touch in zip(self._kept, touches, strict=True):
+            frame.touch[:], frame.known = touch, False
+        result = FusedEstimate("not_converged")
+        for _ in range(SETTLING if len(self._kept) > 1 else 2):
+            if not all(self._linearise(k) for k in range(len(self._kept))):
+                return FusedEstimate("not_converged")
+            result = self._step()
+        return result
 
-    def _from_batch(self) -> Fused:
+    def _reading(self, frame: _Keyframe) -> Reading:
+        return Reading(frame.wrench.copy(), self._sample / frame.count, frame.T, frame.sources.gravity, True)
+
+    def _from_batch(self) -> FusedEstimate:
         """Start from the whole batch."""
-        self._x, model, rows = None, self.estimator.model, self._counting
-        cov = model.noise_base() * model.averaging_samples
-        readings = tuple(
-            Reading(row[: node.ROTATION] + self._free_wrench(row), cov / row[node.COUNT], _pose(row),
-                    row[node.GRAVITY : node.COUNT].copy(), bool(row[node.TOUCHED]))
-            for row in rows
-        )  # fmt: skip
-        equations = Equations(model, readings, self._unknowns, self._channels)
-        solved = Fusion(equations).solved()
-        if isinstance(solved, Fused):
-            return solved
-        found, self._fixed, others = solved
-        answer = told(equations, found, self._fixed, others, brief=True)
-        if answer.ok:
-            self._x = found[0].x
-            for k, pressed in enumerate(found[0].pressed[len(rows) - self._kept :]):
-                assert pressed is not None
-                _push(self._touched[k], pressed.push)
-                if not self._linearise(k, move=False):
-                    return self._lost()
-        return answer
-
-
-def _pose(row: Array) -> Array:
-    """Of a node's base, (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = row[node.ROTATION : node.ORIGIN].reshape(3, 3), row[node.ORIGIN : node.GRAVITY]
-    return T
-
-
-def _push(row: Array, push: Push) -> None:
-    """Let a node's push be this one."""
-    row[node.PLACE], row[node.ANGLE], row[node.MAGNITUDE] = push.s, push.angle, push.magnitude
-    row[node.FORCE : node.TIP], row[node.TIP : node.LOG_STIFFNESS] = push.force, push.tip
+        readings = tuple(self._reading(frame) for frame in self._kept)
+        fusion = Fusion(self.estimator.model, readings, self._priors, self._channels, self._gravity_world)
+        found = fusion.solutions()
+        if isinstance(found, FusedEstimate):
+            return found
+        result = fusion.answer(found, brief=True)
+        if not result.ok:
+            return result
+        return self._settled(list(found[0].touches))

@@ -1,38 +1,38 @@
-"""What a fusion does not know beside where the object is, and how well it knows it beforehand."""
+"""Former priors of a fusion; they are part of `Tolerances` now."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Literal
-
-import numpy as np
+from dataclasses import dataclass, fields
 
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 
-EXACT = 1e-12
-"""A prior that is none, relative and in metres."""
 IDENTIFIED = 0.005
 """What an identification on the bench leaves of the stiffness, relative. Assumed."""
-Source = Literal["stiffness", "bias", "robot"]
+ASSUMED_STIFFNESS = 0.03
+"""Standard deviation of E where nothing was measured, relative: prints of one resin differ so. Assumed."""
+
+
+def stiffness_spread(model: ProbeModel) -> float:
+    """Standard deviation of E and of G, relative: of the design's material, or by where E comes from."""
+    if model.stiffness_spread is not None:
+        return model.stiffness_spread
+    E = model.material.get("youngs_modulus")
+    return IDENTIFIED if E is not None and E.provenance == "identified" else ASSUMED_STIFFNESS
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Prior standard deviations. All of them are assumed: say what your bench and robot have.
+    """Priors of a fusion in which the probe is known but for its stiffness: kept for one release, use `Tolerances`.
 
     Attributes:
-        stiffness: of a common factor on E and G, relative. 0.03: prints of one resin differ by so much (assumed);
-            0.005 is what an identification on the bench leaves.
+        stiffness: of E and of G, relative.
         base_offset: of the base's place, the same at every pose, on each of the base's axes [m].
         base_repeat: of the base's place at each pose for itself, on each axis [m].
-        bias_steps: of the sensor's bias at the first reading, on each channel, in steps of its resolution: what the
-            tare left.
-        bias_walk_steps: how far the bias walks from one reading to the next, in the same steps.
-        creep: of the factor by which the stiffness has relaxed at the last reading, relative; it grows evenly over
-            the readings, from none at the first. 0 leaves creep out.
+        bias_steps: of the sensor's bias at the first reading, in steps of its resolution.
+        bias_walk_steps: of the bias's step from one reading to the next, in the same steps.
+        creep: of how far the stiffness has relaxed at the last reading, relative.
     """
 
-    stiffness: float = 0.03
+    stiffness: float = ASSUMED_STIFFNESS
     base_offset: float = 0.05e-3
     base_repeat: float = 0.01e-3
     bias_steps: float = 0.0
@@ -40,7 +40,7 @@ class Unknowns:
     creep: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises InputError where a standard deviation is none."""
+        """Raises InputError where a value is not a standard deviation."""
         for entry in fields(self):
             value = getattr(self, entry.name)
             if not 0.0 <= value < float("inf"):
@@ -48,28 +48,10 @@ class Unknowns:
 
     @classmethod
     def of(cls, model: ProbeModel) -> "Unknowns":
-        """As the design's material has it; E that was identified on the bench is known six times as well."""
-        stiffness = model.stiffness_spread
-        if stiffness is None:
-            E = model.material.get("youngs_modulus")
-            stiffness = IDENTIFIED if E is not None and E.provenance == "identified" else cls.stiffness
-        return cls(stiffness=stiffness, creep=model.creep_spread)
+        """As the design's material has them."""
+        return cls(stiffness=stiffness_spread(model), creep=model.creep_spread)
 
     @classmethod
     def none(cls) -> "Unknowns":
         """Everything but the object is known exactly."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-    @property
-    def prior(self) -> Array:
-        """Standard deviations of log stiffness and of the base's offset [m], (4,); never quite none."""
-        offset = max(self.base_offset, EXACT)
-        return np.array([max(self.stiffness, EXACT), offset, offset, offset])
-
-    def without(self, source: Source) -> "Unknowns":
-        """The same with one source of error gone."""
-        if source == "stiffness":
-            return replace(self, stiffness=0.0, creep=0.0)
-        if source == "bias":
-            return replace(self, bias_steps=0.0, bias_walk_steps=0.0)
-        return replace(self, base_offset=0.0, base_repeat=0.0)

@@ -1,4 +1,4 @@
-"""What one reading of the moment leaves open: a curve of places along the probe, each with the force that it takes.
+"""Touches that make one measured moment: a curve along the probe, each place with the frictionless force that it takes.
 
 The point that was touched from several poses lies where their curves meet; that is where a fusion starts.
 """
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.estimation.pressed import Push
+from probedesign.estimation.multistart import placed
+from probedesign.estimation.surface_contact_kernel import TIP, TOUCH
 from probedesign.frames import Array
 from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.rod import Rod
@@ -17,7 +18,7 @@ from probedesign.rod.rod import Rod
 STATIONS = 24
 NEAREST = 0.04
 """Of the stations to the base, over the length."""
-MOST_BENT = 6.0
+MAX_BENT = 6.0
 """F s² r(0)/(E I(0) r(s)) of a push beyond which no probe holds it; looking for its equilibrium would take long."""
 _ITERATIONS = 3
 X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)
@@ -30,11 +31,11 @@ class Curve:
 
     Attributes:
         points: of the centreline, in the world [m], (j, 3); NaN where no force makes the moment.
-        pushes: that make the moment there, (j,).
+        touches: that make the moment there, (TOUCH,) each, (j,).
     """
 
     points: Array
-    pushes: tuple[Push | None, ...]
+    touches: tuple[Array | None, ...]
 
 
 def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:
@@ -47,28 +48,28 @@ def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve
         T_world_base: pose of the base, (4, 4).
     """
     stations = np.linspace(NEAREST, 1.0, STATIONS) * rod.flank_end
-    points, pushes = np.full((STATIONS, 3), np.nan), list[Push | None]([None] * STATIONS)
+    points, touches = np.full((STATIONS, 3), np.nan), list[Array | None]([None] * STATIONS)
     force, going = np.zeros((STATIONS, 3)), np.arange(STATIONS)
     for _ in range(_ITERATIONS):
-        bearable = np.linalg.norm(force[going], axis=1) <= _most_force(rod, stations[going])
+        bearable = np.linalg.norm(force[going], axis=1) <= _max_force(rod, stations[going])
         for j in going[~bearable]:
-            points[j], pushes[j] = np.nan, None
+            points[j], touches[j] = np.nan, None
         going = going[bearable]
         if len(going) == 0:
             break
         batch = solve_batch(rod, gravity, force[going], stations[going], columns="load")
         going, batch = going[batch.ok], batch.rows(batch.ok)
         for j, case in zip(going, range(len(going)), strict=True):
-            pushes[j] = _push(float(stations[j]), force[j].copy(), batch.frame[case], batch.tip[case])
+            touches[j] = _touch(rod, float(stations[j]), force[j].copy(), batch.frame[case], batch.tip[case])
         points[going] = batch.p_contact_base @ T_world_base[:3, :3].T + T_world_base[:3, 3]
         force[going] = _across(batch, force[going], moment)
-    return Curve(points, tuple(pushes))
+    return Curve(points, tuple(touches))
 
 
-def _most_force(rod: Rod, s: Array) -> Array:
+def _max_force(rod: Rod, s: Array) -> Array:
     """Pushes beyond which no probe holds them [N], (j,)."""
     radius = np.interp(s, rod.s, rod.radius)
-    most: Array = MOST_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
+    most: Array = MAX_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
     return most
 
 
@@ -81,13 +82,15 @@ def _across(batch: Batch, force: Array, moment: Array) -> Array:
     return found
 
 
-def _push(s: float, force: Array, frame: Array, tip: Array) -> Push:
-    """As a force pushes."""
-    angle = math.atan2(force @ frame[Y_AXIS], force @ frame[X_AXIS])
-    return Push(s, angle, float(np.linalg.norm(force)), force, tip.copy())
+def _touch(rod: Rod, s: float, force: Array, frame: Array, tip: Array) -> Array:
+    """The touch whose force crosses the centreline at s, (TOUCH,)."""
+    touch = np.zeros(TOUCH)
+    placed(rod.body, rod.flank_end, s, force, frame[:3].copy(), frame[X_AXIS].copy(), touch)
+    touch[TIP:] = tip
+    return touch
 
 
-def meetings(curves: list[Curve]) -> list[tuple[int, ...]]:
+def closest_approaches(curves: list[Curve]) -> list[tuple[int, ...]]:
     """Where curves come nearest to each other: a station of each, for every local minimum, nearest first."""
     if len(curves) < 2:
         return []

@@ -9,7 +9,17 @@ good for a start, not for an answer.
 import math
 from pathlib import Path
 
-from probedesign.estimation.fit import PLACE, PUSH, TIP
+from probedesign.estimation.surface_contact_kernel import (
+    ALONG,
+    AROUND,
+    DEAD,
+    NORMAL,
+    PHI,
+    TIP,
+    S,
+    offset_along,
+    radius_and_slope,
+)
 from probedesign.rod.kernels.body import CONE, DENSITY, ROOT_REACH
 from probedesign.rod.kernels.compiled import drop_stale, inner
 from probedesign.rod.kernels.equations import frustum_of, medium, rest_at, rest_of, turning
@@ -32,6 +42,10 @@ CURLED = 0.5
 the moment that was read curls the thin tip up."""
 DROOPS = 8
 """Steps along the free part."""
+USUAL, MAX_SINE = 0.6, 0.9
+"""Share of a force that friction around the section usually has, and has at most, in a guess."""
+MIN_PUSH = 0.2
+"""Share of a force that a guess takes for normal at least."""
 
 
 @inner
@@ -176,16 +190,48 @@ def _hang(body, s, t, d, gravity, knot_moments):
 
 
 @inner
-def guess(body, end, gravity, force, work, room, s, reached, state):
-    """The contact at s as a guess to fit from, (fit.STATE,); whether there is one."""
+def guess(body, end, gravity, force, known_twist, work, room, s, reached, touch):
+    """The contact whose line of action crosses the centreline at s as a guess to fit from, (TOUCH,); whether there is
+    one. known_twist: standard deviation of the twist moment [N·m]."""
     start = min(max(math.floor(s / end * (STATIONS - 1)), 0), reached - 1)
     for q in range(WIDTH):
         work[q] = room[WIDTH * start + q]
     if not _carry(body, end * start / (STATIONS - 1), s, work, force, gravity, 1.0):
         return False
-    for q in range(3):
-        state[TIP + q], state[TIP + 3 + q] = work[T + q], work[D + q]
-        state[PUSH + q] = force[q]
-    state[PLACE] = s
-    _droop(body, s, gravity, room[ROOM:], state)
+    t, x_axis = take(work, T), take(work, D)
+    twist = dot(take(work, M), t)  # the free part beyond makes none about its own tangent
+    place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch)
+    put(touch, TIP, t)
+    put(touch, TIP + 3, x_axis)
+    _droop(body, s, gravity, room[ROOM:], touch)
     return True
+
+
+@inner
+def place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch):
+    """Fill a touch (but for its tip) whose force comes nearest to the centreline at s where the section is t, x_axis.
+
+    The force points away from the touched side of the section, but for the friction around it, f_1 = twist/r.
+    """
+    y_axis = cross(t, x_axis)
+    across = add(force, -dot(force, t), t)
+    size = math.sqrt(dot(force, force))
+    wide = math.sqrt(dot(across, across))
+    phi = math.atan2(-dot(across, y_axis), -dot(across, x_axis)) if wide > 1e-6 * size else 0.0
+    around = twist / max(radius_and_slope(body, s)[0], 1e-300)
+    known = known_twist / max(radius_and_slope(body, s)[0], 1e-300)
+    around /= 1.0 + (known / max(USUAL * wide, 1e-300)) ** 2
+    sine = min(max(around / max(wide, 1e-300), -MAX_SINE), MAX_SINE)
+    phi += math.asin(sine)
+    e = add(times(math.cos(phi), x_axis), math.sin(phi), y_axis)
+    touch[S], touch[PHI] = s, phi
+    for _ in range(2):
+        r, tan = radius_and_slope(body, touch[S])
+        cos = 1.0 / math.sqrt(1.0 + tan * tan)
+        sin = tan * cos
+        touch[NORMAL] = max(-cos * dot(force, e) - sin * dot(force, t), MIN_PUSH * size)
+        touch[AROUND] = sine * wide / max(touch[NORMAL], 1e-300)
+        touch[ALONG] = (cos * dot(force, t) - sin * dot(force, e)) / max(touch[NORMAL], 1e-300)
+        touch[S] = min(max(s - offset_along(r, sin, cos, touch)[0], 0.0), end)
+    put(touch, DEAD, force)
+    put(touch, DEAD + 3, cross(times(r, e), force))

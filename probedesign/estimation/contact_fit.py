@@ -1,0 +1,221 @@
+"""The contact that explains a reading best: Gauss-Newton on the five unknowns of a touch (compiled).
+
+Equilibrium and contact are found together: the equilibrium next to a guess follows to first order from one sweep
+(`surface_contact_kernel.py`), so each iteration costs one sweep. Minimised is
+
+    |W (h(y) - w)|² + (a_1/μ)² + (a_2/μ)²,
+
+the misfit of the base wrench whitened by its covariance, and the prior on friction.
+"""
+
+import math
+from pathlib import Path
+
+from probedesign.estimation.linalg_kernel import scale_and_factor, solve_scaled
+from probedesign.estimation.surface_contact_kernel import (
+    AROUND,
+    BY_TOUCH,
+    CLAMPED,
+    MOVE,
+    NORMAL,
+    PHI,
+    TOUCH,
+    UNKNOWNS,
+    VALUE,
+    WRENCH,
+    S,
+    advance,
+    linearise,
+    plan_move,
+)
+from probedesign.rod.kernels.body import OK
+from probedesign.rod.kernels.compiled import drop_stale, inner
+
+drop_stale(Path(__file__).parent)
+
+FITTED, AT_END, STALLED, LOST = 0, 1, 2, 3
+"""What became of a fit: a least misfit; one held by an end of the probe; no lower misfit to be found though this is
+no least one, as where no contact explains the reading; no equilibrium."""
+RESIDUALS = 8
+"""Six channels and two components of the friction."""
+MIN_FRICTION = 1e-4
+"""A smaller prior standard deviation of the friction ratio is taken for this one: the force is then normal to within a
+hundredth of the angle that any sensor resolves."""
+FINEST, COARSEST, OF_NOISE = 5e-7, 1e-5, 3e-3
+"""Error of a sweep's step [rad]: that of the rod's fast mode or, where the reading's noise hides more, so many
+standard deviations of the moment over the moment itself, up to the last."""
+CLOSE = 1e-7
+"""Step of arclength over length at which the fit ends."""
+FLAT = 1e-4
+"""What a step would still take off the misfit at which the fit ends too: a hundredth of a standard deviation. That
+last step is taken, to first order."""
+JITTER = 1e-3
+"""What the sweeps' errors may add to the misfit, beside a ten-thousandth of it."""
+MAX_ITERATIONS = 30
+MAX_STEP, MAX_TURN, MAX_AROUND = 0.06, 0.5, 0.7
+"""Of arclength over length, of the tip [rad] and around the section [rad], in one iteration."""
+MIN_PUSH = 0.25
+"""Share of the normal force that one iteration leaves at least: a contact pushes."""
+MAX_FAILED = 2
+"""Sweeps that end at the limit of their steps before a fit is given up; one costs as much as a hundred others."""
+_SMALLEST = 1e-4
+"""Share of a step below which it is not halved any more."""
+WORK = TOUCH + 113 + MOVE
+"""Numbers that a fit works in beside its sweeps."""
+
+
+@inner
+def sweep_tolerance(wrench, whiten):
+    """Error of a sweep's step [rad] that such a reading does not feel."""
+    size = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2)
+    return min(max(OF_NOISE / max(whiten[3, 3] * size, 1e-300), FINEST), COARSEST)
+
+
+@inner
+def residuals(lin, touch, wrench, whiten, friction, J, r):
+    """Whitened misfit and friction over its prior, r (8,), with derivatives by the touch, J (8, 5).
+
+    Args:
+        friction: standard deviation of the ratio; inf leaves the direction of the force free.
+
+    Returns:
+        |r|².
+    """
+    square = 0.0
+    for i in range(6):
+        r[i] = 0.0
+        for j in range(UNKNOWNS):
+            J[i, j] = 0.0
+        for q in range(i + 1):  # whiten is lower triangular
+            w = whiten[i, q]
+            r[i] += w * (lin[WRENCH + q, VALUE] - wrench[q])
+            for j in range(UNKNOWNS):
+                J[i, j] += w * lin[WRENCH + q, BY_TOUCH + j]
+        square += r[i] * r[i]
+    per = 1.0 / max(friction, MIN_FRICTION)
+    for a in range(2):
+        for j in range(UNKNOWNS):
+            J[6 + a, j] = 0.0
+        r[6 + a] = touch[AROUND + a] * per
+        J[6 + a, AROUND + a] = per
+        square += r[6 + a] * r[6 + a]
+    return square
+
+
+@inner
+def normal_equations(J, r, H, b):
+    """H = Jᵀ J (5, 5) and b = -Jᵀ r (5,)."""
+    for u in range(UNKNOWNS):
+        total = 0.0
+        for i in range(RESIDUALS):
+            total -= J[i, u] * r[i]
+        b[u] = total
+        for v in range(u + 1):
+            total = 0.0
+            for i in range(RESIDUALS):
+                total += J[i, u] * J[i, v]
+            H[u, v] = total
+            H[v, u] = total
+
+
+@inner
+def _solve(H, b, scale, low, high, touch, step, full):
+    """The step that the normal equations ask for within the ends; 1 where an end holds it, 0 where none, -1 if none."""
+    for u in range(UNKNOWNS):
+        step[u] = b[u]
+        for v in range(UNKNOWNS):
+            full[u, v] = H[u, v]
+    if not scale_and_factor(full, UNKNOWNS, scale):
+        return -1
+    solve_scaled(full, UNKNOWNS, scale, step)
+    held = 0
+    way = min(max(step[S], low - touch[S]), high - touch[S])
+    if way != step[S]:
+        held = 1
+        for u in range(UNKNOWNS):
+            step[u] = way if u == S else b[u] - H[u, S] * way
+            for v in range(UNKNOWNS):
+                full[u, v] = H[u, v] if u != S and v != S else 1.0 if u == v else 0.0
+        if not scale_and_factor(full, UNKNOWNS, scale):
+            return -1
+        solve_scaled(full, UNKNOWNS, scale, step)
+        step[S] = way
+    for u in range(UNKNOWNS):
+        if not math.isfinite(step[u]):
+            return -1
+    return held
+
+
+@inner
+def step_share(step, touch, move, length):
+    """The share of a step that neither goes too far, nor turns the tip too much, nor pulls."""
+    turn = 0.0
+    for q in range(3):
+        turn += abs(move[6 + q]) + abs(move[15 + q])
+    share = min(1.0, MAX_STEP * length / max(abs(step[S]), 1e-300), MAX_TURN / max(turn, 1e-300))
+    share = min(share, MAX_AROUND / max(abs(step[PHI]), 1e-300))
+    if step[NORMAL] < 0.0:
+        share = min(share, (MIN_PUSH - 1.0) * touch[NORMAL] / step[NORMAL])
+    return share
+
+
+@inner
+def fit_touch(
+    body, low, end, gravity, mass, wrench, whiten, friction, most, touch, sweep_work, lin, work
+):  # fmt: skip
+    """Least misfit over touches of the surface, from a guess.
+
+    Args:
+        body: of the rod; low, end: arclengths between which the touch may lie [m].
+        gravity: [m/s²], (3,); mass: of the flexible part [kg].
+        wrench: read, at the base, (6,).
+        whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
+        friction: standard deviation of the friction ratio.
+        most: iterations.
+        touch: the guess and then the answer, (TOUCH,).
+        sweep_work: scratch, (work_size(0),); lin: at the last linearisation but for the last step,
+            (ROWS, 1 + UNKNOWNS).
+        work: scratch, (WORK,).
+
+    Returns:
+        What became of it (FITTED, ...), the misfit squared, iterations.
+    """
+    before = work[:TOUCH]
+    a = TOUCH
+    J, r = work[a : a + 40].reshape((RESIDUALS, UNKNOWNS)), work[a + 40 : a + 48]
+    H = work[a + 48 : a + 73].reshape((UNKNOWNS, UNKNOWNS))
+    b, step, scale = work[a + 73 : a + 78], work[a + 78 : a + 83], work[a + 83 : a + 88]
+    length, tol = body.knots[-1], sweep_tolerance(wrench, whiten)
+    least, share, size, failed = math.inf, 1.0, 1.0, 0
+    full, move = work[a + 88 : a + 113].reshape((UNKNOWNS, UNKNOWNS)), work[a + 113 : a + 131]
+    for iteration in range(most):
+        status, lack, margin, size = linearise(
+            body, gravity, mass, tol, max(size, 1e-6), touch, 0, sweep_work, lin
+        )
+        merit = math.inf
+        if status == OK and lack < math.inf:
+            merit = residuals(lin, touch, wrench, whiten, friction, J, r)
+        failed += status != OK
+        if not (math.isfinite(merit) and merit <= least * (1.0 + 1e-4) + JITTER):
+            if not math.isfinite(least) or share < _SMALLEST or failed > MAX_FAILED:
+                return (STALLED if math.isfinite(least) else LOST), least, iteration
+            share *= 0.25
+            advance(touch, before, share, step, move)
+            continue
+        least = merit
+        normal_equations(J, r, H, b)
+        held = _solve(H, b, scale, low, end, touch, step, full)
+        if held < 0:
+            return LOST, merit, iteration
+        gain = 0.0
+        for u in range(UNKNOWNS):
+            gain += b[u] * step[u]
+        for q in range(TOUCH):
+            before[q] = touch[q]
+        plan_move(lin, step, move)
+        share = step_share(step, touch, move, length)
+        small = gain <= FLAT * (1.0 + merit) or (held == 0 and abs(step[S]) <= CLOSE * length)
+        advance(touch, before, share, step, move)
+        if share == 1.0 and small and lack <= CLAMPED:
+            return (LOST if not margin > 0.0 else AT_END if held else FITTED), merit, iteration
+    return (STALLED if math.isfinite(least) else LOST), least, most

@@ -1,0 +1,208 @@
+"""What may differ between a probe, its mount and its sensor and their model: one set of priors for every estimate.
+
+A source moves the reading h of a touch and the touched point while the touch itself stays: the same arclength (of the
+length, where that differs), angle and force in the section's axes. To first order it does not matter what of the touch
+is held.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from probedesign.estimation import multistart, surface_contact_kernel, uncertainty_kernel
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array, inverse, wrench_map
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+from probedesign.units import MM
+
+CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "length", "root", "base place",
+          "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
+"""Of an error, in the order of the tables."""
+
+
+def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
+    """One standard deviation of each source that is the rod's own: log E and what follows it, a row each.
+
+    Where E was identified with the design's diameters, it goes with all of them together.
+
+    Args:
+        rod: of the model.
+        tolerances: how well it is known.
+        hung: whether only what a touch adds creeps: a rod that is lighter by as much as it is softer hangs the same.
+    """
+    K, diameters = len(rod.s), 2.0 * rod.radius / MM
+    unit = np.eye(4 + K)
+    t = tolerances
+    common = np.maximum(t.diameter_mm, t.diameter_share * diameters) / diameters
+    length = max(t.length_mm, t.length_share * rod.length / MM) * MM / rod.length
+    softer = unit[0:1] + unit[1:2] + hung * unit[2:3]
+    return {
+        "E": t.youngs_modulus * unit[0:1],
+        "G": t.shear_modulus * unit[1:2],
+        "density": t.density * unit[2:3],
+        "diameter": (common @ unit[4:] + t.youngs_modulus_by_diameter * common[0] * unit[0])[None],
+        "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[4:],
+        "length": length * unit[3:4],
+        "creep": t.creep * softer,
+        "stiffness scatter": t.stiffness_scatter * softer,
+    }
+
+
+def across(gravity: Array) -> Array:
+    """Two unit vectors across gravity and each other, (2, 3); zeros without gravity."""
+    g = np.asarray(gravity, dtype=float)
+    return np.asarray(np.linalg.svd(g[None])[2][1:] if g.any() else np.zeros((2, 3)))
+
+
+def turns_of(gravity: Array, tolerances: Tolerances, axes: Array | None = None) -> dict[str, Array]:
+    """One standard deviation of each source that turns or shifts things, a row each: shift and turn of the base
+    [m, rad] and change of gravity [m/s²], (9,).
+
+    Args:
+        gravity: base axes [m/s²], (3,).
+        tolerances: how well all is known.
+        axes: two axes across gravity, in base axes, the same in the world for all poses, (2, 3); any if None.
+    """
+    unit, size = np.eye(9), float(np.linalg.norm(gravity))
+    axes = across(gravity) if axes is None else axes
+    return {
+        "base place": tolerances.base_mm * MM * unit[0:3],
+        "base tilt": math.radians(tolerances.tilt_deg) * unit[3:5],
+        "clocking": math.radians(tolerances.clocking_deg) * unit[5:6],
+        "gravity": math.radians(tolerances.gravity_deg) * size * axes @ unit[6:9],
+    }
+
+
+def _filtered(rows: dict[str, Array]) -> tuple[Array, tuple[str, ...]]:
+    """All rows that are not zero, one below the other, and the source of each."""
+    found = np.concatenate(list(rows.values()))
+    names = [name for name, of in rows.items() for _ in of]
+    kept = np.asarray(found.any(axis=1))
+    return np.ascontiguousarray(found[kept]), tuple(names[i] for i in np.flatnonzero(kept))
+
+
+@dataclass(frozen=True)
+class ErrorSources:
+    """The error sources of a probe under one gravity, one standard deviation a column.
+
+    Attributes:
+        model: of the probe.
+        tolerances: how well it is known.
+        gravity: base axes [m/s²], (3,).
+        own: of the rod's own sources, log E and what follows it, (a, 4 + K).
+        turns: of the others, (b, 9), see `turns_of`.
+        names: the source of each of the J columns.
+        reference: wrench at the base at which the sensor reads zero, (6,).
+        still: columns of the free probe's reading, which a tare has taken away, (6, J).
+    """
+
+    model: ProbeModel
+    tolerances: Tolerances
+    gravity: Array
+    own: Array
+    turns: Array
+    names: tuple[str, ...]
+    reference: Array
+    still: Array
+
+    @classmethod
+    def of(
+        cls,
+        model: ProbeModel,
+        tolerances: Tolerances,
+        gravity: Array,
+        free: Equilibrium,
+        tared: "ErrorSources | None" = None,
+        axes: Array | None = None,
+    ) -> "ErrorSources":
+        """The sources of a probe that hangs free under a gravity.
+
+        Args:
+            model: of the probe.
+            tolerances: how well it is known.
+            gravity: base axes [m/s²], (3,).
+            free: the free probe under it.
+            tared: the sources where the sensor was tared; None: under this gravity.
+            axes: see `turns_of`.
+        """
+        own, names = _filtered(parameters_of(model.rod, tolerances))
+        turns, turned = _filtered(turns_of(gravity, tolerances, axes))
+        names = (*names, *turned, "root", *["gain"] * 6)
+        nothing = np.zeros((6, len(names)))
+        base_from_sensor = wrench_map(inverse(model.T_sensor_base))
+        unloaded = -base_from_sensor @ model.gravity_wrench_sensor(gravity)
+        sources = cls(model, tolerances, gravity, own, turns, names, unloaded, nothing)
+        if not tolerances.tared:
+            return sources
+        if tared is not None:
+            return replace(sources, reference=tared.reference, still=tared.still)
+        sources = replace(sources, reference=free.wrench_base)
+        return replace(sources, still=sources.free_columns(free))
+
+    @cached_property
+    def _arguments(self) -> tuple[Array | float, ...]:
+        """What `error_columns` takes, from `own` on."""
+        model, t = self.model, self.tolerances
+        base_from_sensor = np.ascontiguousarray(wrench_map(inverse(model.T_sensor_base)))
+        return (
+            self.own,
+            self.turns,
+            float(t.root_radii * model.rod.radius[0]),
+            np.full(6, t.gain),
+            np.ascontiguousarray(base_from_sensor @ model.hanging_by_gravity),
+            np.ascontiguousarray(wrench_map(model.T_sensor_base)),
+            base_from_sensor,
+            np.ascontiguousarray(self.reference),
+            np.ascontiguousarray(self.still),
+        )
+
+    def arguments(self) -> tuple[Array | float, ...]:
+        """Those of the compiled estimate, from `own` on."""
+        return self._arguments
+
+    @cached_property
+    def drift(self) -> Array:
+        """Covariance of the bias since the tare, about the base, (6, 6)."""
+        steps = self.tolerances.drift_steps
+        return np.asarray(steps**2 * self.model.averaging_samples * self.model.noise_base())
+
+    def columns_at(self, touch: Array) -> tuple[Array, Array]:
+        """Of one touch: the linearisation (ROWS, 1 + 5 + 7 + K), and one standard deviation of each source, (12, J), as
+        it moves base wrench, touched point and centreline point; NaN where the probe does not hold the touch.
+
+        Args:
+            touch: (TOUCH,); its dead loads and tip are made consistent in place.
+        """
+        rod = self.model.rod
+        parameters = surface_contact_kernel.OWN + len(rod.s)
+        lin = np.empty((surface_contact_kernel.ROWS, 1 + surface_contact_kernel.UNKNOWNS + parameters))
+        D = np.empty((12, len(self.names)))
+        work = np.empty(surface_contact_kernel.work_size(parameters))
+        if not uncertainty_kernel.columns_of(
+            rod.body, self.gravity, self.model.mass, FINE, touch, *self._arguments, work, lin, D
+        ):
+            lin[:], D[:] = np.nan, np.nan
+        return lin, D
+
+    def free_columns(self, free: Equilibrium) -> Array:
+        """Of the free probe's reading, (6, J)."""
+        touch = np.zeros(surface_contact_kernel.TOUCH)
+        touch[surface_contact_kernel.S] = self.model.rod.length
+        touch[surface_contact_kernel.NORMAL] = NOTHING
+        touch[surface_contact_kernel.TIP :] = free.tip
+        return self.columns_at(touch)[1][:6]
+
+    @cached_property
+    def room(self) -> int:
+        """Numbers that the compiled estimate works in."""
+        return multistart.room_for(len(self.model.rod.s), len(self.names))
+
+
+FINE = 5e-7
+"""Error of a sweep's step [rad], that of the rod's fast mode."""
+NOTHING = 1e-15
+"""A normal force [N] that is none."""

@@ -1,0 +1,460 @@
+"""Touches of one fixed point as residual blocks: reduced pose by pose, solved together (compiled).
+
+Common unknowns are the touched point X [m], the error sources m of `error_sources.py` (unit priors) and the bias β of
+the sensor in steps of its resolution, a random walk over the readings. Unknown at pose k alone are its touch y (5) and
+how far its stiffness is off, e. To first order about the last linearisation, with h the base wrench, x the touched
+point and H, X_y their derivatives by the touch:
+
+    W (h + H δy + D m + D_e e + B β - w)            what was read, in the channels that count
+    a_1/μ, a_2/μ                                    the prior on friction
+    e                                               the prior on the stiffness at this touch
+    (T (x + X_y δy + Q m + Q_e e) - X)/σ_robot      the touched point stays where it is
+
+Householder reflections take y and e out of each pose's rows; what is left is accumulated in the order of time in the
+information matrix of (X, m, β), β walking from pose to pose. `tests/reference/fusion.py` solves the same dense system.
+"""
+
+import math
+from pathlib import Path
+
+from probedesign.estimation.contact_fit import MIN_FRICTION
+from probedesign.estimation.linalg_kernel import (
+    backward,
+    covariance_of,
+    eliminate,
+    factor,
+    forward,
+    invert_lower,
+    scale_and_factor,
+)
+from probedesign.estimation.surface_contact_kernel import (
+    AROUND,
+    BY_TOUCH,
+    CENTRE,
+    MOVE,
+    POINT,
+    TOUCH,
+    UNKNOWNS,
+    VALUE,
+    WRENCH,
+    advance,
+    linearise,
+    plan_move,
+)
+from probedesign.estimation.uncertainty_kernel import error_columns
+from probedesign.rod.kernels.body import OK
+from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+
+drop_stale(Path(__file__).parent)
+
+BIAS = 6
+LOCAL = UNKNOWNS + 1
+"""Unknowns of a pose alone: its touch and its stiffness."""
+EXACT = 1e-8
+"""Standard deviation of the base's place [m] below which a robot counts as exact."""
+PINNED = 1e-6
+"""Standard deviation of a bias, in steps, below which it counts as known."""
+
+
+def columns(causes: int) -> int:
+    """Of the reduced rows: X, the error sources, the bias, and the right-hand side."""
+    return 3 + causes + BIAS + 1
+
+
+def rows_of(channels: int) -> int:
+    """Rows of a pose's block before its own unknowns are taken out."""
+    return channels + 6
+
+
+@kernel
+def linearise_keyframe(body, gravity, mass, tol, touch, own, turns, root, gain, hanging, sensor_from_base,
+                       base_from_sensor, reference, still, work, lin, D):  # fmt: skip
+    """One touch of a pose, linearised with its error columns where it is.
+
+    Returns:
+        Whether the probe holds it.
+    """
+    parameters = own.shape[1] + 3
+    status, lack, margin, _size = linearise(body, gravity, mass, tol, 1.0, touch, parameters, work, lin)
+    if status != OK or not lack < math.inf or not margin > 0.0:
+        return False
+    error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
+                  still, D)  # fmt: skip
+    return True
+
+
+@inner
+def _column_of(D, r, c, scatter, creep, ramp):
+    """Of an error source that is common to all poses: none of what scatters from touch to touch, creep as it grew."""
+    if c == scatter:
+        return 0.0
+    return D[r, c] * (ramp if c == creep else 1.0)
+
+
+@kernel
+def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, repeat, scatter, creep, ramp, block,
+                    local, reduced):  # fmt: skip
+    """Rows of one pose with its own unknowns taken out.
+
+    Args:
+        touch, lin, D: as linearised, (TOUCH,), (ROWS, ...), (12, J).
+        wrench: read at the base, (6,); pose: of the base in the world, (4, 4).
+        channels: what of a wrench at the base counts, (m, 6); whiten: of these, lower triangular, (m, m).
+        bias: channels by the bias in steps, (m, 6).
+        friction: prior standard deviation of the ratio; inf: none.
+        repeat: standard deviation of the base's place at this pose alone [m].
+        scatter, creep: columns of D that scatter from touch to touch, and that grow by `ramp`; -1: none.
+        block: scratch, (m + 6, LOCAL + columns).
+        local: filled: rows that give the pose's own unknowns from the common ones, (LOCAL, LOCAL + columns).
+        reduced: filled, (m, columns).
+    """
+    m, J = channels.shape[0], D.shape[1]
+    width = LOCAL + 3 + J + BIAS + 1
+    rhs = width - 1
+    rows = m + 6
+    for i in range(rows):
+        for c in range(width):
+            block[i, c] = 0.0
+    for i in range(m):
+        for q in range(i + 1):
+            w = whiten[i, q]
+            for a in range(6):
+                share = w * channels[q, a]
+                if share == 0.0:
+                    continue
+                for u in range(UNKNOWNS):
+                    block[i, u] += share * lin[WRENCH + a, BY_TOUCH + u]
+                if scatter >= 0:
+                    block[i, UNKNOWNS] += share * D[a, scatter]
+                for c in range(J):
+                    block[i, LOCAL + 3 + c] += share * _column_of(D, a, c, scatter, creep, ramp)
+                block[i, rhs] += share * (wrench[a] - lin[WRENCH + a, VALUE])
+            for c in range(BIAS):
+                block[i, LOCAL + 3 + J + c] += w * bias[q, c]
+    if friction < math.inf:
+        per = 1.0 / max(friction, MIN_FRICTION)
+        for a in range(2):
+            block[m + a, AROUND + a] = per
+            block[m + a, rhs] = -per * touch[AROUND + a]
+    block[m + 2, UNKNOWNS] = 1.0
+    place = 1.0 / max(repeat, EXACT)
+    for i in range(3):
+        row = m + 3 + i
+        at = pose[i, 3]
+        for q in range(3):
+            turn = place * pose[i, q]
+            at += pose[i, q] * lin[POINT + q, VALUE]
+            for u in range(UNKNOWNS):
+                block[row, u] += turn * lin[POINT + q, BY_TOUCH + u]
+            if scatter >= 0:
+                block[row, UNKNOWNS] += turn * D[POINT + q, scatter]
+            for c in range(J):
+                block[row, LOCAL + 3 + c] += turn * _column_of(D, POINT + q, c, scatter, creep, ramp)
+        block[row, LOCAL + i] = -place
+        block[row, rhs] = -place * at
+    eliminate(block, rows, width, LOCAL)
+    for i in range(LOCAL):
+        for c in range(width):
+            local[i, c] = block[i, c]
+    for i in range(m):
+        for c in range(width - LOCAL):
+            reduced[i, c] = block[LOCAL + i, LOCAL + c]
+
+
+@kernel
+def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
+    """Rows of a reading of the free probe: it ties the bias down.
+
+    Args:
+        D: error columns of the free probe's reading, (6, J); free: the free probe's wrench, (6,).
+        The others as in `reduce_keyframe`.
+    """
+    m, J = channels.shape[0], D.shape[1]
+    rhs = 3 + J + BIAS
+    for i in range(m):
+        for c in range(rhs + 1):
+            reduced[i, c] = 0.0
+        for q in range(i + 1):
+            w = whiten[i, q]
+            for a in range(6):
+                share = w * channels[q, a]
+                for c in range(J):
+                    reduced[i, 3 + c] += share * D[a, c]
+                reduced[i, rhs] += share * (wrench[a] - free[a])
+            for c in range(BIAS):
+                reduced[i, 3 + J + c] += w * bias[q, c]
+
+
+@inner
+def _walk(A, eta, n, variance, M, L, inverse):
+    """Let the bias, the last six of the n unknowns, take a random step of such a variance on each.
+
+    With S the information of the old bias and T what ties it to the others, M = S + I/q:
+    Λ_oo - T M⁻¹ Tᵀ, Λ_ob = T M⁻¹/q, Λ_bb = (I - M⁻¹/q)/q. Returns what is taken off the misfit.
+    """
+    o = n - BIAS
+    q = 1.0 / variance
+    for i in range(BIAS):
+        for j in range(BIAS):
+            M[i, j] = A[o + i, o + j] + (q if i == j else 0.0)
+    if not factor(M, BIAS):
+        return math.nan
+    invert_lower(M, BIAS, L)
+    for i in range(BIAS):
+        for j in range(BIAS):
+            total = 0.0
+            for k in range(max(i, j), BIAS):
+                total += L[k, i] * L[k, j]
+            inverse[i, j] = total
+    taken = 0.0
+    for i in range(BIAS):
+        for j in range(BIAS):
+            taken += eta[o + i] * inverse[i, j] * eta[o + j]
+    for r in range(o):
+        # The row of T M⁻¹, in M's place.
+        for i in range(BIAS):
+            total = 0.0
+            for j in range(BIAS):
+                total += A[r, o + j] * inverse[j, i]
+            M[0, i] = total
+        for i in range(BIAS):
+            eta[r] -= M[0, i] * eta[o + i]
+        for c in range(r + 1):
+            total = 0.0
+            for i in range(BIAS):
+                total += M[0, i] * A[c, o + i]
+            A[r, c] -= total
+            A[c, r] = A[r, c]
+        for i in range(BIAS):
+            M[1, i] = q * M[0, i]
+        for i in range(BIAS):
+            A[o + i, r] = M[1, i]
+    for r in range(o):
+        for i in range(BIAS):
+            A[r, o + i] = A[o + i, r]
+    for i in range(BIAS):
+        total = 0.0
+        for j in range(BIAS):
+            total += inverse[i, j] * eta[o + j]
+        M[2, i] = q * total
+        for j in range(BIAS):
+            A[o + i, o + j] = q * ((1.0 if i == j else 0.0) - q * inverse[i, j])
+    for i in range(BIAS):
+        eta[o + i] = M[2, i]
+    return taken
+
+
+def solve_work(causes: int) -> int:
+    """Numbers that `solve_reduced` works in."""
+    n = 3 + causes + BIAS
+    return n * n + 2 * n + 3 * BIAS * BIAS + 6 * n
+
+
+@kernel
+def solve_reduced(reduced, order, walk, start, causes, work, x, cov):
+    """The common unknowns from the rows of all poses in the order of time.
+
+    Args:
+        reduced: (poses, m, columns).
+        order: which of them count, in the order of time.
+        walk: variance of the bias's step before each of those, in steps² (the first is not used).
+        start: standard deviation of the bias at the first pose, in steps.
+        causes: J.
+        work: scratch, (solve_work(J),); the factor of the information and its scale stay at its front.
+        x: filled: X, m, β of the last pose, (n,).
+        cov: of X, filled, (3, 3).
+
+    Returns:
+        The least misfit squared, priors counted; NaN where there is none.
+    """
+    n = 3 + causes + BIAS
+    A = work[: n * n].reshape((n, n))
+    o = n * n
+    scale, eta = work[o : o + n], work[o + n : o + 2 * n]
+    o += 2 * n
+    M = work[o : o + 36].reshape((BIAS, BIAS))
+    L = work[o + 36 : o + 72].reshape((BIAS, BIAS))
+    inverse = work[o + 72 : o + 108].reshape((BIAS, BIAS))
+    o += 108
+    rows, solved = work[o : o + 3 * n].reshape((3, n)), work[o + 3 * n : o + 6 * n].reshape((3, n))
+    for i in range(n):
+        eta[i] = 0.0
+        for j in range(n):
+            A[i, j] = 0.0
+    for i in range(causes):
+        A[3 + i, 3 + i] = 1.0
+    for i in range(BIAS):
+        A[3 + causes + i, 3 + causes + i] = 1.0 / max(start, PINNED) ** 2
+    chi2 = 0.0
+    for at in range(order.shape[0]):
+        k = order[at]
+        if at > 0 and walk[at] > 0.0:
+            chi2 -= _walk(A, eta, n, walk[at], M, L, inverse)
+        for r in range(reduced.shape[1]):
+            b = reduced[k, r, n]
+            chi2 += b * b
+            for i in range(n):
+                share = reduced[k, r, i]
+                if share != 0.0:
+                    eta[i] += share * b
+                    for j in range(i + 1):
+                        A[i, j] += share * reduced[k, r, j]
+        for i in range(n):
+            for j in range(i):
+                A[j, i] = A[i, j]
+    if not scale_and_factor(A, n, scale):
+        return math.nan
+    for i in range(n):
+        x[i] = eta[i] / scale[i]
+    forward(A, n, x)
+    for i in range(n):
+        chi2 -= x[i] * x[i]
+    backward(A, n, x)
+    for i in range(n):
+        x[i] /= scale[i]
+    for a in range(3):
+        for i in range(n):
+            rows[a, i] = 1.0 if i == a else 0.0
+    covariance_of(A, n, scale, rows, 3, solved, cov)
+    return chi2
+
+
+@inner
+def _own_unknowns(local, x, n, rhs, step):
+    """A pose's touch step and stiffness from the common unknowns, by back substitution, (LOCAL,)."""
+    for i in range(LOCAL - 1, -1, -1):
+        total = local[i, rhs]
+        for c in range(n):
+            total -= local[i, LOCAL + c] * x[c]
+        for c in range(i + 1, LOCAL):
+            total -= local[i, c] * step[c]
+        pivot = local[i, i]
+        step[i] = total / pivot if abs(pivot) > 1e-300 else 0.0
+
+
+@kernel
+def step_keyframe(touch, lin, local, x, share, max_step, end, work):
+    """Carry a pose's touch to where the common unknowns put it, or a share of the way where that is far.
+
+    Args:
+        touch: as linearised, moved in place, (TOUCH,).
+        local: from `reduce_keyframe`; x: from `solve_reduced`.
+        share: of the step to go at most; max_step: of arclength [m].
+        end: furthest arclength at which a touch acts [m].
+        work: scratch, (60,).
+
+    Returns:
+        Size of the whole step in standard deviations of the pose's own unknowns, given the common ones.
+    """
+    n = x.shape[0]
+    step, move, before = work[:LOCAL], work[LOCAL : LOCAL + MOVE], work[30 : 30 + TOUCH]
+    _own_unknowns(local, x, n, LOCAL + n, step)
+    size = 0.0
+    for i in range(LOCAL):
+        total = 0.0
+        for c in range(i, UNKNOWNS):
+            total += local[i, c] * step[c]
+        size += total * total
+    share = min(share, max_step / max(abs(step[0]), 1e-300), 0.7 / max(abs(step[1]), 1e-300))
+    for a in range(AROUND, AROUND + 2):
+        share = min(share, 1.0 / max(abs(step[a]), 1e-300))
+    ahead = touch[0] + share * step[0]
+    if ahead < 0.0 or ahead > end:
+        share_s = (min(max(ahead, 0.0), end) - touch[0]) / step[0]
+        step[0] *= share_s / share if share > 0.0 else 0.0
+    plan_move(lin, step, move)
+    turn = 0.0
+    for q in range(3):
+        turn += abs(move[6 + q]) + abs(move[15 + q])
+    share = min(share, 0.5 / max(turn, 1e-300))
+    for q in range(TOUCH):
+        before[q] = touch[q]
+    advance(touch, before, share, step, move)
+    return math.sqrt(size)
+
+
+@kernel
+def mean_centre(lins, Ds, locals_, poses, order, x, scatter, creep, ramps, work, solve_memory, mean, cov):
+    """The centreline points of the touches, their mean over the poses in the world, and its covariance.
+
+    Args:
+        lins, Ds, locals_, poses: of all poses; order: which of them are touched, in the order of time.
+        x: the common unknowns, (n,).
+        work: scratch, (3 n + 3 (n + LOCAL + 12),); solve_memory: as `solve_reduced` left its work.
+        mean: filled [m], (3,); cov: filled [m²], (3, 3).
+    """
+    n = x.shape[0]
+    J = n - 3 - BIAS
+    A = solve_memory[: n * n].reshape((n, n))
+    scale = solve_memory[n * n : n * n + n]
+    rows = work[: 3 * n].reshape((3, n))
+    solved = work[3 * n : 6 * n].reshape((3, n))
+    G = work[6 * n : 6 * n + 3 * LOCAL].reshape((3, LOCAL))
+    own = work[6 * n + 3 * LOCAL : 6 * n + 6 * LOCAL].reshape((3, LOCAL))
+    step = work[6 * n + 6 * LOCAL : 6 * n + 7 * LOCAL]
+    scattered = work[6 * n + 7 * LOCAL : 6 * n + 7 * LOCAL + 9].reshape((3, 3))
+    total_touched = 0.0
+    for i in range(3):
+        mean[i] = 0.0
+        for c in range(n):
+            rows[i, c] = 0.0
+        for j in range(3):
+            scattered[i, j] = 0.0
+    for at_k in range(order.shape[0]):
+        k = order[at_k]
+        total_touched += 1.0
+        lin, D, local = lins[k], Ds[k], locals_[k]
+        _own_unknowns(local, x, n, LOCAL + n, step)
+        for i in range(3):
+            at = poses[k, i, 3]
+            for u in range(LOCAL):
+                G[i, u] = 0.0
+            for q in range(3):
+                turn = poses[k, i, q]
+                at += turn * lin[CENTRE + q, VALUE]
+                for u in range(UNKNOWNS):
+                    G[i, u] += turn * lin[CENTRE + q, BY_TOUCH + u]
+                if scatter >= 0:
+                    G[i, UNKNOWNS] += turn * D[CENTRE + q, scatter]
+                for c in range(J):
+                    by = turn * _column_of(D, CENTRE + q, c, scatter, creep, ramps[at_k])
+                    rows[i, 3 + c] += by
+                    at += by * x[3 + c]
+            for u in range(LOCAL):
+                at += G[i, u] * step[u]
+            mean[i] += at
+            # own = G R⁻¹, row by row: solve own R = G.
+            for u in range(LOCAL):
+                left = G[i, u]
+                for v in range(u):
+                    left -= own[i, v] * local[v, u]
+                own[i, u] = left / local[u, u] if abs(local[u, u]) > 1e-300 else 0.0
+            for c in range(n):
+                for u in range(LOCAL):
+                    rows[i, c] -= own[i, u] * local[u, LOCAL + c]
+        for i in range(3):
+            for j in range(3):
+                for u in range(LOCAL):
+                    scattered[i, j] += own[i, u] * own[j, u]
+    for i in range(3):
+        mean[i] /= total_touched
+        for c in range(n):
+            rows[i, c] /= total_touched
+    covariance_of(A, n, scale, rows, 3, solved, cov)
+    for i in range(3):
+        for j in range(3):
+            cov[i, j] += scattered[i, j] / (total_touched * total_touched)
+
+
+@kernel
+def standard_deviation(solve_memory, n, j, work):
+    """Of a common unknown, from what `solve_reduced` left in its work; work: scratch, (n,)."""
+    A = solve_memory[: n * n].reshape((n, n))
+    for i in range(n):
+        work[i] = 0.0
+    work[j] = 1.0 / solve_memory[n * n + j]
+    forward(A, n, work)
+    total = 0.0
+    for i in range(n):
+        total += work[i] * work[i]
+    return math.sqrt(total)

@@ -1,0 +1,147 @@
+"""Dense linear algebra on small symmetric matrices, in place and without allocation (compiled)."""
+
+import math
+from pathlib import Path
+
+from probedesign.rod.kernels.compiled import drop_stale, inner
+
+drop_stale(Path(__file__).parent)
+
+UNSEEN = 1e-13
+"""Added to the diagonal of a scaled information matrix: no direction has less information than that."""
+
+
+@inner
+def factor(A, n):
+    """A = L Lᵀ; L in the lower triangle of A, zeros above. Returns whether A is positive definite."""
+    for j in range(n):
+        total = A[j, j]
+        for q in range(j):
+            total -= A[j, q] * A[j, q]
+        if not total > 0.0:
+            return False
+        pivot = math.sqrt(total)
+        A[j, j] = pivot
+        inverse = 1.0 / pivot
+        for i in range(j + 1, n):
+            total = A[i, j]
+            for q in range(j):
+                total -= A[i, q] * A[j, q]
+            A[i, j] = total * inverse
+        for i in range(j):
+            A[i, j] = 0.0
+    return True
+
+
+@inner
+def invert_lower(L, n, inverse):
+    """The inverse of a lower triangle."""
+    for j in range(n):
+        for i in range(n):
+            total = 1.0 if i == j else 0.0
+            for q in range(j, i):
+                total -= L[i, q] * inverse[q, j]
+            inverse[i, j] = total / L[i, i] if i >= j else 0.0
+
+
+@inner
+def forward(L, n, b):
+    """b becomes L⁻¹ b."""
+    for i in range(n):
+        total = b[i]
+        for q in range(i):
+            total -= L[i, q] * b[q]
+        b[i] = total / L[i, i]
+
+
+@inner
+def backward(L, n, b):
+    """b becomes L⁻ᵀ b."""
+    for i in range(n - 1, -1, -1):
+        total = b[i]
+        for q in range(i + 1, n):
+            total -= L[q, i] * b[q]
+        b[i] = total / L[i, i]
+
+
+@inner
+def scale_and_factor(A, n, scale):
+    """D⁻¹ A D⁻¹ = L Lᵀ in place with D = diag(A)^½, so that metres, newtons and numbers weigh alike.
+
+    Args:
+        scale: D, filled, (n,).
+
+    Returns:
+        Whether A is positive definite; a direction without information is given UNSEEN of it.
+    """
+    for i in range(n):
+        scale[i] = math.sqrt(A[i, i]) if A[i, i] > 0.0 else 1.0
+        if not math.isfinite(scale[i]):
+            return False
+    for i in range(n):
+        for j in range(n):
+            A[i, j] /= scale[i] * scale[j]
+        A[i, i] += UNSEEN
+    return factor(A, n)
+
+
+@inner
+def solve_scaled(L, n, scale, b):
+    """b becomes A⁻¹ b after `scale_and_factor`."""
+    for i in range(n):
+        b[i] /= scale[i]
+    forward(L, n, b)
+    backward(L, n, b)
+    for i in range(n):
+        b[i] /= scale[i]
+
+
+@inner
+def covariance_of(L, n, scale, rows, m, work, cov):
+    """rows A⁻¹ rowsᵀ after `scale_and_factor`, (m, m).
+
+    Args:
+        rows: (m, n); work: scratch, (m, n).
+    """
+    for a in range(m):
+        for i in range(n):
+            work[a, i] = rows[a, i] / scale[i]
+        forward(L, n, work[a])
+    for a in range(m):
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(n):
+                total += work[a, i] * work[b, i]
+            cov[a, b] = total
+            cov[b, a] = total
+
+
+@inner
+def eliminate(A, rows, columns, locals_):
+    """Householder reflections that make the first `locals_` columns of A (rows, columns) upper triangular.
+
+    The rows below then hold all that is left for the other columns once the local unknowns are taken out.
+    """
+    for j in range(locals_):
+        norm = 0.0
+        for i in range(j, rows):
+            norm += A[i, j] * A[i, j]
+        norm = math.sqrt(norm)
+        if norm == 0.0:
+            continue
+        if A[j, j] > 0.0:
+            norm = -norm
+        # v = column - norm e_j, kept in place; A[j, j] becomes the pivot.
+        v0 = A[j, j] - norm
+        half = -norm * v0  # |v|²/2
+        for c in range(j + 1, columns):
+            total = v0 * A[j, c]
+            for i in range(j + 1, rows):
+                total += A[i, j] * A[i, c]
+            total /= half
+            A[j, c] -= total * v0
+            for i in range(j + 1, rows):
+                A[i, c] -= total * A[i, j]
+        A[j, j] = norm
+        for i in range(j + 1, rows):
+            A[i, j] = 0.0

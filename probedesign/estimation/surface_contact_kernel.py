@@ -1,0 +1,465 @@
+"""One contact at a point of the deformed surface, linearised from one sweep of the rod (compiled).
+
+The contact model: a force of any direction acts at the point x of the surface,
+
+    x = p(s) + ρ,   ρ = r(s) e,   e = cos φ X + sin φ Y,
+    F = f_n (-N + a_1 τ₁ + a_2 τ₂),
+    N = cos α e + sin α t,   τ₁ = t × e,   τ₂ = cos α t - sin α e,   tan α = -dr/ds,
+
+with the section's axes X, Y and the tangent t of the bent rod. N is the outward normal, so that f_n > 0 pushes; a_1
+and a_2 are the ratios of friction around the section and towards the tip. On the rod acts F on the centreline and the
+couple C = ρ × F. Both turn with the section; the rod is swept under dead loads (F, C), and what the section's turn
+makes of them is solved for in the linearisation: with θ the section's turn,
+
+    δF = ∂F + θ × F,   δC = ∂C + θ × C,   θ = θ_F δF + θ_C δC + θ_s δs + θ_p δp.
+
+`tests/reference/surface_contact.py` does the same with names.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from probedesign.rod.kernels.body import (
+    ALL_COLUMNS,
+    BEND_X,
+    CONTACT_COLUMNS,
+    COUPLE,
+    DENSITY,
+    FORCE,
+    GRAVITY,
+    LOAD,
+    OK,
+    S_CONTACT,
+)
+from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
+from probedesign.rod.kernels.linear import linear_equilibrium
+from probedesign.rod.kernels.newton import turn_tip
+from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, M
+from probedesign.rod.kernels.steps import WORK as STEP_WORK
+from probedesign.rod.kernels.vectors import add, cross, dot, minus, plus, take, times
+
+drop_stale(Path(__file__).parent)
+
+S, PHI, NORMAL, AROUND, ALONG = range(5)
+UNKNOWNS = 5
+"""Of a touch: arclength [m], angle around the section [rad], normal force [N], ratios of friction around and along."""
+DEAD, TIP, TOUCH = 5, 11, 17
+"""After them in a touch: force and couple that the rod is swept under (6), and the tip's section (6)."""
+
+WRENCH, POINT, CENTRE, LOADS, TURN, ROWS = 0, 6, 9, 12, 18, 21
+"""Rows of a linearisation: base wrench (6), touched point (3) and point of the centreline (3) [m], what the dead force
+and couple lack of those of the touch (6), and the turn of the tip (3), which `advance` needs."""
+VALUE, BY_TOUCH, BY_PARAMETER = 0, 1, 1 + UNKNOWNS
+"""Columns: the values, their derivatives by the unknowns, and by gravity (3), log E, log G, log density, log length and
+each knot's log diameter."""
+OWN = 7
+"""Parameters before the knots."""
+BY_GRAVITY, BY_E, BY_G, BY_DENSITY, BY_LENGTH, BY_KNOTS = (
+    BY_PARAMETER, BY_PARAMETER + 3, BY_PARAMETER + 4, BY_PARAMETER + 5, BY_PARAMETER + 6, BY_PARAMETER + 7)  # fmt: skip
+
+R_MOMENT, R_TANGENT, R_X, R_P, R_Y = np.arange(0, 15, 3)
+"""Rows of the rod's columns. As numpy's integers: numba would compile what it is given 0, 3, 6 ... once for each."""
+ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_E, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 10, 12, 13
+"""Columns of the rod; the first three are by the force."""
+
+MAX_LACK = 0.5
+"""Misfit at the clamp [rad] up to which a linear answer is of any use."""
+CLAMPED = 1e-4
+"""Misfit at the clamp [rad] up to which it is exact: an error of its square."""
+
+
+def work_size(parameters: int) -> int:
+    """Numbers that `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
+    return int(_parts(parameters)[-1])
+
+
+def _parts(parameters):
+    k = CONTACT_COLUMNS if parameters == 0 else ALL_COLUMNS + parameters - OWN
+    chunks = -(-(3 + k) // WIDE)
+    a = LOAD
+    b = a + STEP_WORK
+    c = b + chunks * BLOCK
+    d = c + STATE
+    e = d + STATE + WIDE * COLUMN * chunks
+    f = e + 3 * k
+    g = f + 15 * (k + 1)
+    h = g + 36 + 6 * (1 + UNKNOWNS + parameters) + 15 * (1 + UNKNOWNS + parameters)
+    return k, chunks, a, b, c, d, e, f, g, h
+
+
+_parts_kernel = inner(_parts)
+
+
+@inner
+def sweep_work_size(parameters):
+    """The same for kernels."""
+    return _parts_kernel(parameters)[9]
+
+
+@inner
+def frustum_at(body, s):
+    """The frustum that s lies in, the lower one at a knot."""
+    i = 0
+    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
+        i += 1
+    return i
+
+
+@inner
+def radius_and_slope(body, s):
+    """r(s) [m] and tan α = -dr/ds."""
+    i = frustum_at(body, s)
+    tan = (body.radii[i] - body.radii[i + 1]) / (body.knots[i + 1] - body.knots[i])
+    return body.radii[i] - tan * (s - body.knots[i]), tan
+
+
+@inner
+def _row3(columns, row, j):
+    return (columns[row, j], columns[row + 1, j], columns[row + 2, j])
+
+
+@inner
+def _put3(columns, row, j, x):
+    for q in range(3):
+        columns[row + q, j] = x[q]
+
+
+@inner
+def _turned(columns, j, in_frame):
+    """What a vector that is fixed in the section changes by a column, from its parts along X, Y and t."""
+    by_xy = add(times(in_frame[0], _row3(columns, R_X, j)), in_frame[1], _row3(columns, R_Y, j))
+    return add(by_xy, in_frame[2], _row3(columns, R_TANGENT, j))
+
+
+@inner
+def _grow_at_rest(columns, force, couple):
+    """Put the column of the length's logarithm, diameters kept, in place of that of all diameters.
+
+    A rod of λ times the size under λ² times the force, λ³ times the couple and 1/λ times the density is the same rod;
+    growing under the loads as they are follows from the columns, and the diameters' growth is taken back.
+    """
+    last = columns.shape[1] - 1
+    for r in range(15):
+        power = 3.0 if r < 3 else 1.0 if 9 <= r < 12 else 0.0
+        grown = power * columns[r, last] + columns[r, ROD_DENSITY] - columns[r, ROD_DIAMETER]
+        for q in range(3):
+            grown -= 2.0 * columns[r, q] * force[q] + 3.0 * columns[r, ROD_COUPLE + q] * couple[q]
+        columns[r, ROD_DIAMETER] = grown
+
+
+@inner
+def _solve_6(A, B):
+    """B becomes A⁻¹ B for A (6, 6), by elimination with pivots; whether A has an inverse."""
+    columns = B.shape[1]
+    for j in range(6):
+        at = j
+        for i in range(j + 1, 6):
+            if abs(A[i, j]) > abs(A[at, j]):
+                at = i
+        if not abs(A[at, j]) > 1e-12:
+            return False
+        if at != j:
+            for c in range(6):
+                A[j, c], A[at, c] = A[at, c], A[j, c]
+            for c in range(columns):
+                B[j, c], B[at, c] = B[at, c], B[j, c]
+        inverse = 1.0 / A[j, j]
+        for i in range(6):
+            if i != j and A[i, j] != 0.0:
+                share = A[i, j] * inverse
+                for c in range(j, 6):
+                    A[i, c] -= share * A[j, c]
+                for c in range(columns):
+                    B[i, c] -= share * B[j, c]
+        for c in range(columns):
+            B[j, c] *= inverse
+        for c in range(j, 6):
+            A[j, c] *= inverse
+    return True
+
+
+@inner
+def _weight_by(body, gravity, parameter):
+    """Of the flexible part's weight [N] by a parameter, counted from gravity on."""
+    rho = body.constants[DENSITY]
+    whole = rho * body.volume_beyond[0]
+    if parameter < 3:
+        return (
+            whole if parameter == 0 else 0.0,
+            whole if parameter == 1 else 0.0,
+            whole if parameter == 2 else 0.0,
+        )
+    if parameter == 5 or parameter == 6:
+        return times(whole, gravity)
+    if parameter >= OWN:
+        return times(rho * body.volume_by_knot[0, parameter - OWN], gravity)
+    return (0.0, 0.0, 0.0)
+
+
+@inner
+def _section_by(body, s, i, parameter):
+    """Of the radius at s [m] and of tan α there by a parameter, counted from gravity on."""
+    apart = body.knots[i + 1] - body.knots[i]
+    share = (s - body.knots[i]) / apart
+    if parameter == 6:
+        return 0.0, -(body.radii[i] - body.radii[i + 1]) / apart
+    if parameter == OWN + i:
+        return (1.0 - share) * body.radii[i], body.radii[i] / apart
+    if parameter == OWN + i + 1:
+        return share * body.radii[i + 1], -body.radii[i + 1] / apart
+    return 0.0, 0.0
+
+
+@inner
+def offset_along(r, sin, cos, touch):
+    """How far beyond the touched section the force's line of action comes nearest to the centreline [m], δ, and its
+    derivatives by a_1, a_2, r and α: δ = -(ρ·F)(F·t)/|t × F|² = -r a b/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n."""
+    a1, a2 = touch[AROUND], touch[ALONG]
+    b, a = -cos - a2 * sin, -sin + a2 * cos
+    square = max(b * b + a1 * a1, 1e-300)
+    by_a, by_b = -r * b / square, -r * a * (a1 * a1 - b * b) / (square * square)
+    by_1 = 2.0 * r * a * b * a1 / (square * square)
+    per_r = -a * b / square
+    return r * per_r, by_1, by_a * cos - by_b * sin, per_r, by_a * b - by_b * a
+
+
+@inner
+def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
+    """Sweep a touch and linearise what it makes.
+
+    Args:
+        body: of the rod.
+        gravity: [m/s²], (3,).
+        mass: of the flexible part [kg].
+        tol, size: as in `linear_equilibrium`.
+        touch: (TOUCH,).
+        parameters: of the rod to differentiate by: 0, or OWN and the knots.
+        work: scratch, (work_size(parameters),).
+        lin: filled, (ROWS, 1 + UNKNOWNS + parameters).
+
+    Returns:
+        Status, misfit at the clamp [rad] (inf: nothing was linearised), margin of stability, how far the rod turned.
+    """
+    k, _chunks, a, b, c, d, e_, f_, g_, _h = _parts_kernel(parameters)
+    load, lacking, n_cols = work[:a], work[g_ : g_ + 3], 1 + UNKNOWNS + parameters
+    turns, columns = work[e_:f_].reshape((3, k)), work[f_:g_].reshape((15, k + 1))
+    A = work[g_ : g_ + 36].reshape((6, 6))
+    B = work[g_ + 36 : g_ + 36 + 6 * n_cols].reshape((6, n_cols))
+    total = work[g_ + 36 + 6 * n_cols :][: 15 * n_cols].reshape((15, n_cols))
+    s = touch[S]
+    for q in range(LOAD):
+        load[q] = 0.0
+    for q in range(3):
+        load[FORCE + q], load[COUPLE + q] = touch[DEAD + q], touch[DEAD + 3 + q]
+        load[GRAVITY + q] = gravity[q]
+    load[S_CONTACT] = s
+    contact = work[d:e_]
+    status, lack, margin, size = linear_equilibrium(
+        touch[TIP:], load, body, tol, size, work[a:b], work[g_:g_], work[b:c], work[c:d], contact, turns,
+        columns, lacking,
+    )  # fmt: skip
+    if status != OK or not lack < MAX_LACK:
+        return status, math.inf, -1.0, size
+    change = (lacking[0], lacking[1], lacking[2])  # A lies where it stands
+    beyond = minus(take(contact, M), take(load, COUPLE))
+    on_base_side = take(contact, M)
+    t, x_axis, y_axis = _row3(columns, R_TANGENT, k), _row3(columns, R_X, k), _row3(columns, R_Y, k)
+    r, tan = radius_and_slope(body, s)
+    cos = 1.0 / math.sqrt(1.0 + tan * tan)
+    sin = tan * cos
+    co, si = math.cos(touch[PHI]), math.sin(touch[PHI])
+    e = add(times(co, x_axis), si, y_axis)
+    around = add(times(-si, x_axis), co, y_axis)
+    normal = add(times(cos, e), sin, t)
+    along = add(times(cos, t), -sin, e)
+    fn, a1, a2 = touch[NORMAL], touch[AROUND], touch[ALONG]
+    way = add(add(times(-1.0, normal), a1, around), a2, along)
+    force = times(fn, way)
+    arm = times(r, e)
+    couple = cross(arm, force)
+    f_frame = (dot(force, x_axis), dot(force, y_axis), dot(force, t))
+    c_frame = (dot(couple, x_axis), dot(couple, y_axis), dot(couple, t))
+    if parameters > 0:
+        _grow_at_rest(columns, take(load, FORCE), take(load, COUPLE))
+    for q in range(6):
+        j = q if q < 3 else ROD_COUPLE + q - 3
+        by_F, by_C = _turned(columns, j, f_frame), _turned(columns, j, c_frame)
+        for i in range(3):
+            A[i, q], A[3 + i, q] = -by_F[i], -by_C[i]
+        A[q, q] += 1.0
+    _put3(B, 0, VALUE, minus(force, take(load, FORCE)))
+    _put3(B, 3, VALUE, minus(couple, take(load, COUPLE)))
+    _put3(B, 0, BY_TOUCH + S, _turned(columns, ROD_S, f_frame))
+    _put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -tan, cross(e, force)))
+    by_angle = times(fn, add(times(-cos - a2 * sin, around), -a1, e))
+    _put3(B, 0, BY_TOUCH + PHI, by_angle)
+    _put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r, around), force), cross(arm, by_angle)))
+    for j in range(3):
+        way = way if j == 0 else times(fn, around) if j == 1 else times(fn, along)
+        _put3(B, 0, BY_TOUCH + NORMAL + j, way)
+        _put3(B, 3, BY_TOUCH + NORMAL + j, cross(arm, way))
+    i = frustum_at(body, s)
+    by_lean = times(fn, add(times(-1.0, along), -a2, normal))
+    for j in range(parameters):
+        r_by, tan_by = _section_by(body, s, i, j)
+        leaning = times(cos * cos * tan_by, by_lean)
+        column = ROD_GRAVITY + j
+        _put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
+        turned = add(_turned(columns, column, c_frame), r_by, cross(e, force))
+        _put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
+    if not _solve_6(A, B):
+        return status, math.inf, -1.0, size
+    for row in range(15):
+        for j in range(n_cols):
+            x = columns[row, k] if j == VALUE else 0.0
+            if j == BY_TOUCH + S:
+                x = columns[row, ROD_S]
+            elif j >= BY_PARAMETER:
+                x = columns[row, ROD_GRAVITY + j - BY_PARAMETER]
+            for q in range(3):
+                x += columns[row, q] * B[q, j] + columns[row, ROD_COUPLE + q] * B[3 + q, j]
+            total[row, j] = x
+    _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_side, beyond, B, total, lin)
+    _tips(touch, turns, change, B, lin)
+    return status, lack, margin, size
+
+
+@inner
+def _tips(touch, turns, change, B, lin):
+    """What carries the dead loads and the tip along: their first rows are what the equilibrium still lacks."""
+    t, d = take(touch, TIP), take(touch, TIP + 3)
+    axes = (d, cross(t, d), t)
+    for j in range(lin.shape[1]):
+        turn = change if j == VALUE else (0.0, 0.0, 0.0)
+        for a in range(3):
+            by = turns[a, ROD_S] if j == BY_TOUCH + S else 0.0
+            if j >= BY_PARAMETER:
+                by = turns[a, ROD_GRAVITY + j - BY_PARAMETER]
+            for q in range(3):
+                by += turns[a, q] * B[q, j] + turns[a, ROD_COUPLE + q] * B[3 + q, j]
+            turn = add(turn, by, axes[a])
+        for q in range(6):
+            lin[LOADS + q, j] = B[q, j]
+        _put3(lin, TURN, j, turn)
+
+
+@inner
+def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_side, beyond, B, total, lin):
+    """Base wrench, touched point and centreline point from force, couple, frame and position at the contact."""
+    s, n_cols = touch[S], lin.shape[1]
+    for q in range(3):
+        lin[q, VALUE] = touch[DEAD + q] + B[q, VALUE] + mass * gravity[q]
+        lin[3 + q, VALUE] = total[q, VALUE]
+        for j in range(1, n_cols):
+            lin[q, j], lin[3 + q, j] = B[q, j], total[q, j]
+    shift, by_1, by_2, per_r, by_slope = offset_along(r, sin, cos, touch)
+    t = _row3(total, R_TANGENT, VALUE)
+    x_axis, y_axis = _row3(total, R_X, VALUE), _row3(total, R_Y, VALUE)
+    e = add(times(co, x_axis), si, y_axis)
+    # The centreline curves on its way from the touched section to where the line of action comes nearest.
+    moment = on_base_side if shift < 0.0 else beyond
+    thin = 1.0 / (r * r)
+    bend = times(thin * thin * body.constants[BEND_X], add(moment, -dot(moment, t), t))
+    curve = cross(bend, t)
+    for j in range(n_cols):
+        p, dt = _row3(total, R_P, j), _row3(total, R_TANGENT, j)
+        de = add(times(co, _row3(total, R_X, j)), si, _row3(total, R_Y, j))
+        by_r, by_shift = 0.0, 0.0
+        if j == VALUE:
+            _put3(lin, POINT, j, add(p, r, e))
+            _put3(lin, CENTRE, j, add(add(p, shift, t), 0.5 * shift * shift, curve))
+            continue
+        if j == BY_TOUCH + S:
+            by_r = -tan
+            by_shift = -tan * per_r
+        elif j == BY_TOUCH + PHI:
+            de = add(add(de, -si, x_axis), co, y_axis)
+        elif j == BY_TOUCH + NORMAL:
+            pass
+        elif j == BY_TOUCH + AROUND:
+            by_shift = by_1
+        elif j == BY_TOUCH + ALONG:
+            by_shift = by_2
+        else:
+            by_r, tan_by = _section_by(body, s, i, j - BY_PARAMETER)
+            by_shift = per_r * by_r + cos * cos * tan_by * by_slope
+            weight = _weight_by(body, gravity, j - BY_PARAMETER)
+            for q in range(3):
+                lin[q, j] += weight[q]
+        _put3(lin, POINT, j, add(add(p, r, de), by_r, e))
+        _put3(lin, CENTRE, j, add(add(p, shift, dt), by_shift, t))
+
+
+@inner
+def s_contact(body, touch):
+    """Arclength of the centreline's point where the force's line of action comes nearest [m]."""
+    r, tan = radius_and_slope(body, touch[S])
+    cos = 1.0 / math.sqrt(1.0 + tan * tan)
+    return touch[S] + offset_along(r, tan * cos, cos, touch)[0]
+
+
+MOVE = 18
+"""Numbers that carry a touch along a step: what its dead loads (6) and tip (3) lack, and how the step moves them."""
+
+
+@inner
+def plan_move(lin, step, move):
+    """What carries a touch from where it was linearised along a step of its unknowns, filled, (MOVE,)."""
+    for q in range(9):
+        total = 0.0
+        for j in range(UNKNOWNS):
+            total += lin[LOADS + q, BY_TOUCH + j] * step[j]
+        move[q], move[9 + q] = lin[LOADS + q, VALUE], total
+
+
+@inner
+def advance(touch, before, share, step, move):
+    """Carry a touch along a share of a step, its dead loads and its tip with it.
+
+    Args:
+        touch: filled, (TOUCH,); before: as it was linearised, (TOUCH,).
+        step: of the unknowns, (UNKNOWNS,); move: from `plan_move`.
+    """
+    for j in range(TOUCH):
+        touch[j] = before[j] + (share * step[j] if j < UNKNOWNS else 0.0)
+    for q in range(6):
+        touch[DEAD + q] += move[q] + share * move[9 + q]
+    turn_tip(touch, TIP, add(take(move, 6), share, take(move, 15)))
+
+
+@kernel
+def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
+    """`linearise` for callers in Python, the touch first settled: its dead loads and its tip made consistent.
+
+    Returns:
+        Whether there is a stable equilibrium.
+    """
+    size, before, step, move = 1.0, np.empty(TOUCH), np.zeros(UNKNOWNS), np.empty(MOVE)
+    for _ in range(30):
+        status, lack, margin, size = linearise(body, gravity, mass, tol, size, touch, parameters, work, lin)
+        if status != OK or not lack < math.inf:
+            return False
+        off, force = 0.0, 1e-12
+        for q in range(3):
+            off = max(off, abs(lin[LOADS + q, VALUE]))
+            force = max(force, abs(touch[DEAD + q]))
+        before[:] = touch
+        plan_move(lin, step, move)
+        advance(touch, before, 1.0, step, move)
+        if lack <= CLAMPED and off <= 1e-4 * force:
+            return margin > 0.0
+    return False
+
+
+@kernel
+def move_touch(touch, lin, step):
+    """`advance` for callers in Python: carry a touch along a step of its unknowns from where it was linearised.
+
+    Args:
+        touch: moved in place, (TOUCH,); lin: its linearisation; step: of the unknowns, (UNKNOWNS,).
+    """
+    before, move = touch.copy(), np.empty(MOVE)
+    plan_move(lin, step, move)
+    advance(touch, before, 1.0, step, move)

@@ -1,0 +1,18 @@
+"""Limits of test statistics, each named by the chance of a false decision."""
+
+from functools import cache
+
+from scipy.special import chdtri
+
+MISFIT_CHANCE = 1e-3
+"""Chance that a true single contact, or true touches of one fixed point, are called inconsistent."""
+FALSE_ALARM = 1.4e-6
+"""Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
+RIVAL_CHI2 = 9.0
+"""Solutions whose misfit χ² lies within 3² of the best explain the readings about as well."""
+
+
+@cache
+def max_chi2(dof: int, chance: float) -> float:
+    """Value that χ² with so many degrees of freedom exceeds with the given chance."""
+    return float(chdtri(dof, chance))
