@@ -131,11 +131,14 @@ def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
 
 
 def test_a_load_beyond_the_flank_is_no_touch() -> None:
+    """It passes the round end's centre at nearly its radius, which takes a friction beyond any prior: not located."""
     probe = build_probe(design_of())
     eq = probe.solve(s_contact=probe.length, force_base=(0.0, 0.05, 0.0))
     assert eq.ok  # the rod holds it, and thin as it is there, nothing jumps
     assert np.linalg.norm(eq.p_at(probe.length) - eq.p_at(probe.geometry.flank_end)) < 1.5e-3
-    assert probe.estimator().estimate(eq.wrench_base).result in ("inconsistent", "out_of_range")
+    found = probe.estimator().estimate(eq.wrench_base)
+    assert found.result in ("inconsistent", "out_of_range", "unobservable")
+    assert np.isnan(found.p_surface_base).all()
 
 
 def test_what_is_predicted_at_the_tip_is_a_touch_of_the_flank() -> None:

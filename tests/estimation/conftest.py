@@ -1,4 +1,4 @@
-"""The paper's three probes, built once."""
+"""The paper's three probes, built once, and readings of their touches."""
 
 from pathlib import Path
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from probedesign.design import load_design
+from probedesign.estimation.estimator import Estimator
 from probedesign.probe import build_probe
-from probedesign.rod.contact import solve_frictionless
+from tests.estimation.true_touches import EXACT, settle, sources_of
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
@@ -25,18 +26,30 @@ def large(probes):
 
 
 @pytest.fixture(scope="session")
+def exact(large):
+    """Its estimator with probe, mount and sensor exactly known but for the noise."""
+    return Estimator(large.model, EXACT)
+
+
+@pytest.fixture(scope="session")
 def gravity():
     """The paper's horizontal mount [m/s²]."""
     return np.array([9.81, 0.0, 0.0])
 
 
 @pytest.fixture(scope="session")
-def touched(large, gravity):
-    """Base wrench of the large probe touched without friction."""
+def exact_sources(large, gravity):
+    """The error sources of the large probe without any."""
+    return sources_of(large.model, gravity)
 
-    def touched(s, force, angle=np.pi / 2):
-        touch = solve_frictionless(large.rod, gravity, s, angle, force, "reference")
-        assert touch.result == "ok"
-        return touch.equilibrium.wrench_base.copy()
+
+@pytest.fixture(scope="session")
+def touched(exact_sources):
+    """Base wrench of the large probe touched with a normal force [N] and friction ratios."""
+
+    def touched(s, normal, phi=-np.pi / 2, around=0.0, along=0.0):
+        touch = settle(exact_sources, np.array([s, phi, normal, around, along]))
+        assert touch is not None
+        return touch.wrench
 
     return touched

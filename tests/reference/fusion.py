@@ -1,0 +1,160 @@
+"""Touches of one fixed point by one dense least-squares problem in numpy: the oracle of `fusion_kernel.py`.
+
+Unknown are the touched point X (3), the error sources m (J, unit priors), the first value of the bias and its steps in
+units of their standard deviations (6 a reading), and of every touch its own unknowns y (5) and stiffness e.
+Nothing is eliminated: all rows of all poses stand in one matrix.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from probedesign.frames import Array
+
+WRENCH, POINT, CENTRE = slice(0, 6), slice(6, 9), slice(9, 12)
+
+
+@dataclass(frozen=True)
+class LinearPose:
+    """One reading, linearised.
+
+    Attributes:
+        lin: values and derivatives by the touch, (12, 6); D: error columns, (12, J). Of a reading without contact the
+            free probe's wrench stands in the first column and the derivatives count for nothing.
+        ratios: of friction where it was linearised, (2,).
+        wrench: read at the base, (6,).
+        T: pose of the base, (4, 4).
+        whiten: of the channels that count, (m, m).
+        ramp: how far creep has gone.
+        touched: whether there was contact.
+    """
+
+    lin: Array
+    D: Array
+    ratios: Array
+    wrench: Array
+    T: Array
+    whiten: Array
+    ramp: float
+    touched: bool
+
+
+class Priors(NamedTuple):
+    """What is common to all rows.
+
+    Attributes:
+        channels: (m, 6); bias: channels by the bias in steps, (m, 6).
+        friction: standard deviation of the ratio; inf: none.
+        robot: of the base's place at each pose [m].
+        start, walk: of the bias at the first reading and of its step to the next, in steps.
+        scatter, creep: columns of D that are each touch's own, and that grow by the ramp; -1: none.
+    """
+
+    channels: Array
+    bias: Array
+    friction: float
+    robot: float
+    start: float
+    walk: float
+    scatter: int
+    creep: int
+
+
+class DenseSolution(NamedTuple):
+    """Least squares of all rows.
+
+    Attributes:
+        x: X, m and the bias of the last reading, (3 + J + 6,), as `solve_reduced` has them.
+        cov: of X, (3, 3).
+        chi2: least misfit squared, priors included.
+        own: step of the touch and stiffness at each pose, (k, 6); NaN where free.
+        centre, cov_centre: mean of the centreline points in the world (3,) and its covariance (3, 3).
+    """
+
+    x: Array
+    cov: Array
+    chi2: float
+    own: Array
+    centre: Array
+    cov_centre: Array
+
+
+def common(D: Array, pose: LinearPose, priors: Priors) -> Array:
+    """Error columns that all poses share."""
+    shared = D.copy()
+    if priors.creep >= 0:
+        shared[:, priors.creep] *= pose.ramp
+    if pose.touched and priors.scatter >= 0:
+        shared[:, priors.scatter] = 0.0
+    return shared
+
+
+def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
+    """The least-squares solution by a QR factorisation of the scaled matrix."""
+    k, J = len(poses), poses[0].D.shape[1]
+    n = 3 + J + 12 * k
+    first_bias, first_own = 3 + J, 3 + J + 6 * k
+    rows: list[Array] = []
+    right: list[float] = []
+
+    def add(A: Array, b: Array) -> None:
+        rows.extend(np.atleast_2d(A))
+        right.extend(np.atleast_1d(b))
+
+    add(np.eye(n)[3:first_own], np.zeros(first_own - 3))
+    stds = np.array([priors.start] + [priors.walk] * (k - 1))
+    for i, pose in enumerate(poses):
+        own = slice(first_own + 6 * i, first_own + 6 * i + 6)
+        A = np.zeros((len(priors.channels), n))
+        to = pose.whiten @ priors.channels
+        A[:, 3:first_bias] = to @ common(pose.D[WRENCH], pose, priors)
+        for j in range(i + 1):
+            A[:, first_bias + 6 * j : first_bias + 6 * j + 6] = stds[j] * pose.whiten @ priors.bias
+        if pose.touched:
+            A[:, own] = to @ _own(pose, WRENCH, priors)
+        add(A, to @ (pose.wrench - pose.lin[WRENCH, 0]))
+        add(
+            np.eye(n)[own.start + 5], np.zeros(1)
+        )  # the prior on e; without a scatter and where free it is zero
+        if not pose.touched:
+            add(np.eye(n)[own.start : own.start + 5], np.zeros(5))
+            continue
+        if np.isfinite(priors.friction):
+            per = 1.0 / max(priors.friction, 1e-4)
+            add(per * np.eye(n)[own.start + 3 : own.start + 5], -per * pose.ratios)
+        A = np.zeros((3, n))
+        per = 1.0 / max(priors.robot, 1e-8)
+        R = pose.T[:3, :3]
+        A[:, :3] = -np.eye(3)
+        A[:, 3:first_bias] = R @ common(pose.D[POINT], pose, priors)
+        A[:, own] = R @ _own(pose, POINT, priors)
+        add(per * A, -per * (pose.T[:3, 3] + R @ pose.lin[POINT, 0]))
+    A, b = np.array(rows), np.array(right)
+    scale = np.linalg.norm(A, axis=0)
+    Q, R = np.linalg.qr(A / scale)
+    z = np.linalg.solve(R, Q.T @ b) / scale
+    inverse = np.linalg.inv(R) / scale[:, None]
+    chi2 = float(((A @ z - b) ** 2).sum())
+    bias = (stds[:, None] * z[first_bias:first_own].reshape(k, 6)).sum(axis=0)
+    steps = np.array([z[first_own + 6 * i : first_own + 6 * i + 6] for i in range(k)])
+    touched = np.array([pose.touched for pose in poses])
+    steps[~touched] = np.nan
+    centre, by = np.zeros(3), np.zeros((3, n))
+    for i in np.flatnonzero(touched):
+        pose, own = poses[i], slice(first_own + 6 * i, first_own + 6 * i + 6)
+        R = pose.T[:3, :3]
+        row = np.zeros((3, n))
+        row[:, 3:first_bias] = R @ common(pose.D[CENTRE], pose, priors)
+        row[:, own] = R @ _own(pose, CENTRE, priors)
+        centre += (pose.T[:3, 3] + R @ pose.lin[CENTRE, 0] + row @ z) / touched.sum()
+        by += row / touched.sum()
+    spread = by @ inverse
+    x = np.concatenate([z[:first_bias], bias])
+    return DenseSolution(x, inverse[:3] @ inverse[:3].T, chi2, steps, centre, spread @ spread.T)
+
+
+def _own(pose: LinearPose, rows: slice, priors: Priors) -> Array:
+    """Derivatives by a pose's own unknowns, (n, 6)."""
+    by_e = pose.D[rows, priors.scatter] if priors.scatter >= 0 else np.zeros(rows.stop - rows.start)
+    return np.column_stack([pose.lin[rows, 1:6], by_e])

@@ -1,0 +1,88 @@
+"""One contact at a point of the deformed surface, by repeated solves of the rod: the oracle of the compiled one.
+
+The model is that of `probedesign/estimation/surface_contact_kernel.py`, spelled out with names; derivatives are central
+differences.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probedesign.frames import Array
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+
+
+@dataclass(frozen=True)
+class SurfaceTouch:
+    """Unknowns of a touch: s [m], φ [rad], normal force [N] and ratios of friction around and along."""
+
+    s: float
+    phi: float
+    normal: float
+    around: float = 0.0
+    along: float = 0.0
+
+    def moved(self, j: int, by: float) -> "SurfaceTouch":
+        """The touch with its j-th unknown changed."""
+        name = ("s", "phi", "normal", "around", "along")[j]
+        return replace(self, **{name: getattr(self, name) + by})
+
+
+@dataclass(frozen=True)
+class SolvedTouch:
+    """Base wrench, touched point, nearest point of the centreline to the line of action, and force [SI]."""
+
+    wrench: Array
+    p_surface: Array
+    p_contact: Array
+    s_contact: float
+    force: Array
+    normal: Array
+    equilibrium: Equilibrium
+
+
+def solve_touch(rod: Rod, gravity: Array, touch: SurfaceTouch) -> SolvedTouch:
+    """Fixed-point iteration on the force and the couple until they agree with the bent section.
+
+    Where friction turns the section further than it turned the force, whole steps go astray: half, a quarter, ... of
+    them are then taken.
+    """
+    tan = rod.taper_at(touch.s)
+    alpha = np.arctan(tan)
+    r = float(np.interp(touch.s, rod.s, rod.radius))
+    tip, R = None, np.eye(3)
+    force = couple = np.zeros(3)
+    for turn in range(400):
+        e = np.cos(touch.phi) * R[:, 0] + np.sin(touch.phi) * R[:, 1]
+        t, around = R[:, 2], np.cross(R[:, 2], e)
+        normal = np.cos(alpha) * e + np.sin(alpha) * t
+        along = np.cos(alpha) * t - np.sin(alpha) * e
+        wanted = touch.normal * (-normal + touch.around * around + touch.along * along)
+        done = np.abs(wanted - force).max() <= 1e-15 + 1e-13 * np.abs(wanted).max()
+        share = 0.5 ** (turn // 80)
+        force = force + share * (wanted - force)
+        couple = couple + share * (np.cross(r * e, wanted) - couple)
+        eq = rod.solve(gravity, force, touch.s, couple=couple, mode="reference", guess=tip)
+        assert eq.ok, eq.result
+        tip, R = eq.tip, eq.R_at(touch.s)
+        if done:
+            break
+    else:
+        raise AssertionError(f"no equilibrium of {touch}")
+    p = eq.p_contact_base
+    b, a = float(force @ e), float(force @ t)
+    shift = -r * a * b / (b * b + (touch.normal * touch.around) ** 2)
+    there = float(np.clip(touch.s + shift, 0.0, rod.length))
+    return SolvedTouch(eq.wrench_base, p + r * e, eq.p_at(there), touch.s + shift, force, normal, eq)
+
+
+def derivatives(rod: Rod, gravity: Array, touch: SurfaceTouch) -> Array:
+    """Of [wrench, p_surface, p_contact] by the unknowns, (12, 5), by central differences."""
+    steps = (1e-6, 1e-5, 1e-5 * max(touch.normal, 1e-3), 1e-5, 1e-5)
+    columns = []
+    for j, h in enumerate(steps):
+        high, low = (solve_touch(rod, gravity, touch.moved(j, way)) for way in (h, -h))
+        rows = [np.concatenate([of.wrench, of.p_surface, of.p_contact]) for of in (high, low)]
+        columns.append((rows[0] - rows[1]) / (2.0 * h))
+    return np.array(columns).T
