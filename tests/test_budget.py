@@ -1,4 +1,4 @@
-"""The error budget: its derivatives, its sums and limits, and that the real estimator errs as it says."""
+"""The error budget: its sums and limits, and that the real estimator errs as stated in drawn worlds."""
 
 import json
 from dataclasses import fields, replace
@@ -6,24 +6,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
-from probedesign.estimation.bound import contact_bound
-from probedesign.estimation.causes import CAUSES, answers_of, parameters_of
+from probedesign.estimation.error_sources import parameters_of
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
-from probedesign.prediction.budget import budget_of
-from probedesign.prediction.monte_carlo import Plan, sample
+from probedesign.prediction.budget import CAUSES
+from probedesign.prediction.model_touch import SurfaceRod, slide
+from probedesign.prediction.monte_carlo import Plan, drawn_errors, sample
 from probedesign.prediction.predict import predict, predict_touch
 from probedesign.prediction.worlds import Worlds, printed
 from probedesign.probe import build_probe
-from probedesign.rod.contact import solve_frictionless
-from probedesign.rod.contacts import follow_contacts, solve_contacts
+from probedesign.rod.friction import solve_surface_force
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 GRAVITY = np.array([9.81, 0.0, 0.0])
-PLACES, ANGLES, FORCE = np.array([0.4, 0.8, 1.0]), np.array([0.3, 1.5, -2.0]), 0.02
-OWN = ("E", "G", "density", "diameter", "diameter scatter", "length", "creep")
+TOUCH = (0.6, 0.05, "+y")
 
 
 @pytest.fixture(scope="module")
@@ -31,126 +32,87 @@ def large():
     return build_probe(load_design(DESIGNS / "large.toml"))
 
 
-@pytest.fixture(scope="module")
-def contacts(large):
-    return follow_contacts(large.rod, GRAVITY, PLACES * large.length, ANGLES, [0.005, FORCE])[-1]
-
-
 def only(**some):
     """Tolerances with a few causes alone."""
     return replace(Tolerances.none(), **some)
 
 
-# The contacts beneath
+def surface_rod(large):
+    free = large.rod.solve(GRAVITY)
+    return SurfaceRod(large.rod, GRAVITY, large.model.mass, free)
 
 
-def test_many_contacts_are_each_one(large):
-    rng = np.random.default_rng(0)
-    s, angle = rng.uniform(0.1, 1.0, 12) * large.length, rng.uniform(-3.0, 3.0, 12)
-    size = rng.uniform(0.002, 0.2, 12)
-    many = solve_contacts(large.rod, GRAVITY, s, angle, size)
-    for i in range(12):
-        one = solve_frictionless(large.rod, GRAVITY, s[i], angle[i], size[i])
-        assert (one.result == "ok") == many.ok[i]
-        if many.ok[i]:
-            # One Newton step after a misfit of 1e-4 leaves its square; the fast rod 1e-6.
-            np.testing.assert_allclose(many.force[i], one.force_base, atol=1e-6 * size[i])
-            np.testing.assert_allclose(many.d_touch[i], one.d_force, atol=1e-5 * np.abs(one.d_force).max())
+def budget(large, known, touch=TOUCH, friction=None):
+    """RMS by cause [mm] of one touch."""
+    estimator = Estimator(large.model, known)
+    return predict_touch(
+        estimator if friction is None else estimator.with_friction(friction), *touch
+    ).budget_mm
 
 
-def test_touches_followed_are_those_solved_alone(large):
-    s, angle = np.array([0.2, 0.6, 0.9, 1.0]) * large.length, np.array([0.3, 1.5, -2.0, 3.0])
-    forces = np.geomspace(0.002, 0.02, 12)
-    for step, force in zip(follow_contacts(large.rod, GRAVITY, s, angle, forces), forces, strict=True):
-        alone = solve_contacts(large.rod, GRAVITY, s, angle, np.full(4, force), columns="all")
-        assert step.ok.all()
-        # Followed touches are left alone once they are within the fast rod's error, 1e-6; its columns are good to 1e-5.
-        for found, wanted, share in ((step.force, alone.force, 2e-6), (step.d_touch, alone.d_touch, 1e-5),
-                                     (step.batch.wrench_base, alone.batch.wrench_base, 2e-6)):  # fmt: skip
-            np.testing.assert_allclose(found, wanted, atol=share * np.abs(wanted).max())
-
-
-def test_a_touch_that_gave_way_stays_given_way(large):
-    steps = follow_contacts(
-        large.rod, GRAVITY, np.array([1.0]) * large.length, np.array([1.5]), [0.01, 0.1, 1.0]
-    )
-    assert [bool(step.ok[0]) for step in steps] == [True, False, False]
-    held = steps[-1].held[0]
-    assert solve_frictionless(large.rod, GRAVITY, large.length, 1.5, 0.98 * held).result == "ok"
-    assert solve_frictionless(large.rod, GRAVITY, large.length, 1.5, 1.05 * held).result != "ok"
-
-
-# Derivatives
-
-
-def moved(rod, name, h):
-    """The rod with a logarithm of it grown."""
-    if name == "log_length":
-        return replace(rod, s=rod.s * np.exp(h))
-    if name.startswith("log_diameter"):
-        radius = rod.radius.copy()
-        radius[int(name[13:])] *= np.exp(h)
-        return replace(rod, radius=radius, rigid_length=rod.rigid_length * radius[0] / rod.radius[0])
-    key = {"log_E": "youngs_modulus", "log_G": "shear_modulus", "log_density": "density"}[name]
-    return replace(rod, **{key: getattr(rod, key) * np.exp(h)})
+# The touches beneath
 
 
 @pytest.mark.parametrize(
-    ("j", "name"),
-    list(
-        enumerate(
-            ["log_E", "log_G", "log_density", "log_length", "log_diameter_0", "log_diameter_1"], start=3
-        )
-    ),
+    ("fraction", "phi", "force", "ratios"),
+    [(0.4, -1.2, 0.1, (0.0, 0.0)), (0.8, 2.0, 0.03, (0.4, -0.3)), (1.0, 0.5, 0.01, (0, 0.6))],
 )
-def test_answers_are_the_rods_differences(large, contacts, j, name):
-    answers, h = answers_of(contacts, large.rod, GRAVITY), 1e-4
-    for i in range(3):
-        low, high = (
-            solve_frictionless(
-                rod, GRAVITY, PLACES[i] * rod.length, ANGLES[i], FORCE, "reference"
-            ).equilibrium
-            for rod in (moved(large.rod, name, -h), moved(large.rod, name, h))
-        )
-        # The fast rod's columns are good to 1e-5; G moves things a hundred times less than the others.
-        for found, ends in ((answers.wrench, (low.wrench_base, high.wrench_base)),
-                            (answers.point, (low.p_contact_base, high.p_contact_base))):  # fmt: skip
-            wanted = (ends[1] - ends[0]) / (2.0 * h)
-            np.testing.assert_allclose(found[i, :, j], wanted, atol=1e-4 * np.abs(wanted).max() + 1e-9)
+def test_a_press_ends_where_the_independent_solver_has_it(large, fraction, phi, force, ratios):
+    on = surface_rod(large)
+    press = on.press(fraction * large.length, phi, ratios)
+    assert press.to(force) is not None
+    around, along = ratios
+    found = solve_surface_force(
+        large.rod, GRAVITY, fraction * large.length, phi, force, (along, around), mode="reference"
+    )
+    # The fast rod: a micrometre, a millionth of the moment.
+    np.testing.assert_allclose(press.lin[POINT : POINT + 3, VALUE], found.p_surface_base, atol=2e-6)
+    wanted = found.equilibrium.wrench_base
+    np.testing.assert_allclose(press.lin[0:6, VALUE], wanted, atol=3e-6 * np.abs(wanted).max())
+
+
+def test_a_probe_that_gave_way_stays_given_way(large):
+    press = surface_rod(large).press(large.length, 1.5)
+    held = [press.to(force) is not None for force in (0.01, 0.1, 1.0)]
+    assert held == [True, False, False]
+    again = surface_rod(large).press(large.length, 1.5)
+    assert again.to(0.98 * press.force) is not None and again.to(1.05 * press.force) is None
+
+
+def test_an_object_slides_off_a_soft_tip_and_stays_on_a_stiff_stem(large):
+    on = surface_rod(large)
+    forces = np.linspace(0.001, 0.005, 5)
+    assert slide(on, 0.5 * large.length, -np.pi / 2, forces) < 1e-3
+    assert slide(on, 0.97 * large.length, -np.pi / 2, np.linspace(0.01, 0.05, 5)) == np.inf
 
 
 # Sums and limits
 
 
-def test_with_everything_known_only_the_noise_is_left(large, contacts):
-    budget = budget_of(contacts, large.model, GRAVITY, Tolerances.none())
-    for i in range(3):
-        one = solve_frictionless(large.rod, GRAVITY, PLACES[i] * large.length, ANGLES[i], FORCE)
-        bound = contact_bound(one, large.model.noise_base())
-        # The same columns of the same rod; forces agree to 1e-7.
-        np.testing.assert_allclose(budget.total[i], bound.cov_p, atol=1e-5 * np.abs(bound.cov_p).max())
-        assert (budget.rms[i, 1:] == 0.0).all()
+def test_with_everything_known_only_noise_and_friction_are_left(large):
+    found = budget(large, Tolerances.none())
+    assert {name for name, rms in found.items() if rms > 1e-9} == {"noise", "friction"}
 
 
-def test_the_causes_add_up(large, contacts):
-    whole = budget_of(contacts, large.model, GRAVITY, Tolerances(), weighed=False)
-    few = only(youngs_modulus=0.03, diameter_mm=0.075)
-    parts = budget_of(contacts, large.model, GRAVITY, few, weighed=False)
-    total = np.sqrt(np.trace(whole.total, axis1=1, axis2=2))
-    np.testing.assert_allclose(total, np.sqrt((whole.rms**2).sum(axis=1)), rtol=1e-12)  # rounding
-    for name in ("noise", "E"):
-        k = CAUSES.index(name)
-        np.testing.assert_allclose(parts.cov[:, k], whole.cov[:, k], rtol=1e-9)  # no cause knows of another
+@pytest.mark.parametrize("friction", [0.0, 0.3, np.inf])
+def test_the_causes_add_up_and_none_exceeds_the_total(large, friction):
+    estimator = large.estimator().with_friction(friction)
+    for fraction in (0.3, 0.6, 0.9):
+        c = predict_touch(estimator, fraction, 0.02, "+y")
+        assert tuple(c.budget_mm) == CAUSES
+        whole = np.sqrt(sum(v**2 for v in c.budget_mm.values()))
+        assert c.predicted_error_mm == pytest.approx(whole, rel=1e-6)  # rounding of a difference
+        assert max(c.budget_mm.values()) <= c.predicted_error_mm
 
 
-def test_each_cause_is_proportional_to_its_tolerance(large, contacts):
-    twice = Tolerances(
-        **{f.name: 2.0 * getattr(Tolerances(), f.name) for f in fields(Tolerances) if f.name != "tared"}
+def test_more_tolerance_is_more_error(large):
+    """A posterior covariance grows with every prior."""
+    names = [f.name for f in fields(Tolerances) if f.name not in ("tared", "youngs_modulus_by_diameter")]
+    twice = Tolerances(**{name: 2.0 * getattr(Tolerances(), name) for name in names})
+    once, more = (
+        predict_touch(Estimator(large.model, t), *TOUCH).predicted_error_mm for t in (Tolerances(), twice)
     )
-    once, doubled = (
-        budget_of(contacts, large.model, GRAVITY, t, weighed=False).rms for t in (Tolerances(), twice)
-    )
-    np.testing.assert_allclose(doubled[:, 1:], 2.0 * once[:, 1:], rtol=1e-9, atol=1e-15)  # linear; rounding
+    assert once < more < 2.0 * once
 
 
 def test_identified_E_goes_with_the_diameters(large):
@@ -164,109 +126,73 @@ def test_identified_E_goes_with_the_diameters(large):
 
 
 def test_E_that_goes_with_the_diameters_is_counted_less(large):
-    """0.075 mm on the diameters make 3 % of stiffness, E's own standard deviation 1 %: most of both is gone."""
-    touch = follow_contacts(large.rod, GRAVITY, np.array([0.8 * large.length]), np.array([1.5]), [0.05])[0]
+    """0.075 mm on the diameters make 3 % of stiffness at the base, more at the tip: what both share is gone."""
     apart = only(youngs_modulus=0.01, diameter_mm=0.075)
     together = replace(apart, youngs_modulus_by_diameter=-4.7)  # as identified by cameras on this probe
-    predicted = [np.trace(budget_of(touch, large.model, GRAVITY, t).total[0]) for t in (apart, together)]
-    assert predicted[1] < 0.5 * predicted[0]
-    told = [
-        large.estimator().with_tolerances(t).estimate(touch.batch.wrench_base[0]) for t in (apart, together)
-    ]
-    assert [one.result for one in told] == ["ok", "ok"]
-    assert told[1].std_s < 0.7 * told[0].std_s
-
-
-def test_what_is_predicted_is_what_the_estimator_states(large):
-    """To first order, of the same touch: budget and estimate share columns and weights, but not their code."""
-    touch = follow_contacts(large.rod, GRAVITY, np.array([0.6 * large.length]), np.array([1.5]), [0.05])[0]
-    told = large.estimator().with_tolerances(Tolerances()).estimate(touch.batch.wrench_base[0])
-    total = budget_of(touch, large.model, GRAVITY, Tolerances()).total[0]
-    # The estimate ends within a hundredth of a standard deviation of the touch.
-    np.testing.assert_allclose(told.candidates[0].cov_linear_base, total, atol=1e-2 * np.abs(total).max())
-
-
-def test_weighing_helps_where_causes_outweigh_the_noise(large):
-    hard = follow_contacts(large.rod, GRAVITY, np.array([0.5 * large.length]), np.array([0.0]), [0.1])[0]
-    weighed, exact = (
-        np.trace(budget_of(hard, large.model, GRAVITY, Tolerances(), weighed=w).total[0])
-        for w in (True, False)
-    )
-    assert weighed < exact
+    causes = [budget(large, known, (0.8, 0.05, "+y"), 0.0) for known in (apart, together)]
+    stiffness = [np.hypot(found["E"], found["diameter"]) for found in causes]
+    assert stiffness[1] < 0.6 * stiffness[0]
 
 
 def test_a_tare_takes_gravitys_direction_off_a_light_touch(large):
-    light = follow_contacts(large.rod, GRAVITY, np.array([0.6 * large.length]), np.array([1.5]), [0.005])[0]
-    k = CAUSES.index("gravity")
     with_, without = (
-        budget_of(light, large.model, GRAVITY, only(gravity_deg=0.2, tared=tared)).rms[0, k]
+        budget(large, only(gravity_deg=0.2, tared=tared), (0.6, 0.005, "+y"), 0.0)["gravity"]
         for tared in (True, False)
     )
-    assert with_ < 0.05 * without  # what is left is how the sag bends what the touch does
+    assert with_ < 0.1 * without  # what is left is how the sag bends what the touch does
 
 
-def test_without_gravity_its_direction_is_no_cause(large):
-    model = replace(large.model, gravity_base=np.zeros(3))
-    touch = follow_contacts(large.rod, np.zeros(3), np.array([0.1]), np.array([1.5]), [0.01])[0]
-    assert budget_of(touch, model, np.zeros(3), Tolerances()).rms[0, CAUSES.index("gravity")] == 0.0
+def test_a_round_probe_may_be_turned_about_its_axis(large):
+    off = budget(large, only(clocking_deg=5.0))["clocking"]
+    assert off < 1e-5  # by symmetry none; what is left is the columns' rounding
 
 
 # The real estimator
 
 
-TOUCH = (0.6, 0.05, "+y")
-
-
-def misled(large, known):
-    """How far the estimates of readings without noise are off in a few worlds that are so badly known, the worlds, and
-    the covariance of the one cause there is."""
-    worlds = Worlds.draw(large.model, known, 3, 1)
-    wrenches, points = worlds.touched(*TOUCH)
-    estimator = large.estimator().with_tolerances(known)
-    near = [estimator.estimate(wrench).candidates[0].p_contact_base for wrench in wrenches]
-    touch = follow_contacts(
-        large.rod, GRAVITY, np.array([0.6 * large.length]), np.array([np.pi / 2]), [0.05]
-    )[0]
-    budget = budget_of(touch, large.model, GRAVITY, known)
-    (cause,) = np.flatnonzero(budget.rms[0, 1:]) + 1
-    return np.array(near) - points, worlds, budget.cov[0, cause]
-
-
 @pytest.mark.parametrize(
-    ("some", "column", "of_one"),
+    ("some", "cause"),
     [
-        ({"youngs_modulus": 0.01}, 0, 0.01),
-        ({"density": 0.02}, 2, 0.02),
-        ({"length_mm": 0.1}, 3, 0.1 / 150.0),
-        ({"diameter_mm": 0.02}, 4, 0.02 / 12.0),
-        ({"creep": 0.01}, 0, 0.01),
+        ({"youngs_modulus": 0.02}, "E"),
+        ({"density": 0.05}, "density"),
+        ({"length_mm": 0.1}, "length"),
+        ({"diameter_mm": 0.03}, "diameter"),
+        ({"creep": 0.02}, "creep"),
+        ({"root_radii": 0.2}, "root"),
+        ({"gain": 0.01}, "gain"),
+        ({"base_mm": 0.1}, "base place"),
+        ({"tilt_deg": 0.2}, "base tilt"),
+        ({"gravity_deg": 0.4, "tared": False}, "gravity"),
     ],
-    ids=["E", "density", "length", "diameter", "creep"],
 )
-def test_a_wrong_rod_misleads_the_estimator_as_the_budget_says(large, some, column, of_one):
-    off, worlds, cov = misled(large, only(**some))
-    drawn = np.abs(worlds.parameters[:, column]) / of_one
-    # The second order of a percent or two of stiffness, and two fast solves, a third of a micrometre together.
-    np.testing.assert_allclose(
-        np.linalg.norm(off, axis=1), drawn * np.sqrt(np.trace(cov)), rtol=0.05, atol=1e-6
-    )
+def test_one_wrong_thing_misleads_the_estimator_as_the_budget_states(large, some, cause):
+    """Readings without noise of worlds in which one thing alone is drawn, and no friction."""
+    model, n = replace(large.model, friction=0.0), 8
+    known = only(**some)
+    worlds = Worlds.draw(model, known, n, 1)
+    wrenches, points = worlds.touched(0.6, -np.pi / 2, (0.05,), np.random.default_rng(1))
+    estimator = Estimator(model, known)
+    off = [
+        estimator.estimate(w).candidates[0].p_surface_base - p
+        for w, p in zip(wrenches[:, 0], points[:, 0], strict=True)
+    ]
+    share = (1e3 * np.linalg.norm(off, axis=1) / budget(large, known, friction=0.0)[cause]) ** 2
+    # The sum of n squares of at least one normal number each; not beyond one chance in ten thousand either way. Beyond
+    # the budget a fast solve is off by a micrometre.
+    assert stats.chi2(n).ppf(1e-4) * 0.9 < share.sum() < stats.chi2(n).ppf(1.0 - 1e-4) * 1.1
 
 
-@pytest.mark.parametrize(
-    "some",
-    [{"base_mm": 0.02}, {"tilt_deg": 0.1}, {"gravity_deg": 0.2, "tared": False}],
-    ids=["place", "tilt", "gravity"],
-)
-def test_a_wrong_mount_misleads_the_estimator_as_the_budget_says(large, some):
-    off, _, cov = misled(large, only(**some))
-    size = np.sqrt(np.einsum("ni,ij,nj->n", off, np.linalg.pinv(cov, rcond=1e-6), off))
-    # So many standard deviations as were drawn: of nine normal numbers none is beyond 4.5, nor are all next to none.
-    assert (size < 4.5).all() and np.sqrt((size**2).mean()) > 0.2
-
-
-def test_a_round_probe_may_be_turned_about_its_axis(large):
-    off = predict_touch(large.estimator(), *TOUCH, only(clocking_deg=5.0)).budget_mm["clocking"]
-    assert off < 1e-6  # by symmetry none; what is left is the columns' rounding
+def test_the_truth_lies_in_the_stated_ellipsoids(large):
+    """All causes and friction drawn from the priors, at two places: a small sample of the coverage."""
+    n = 150
+    worlds = Worlds.draw(large.model, large.tolerances, n, 3)
+    for fraction in (0.4, 0.7):
+        answers = drawn_errors(worlds, fraction, 0.03, np.pi / 2, None, np.random.default_rng(5))
+        located = [a for a in answers if a.result == "ok"]
+        assert len(located) >= 0.97 * n
+        inside = sum(a.inside for a in located)
+        # One chance in a thousand of fewer where 95 of 100 lie inside; 2 of 100 are left to what is not linear.
+        assert inside >= stats.binom(len(located), 0.93).ppf(1e-3)
 
 
 def test_monte_carlo_agrees(large):
@@ -316,7 +242,7 @@ def test_the_force_needed_is_where_the_error_is_met(large):
     reach = predict(large.model, (0.4,), (0.02,), ("+y",)).reach[0]
     for accuracy, force in ((2.0, reach.force_mN_for_2_mm), (5.0, reach.force_mN_for_5_mm)):
         # Straight in logarithms between forces a third apart.
-        assert predict_touch(large.estimator(), 0.4, 1e-3 * force, "+y").total_error_mm == pytest.approx(
+        assert predict_touch(large.estimator(), 0.4, 1e-3 * force, "+y").predicted_error_mm == pytest.approx(
             accuracy, rel=0.02
         )
     assert reach.force_mN_for_1_mm > reach.force_mN_for_2_mm > reach.force_mN_for_5_mm

@@ -1,6 +1,7 @@
 """The predicted error is the estimator's own covariance, scales as it must, and refuses nonsense."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,16 @@ from scipy import stats
 from probedesign.cli.prediction_tables import print_all
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
-from probedesign.prediction.predict import DIRECTIONS, Condition, predict, predict_touch
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.surface_contact_kernel import POINT, VALUE
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.prediction.fused_budget import ModelPress
+from probedesign.prediction.predict import Condition, predict, predict_touch
+from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.prediction.quantile import radius_95
+from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
-from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.friction import solve_surface_force
 from probedesign.search.grid import tables_of
 from probedesign.sensor import Noise
 
@@ -33,58 +40,145 @@ def prediction(large):
 # The error
 
 
+def at_sensor_noise_alone(large, friction):
+    return Estimator(large.model, Tolerances.none()).with_friction(friction)
+
+
+BOUNDS = {
+    0.0: {(0.4, 0.005): 7.12, (0.4, 0.02): 1.78, (0.4, 0.05): 0.72, (0.6, 0.005): 10.28, (0.6, 0.02): 2.55,
+          (0.6, 0.05): 0.94, (0.8, 0.005): 13.05, (0.8, 0.02): 2.21, (0.8, 0.05): 0.41, (0.95, 0.005): 8.14,
+          (0.95, 0.02): 0.57},
+    0.3: {(0.4, 0.005): 7.15, (0.4, 0.02): 1.79, (0.4, 0.05): 0.72, (0.6, 0.005): 10.29, (0.6, 0.02): 2.58,
+          (0.6, 0.05): 1.04, (0.8, 0.005): 13.41, (0.8, 0.02): 3.40, (0.8, 0.05): 1.44, (0.95, 0.005): 14.09,
+          (0.95, 0.02): 4.01},
+    0.6: {(0.4, 0.005): 7.16, (0.4, 0.02): 1.79, (0.4, 0.05): 0.72, (0.6, 0.005): 10.29, (0.6, 0.02): 2.58,
+          (0.6, 0.05): 1.04, (0.8, 0.005): 13.45, (0.8, 0.02): 3.41, (0.8, 0.05): 1.44, (0.95, 0.005): 15.41,
+          (0.95, 0.02): 4.35},
+    float("inf"): {(0.4, 0.005): 7.16, (0.4, 0.02): 1.79, (0.4, 0.05): 0.72, (0.6, 0.005): 10.29, (0.6, 0.02): 2.58,
+                   (0.6, 0.05): 1.04, (0.8, 0.005): 13.46, (0.8, 0.02): 3.41, (0.8, 0.05): 1.44,
+                   (0.95, 0.005): 16.01, (0.95, 0.02): 4.48},
+}  # fmt: skip
+"""Cramér and Rao's bounds of the touched point [mm] by friction prior, contact fraction and force [N]: large probe,
+gravity across, noise white at the sensor's origin (0.52 mN, 2.6 µN·m), 8.2 mm below the base. Computed independently of
+this package, by a full-frame rod with the force at the surface, in the review that introduced the friction model."""
+
+
+@pytest.mark.parametrize("friction", BOUNDS)
+def test_noise_alone_gives_the_bounds_computed_independently(large, friction):
+    estimator = at_sensor_noise_alone(large, friction)
+    for (fraction, force), bound in BOUNDS[friction].items():
+        # Two decimals are given; the probes differ by how the bonded root is modelled, a part in a hundred.
+        error = predict_touch(estimator, fraction, force, "+y").noise_error_mm
+        assert error == pytest.approx(bound, rel=0.02, abs=0.01)
+
+
+FUSED = {
+    (0.5, 0.002, 0.03): ((3.12, 2.98), (3.17, 3.03), (3.33, 3.16)),
+    (0.5, 0.005, 0.03): ((1.46, 1.41), (1.57, 1.50), (1.79, 1.65)),
+    (0.8, 0.002, 0.03): ((1.71, 1.61), (1.74, 1.65), (1.83, 1.72)),
+    (0.8, 0.005, 0.03): ((1.08, 1.06), (1.12, 1.09), (1.21, 1.18)),
+    (0.8, 0.005, 0.005): ((0.60, 0.55), (0.66, 0.62), (0.80, 0.76)),
+}
+"""The same of five touches pressed on, by place, greatest force [N] and standard deviation of E: moments about the base
+alone and all six channels [mm], for friction 0, 0.3 and 0.6; poses repeat to 0.01 mm, the bias of each channel about
+the base walks 0.2 steps a touch, independently of the others."""
+
+
+@pytest.mark.parametrize(("fraction", "force", "spread"), FUSED)
+def test_five_touches_give_the_bounds_computed_independently(large, fraction, force, spread):
+    known = replace(Tolerances.none(), youngs_modulus=spread, robot_mm=0.01, walk_steps=0.2)
+    for friction, bounds in zip((0.0, 0.3, 0.6), FUSED[fraction, force, spread], strict=True):
+        estimator = Estimator(large.model, known).with_friction(friction)
+        for moments, bound in zip(("base", None), bounds, strict=True):
+            schedule = PressSchedule(5, moments)
+            steps = touches_of(estimator, [(fraction, "+y")], schedule.forces(force))
+            press = ModelPress(estimator.model, known, large.model.gravity_base,
+                               np.array([step.touch[0] for step in steps.values()]), schedule)  # fmt: skip
+            # The bounds let the bias walk about the base; the estimator lets it walk at the sensor, where it arises.
+            noise = large.model.noise
+            step = np.sqrt(large.model.averaging_samples) * np.repeat([noise.force, noise.moment], 3)
+            press.fusion.__dict__["bias"] = np.ascontiguousarray(press.fusion.channels @ np.diag(step))
+            rms = 1e3 * np.sqrt(np.trace(press.cov()))
+            assert rms == pytest.approx(bound, rel=0.06)
+
+
 @pytest.mark.parametrize(
-    ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.8, 0.01, "-x"), (1.0, 0.005, "+x")]
+    ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.6, 0.02, "+x"), (0.8, 0.05, "-x")]
 )
 def test_it_is_the_estimators_own_covariance(large, fraction, force, direction):
-    noise = large.model.noise
-    estimator = large.estimator().with_noise(0.01 * noise.force, 0.01 * noise.moment)
+    """Noise, all error sources and friction: what `estimate` states of a reading of that very touch."""
+    estimator = large.estimator()
     found = predict_touch(estimator, fraction, force, direction)
-    touch = solve_frictionless(
-        large.rod, large.model.gravity_base, fraction * large.length, DIRECTIONS[direction], force
-    )
-    c = estimator.estimate(touch.equilibrium.wrench_base)
+    touch = touches_of(estimator, [(fraction, direction)], [force])[force]
+    c = estimator.estimate(touch.wrench[0])
     assert found.result == c.result == "ok"
-    # A hundredth of the noise, where what the estimator counts to second order is small; but then it also counts the
-    # fast rod's error, 0.25 µm beside 3.5 µm. The estimate solves once more: two fast answers, 1e-6 of the moment.
-    assert found.predicted_error_mm == pytest.approx(1e3 * np.sqrt(np.trace(c.cov_contact_base)), rel=1e-2)
-    assert found.predicted_error_95_mm == pytest.approx(1e3 * radius_95(c.cov_contact_base), rel=1e-2)
-    assert found.std_s_mm == pytest.approx(1e3 * c.std_s, rel=1e-3)  # sweeps as fine as the noise needs
+    # The estimate ends within a hundredth of a standard deviation of the touch.
+    best = c.candidates[0]
+    assert found.predicted_error_mm == pytest.approx(1e3 * np.sqrt(np.trace(best.cov_linear_base)), rel=0.01)
+    assert found.predicted_error_95_mm == pytest.approx(1e3 * radius_95(best.cov_linear_base), rel=0.01)
+    assert found.std_s_mm == pytest.approx(1e3 * c.std_s, rel=0.01)
+    total = touch.budget.cov_centre[0]
+    np.testing.assert_allclose(total, best.cov_linear_contact_base, atol=0.01 * np.abs(total).max())
+
+
+def test_no_cause_exceeds_the_total(prediction):
+    for c in (*prediction.conditions, *prediction.fused):
+        if c.result == "ok":
+            assert c.noise_error_mm <= c.predicted_error_mm and c.total_error_mm == c.predicted_error_mm
+            assert max(c.budget_mm.values()) <= c.predicted_error_mm
+            # They add up by construction; rounding of differences of covariances.
+            assert np.sqrt(sum(v**2 for v in c.budget_mm.values())) == pytest.approx(
+                c.predicted_error_mm, rel=1e-6
+            )
+
+
+def test_friction_costs_most_towards_the_tip(large):
+    """At 0.95 L what the direction of the force leaves open is what the frictionless model only seemed to know."""
+    with_, without = (
+        predict_touch(large.estimator().with_friction(mu), 0.95, 0.02, "+y") for mu in (0.6, 0.0)
+    )
+    assert with_.budget_mm["friction"] > 0.5 * with_.predicted_error_mm
+    # A prior of none is held to a hundredth of the angle that a sensor resolves.
+    assert without.budget_mm["friction"] < 5e-3 * without.predicted_error_mm
+    added = with_.predicted_error_mm**2 - without.predicted_error_mm**2
+    assert with_.budget_mm["friction"] ** 2 == pytest.approx(added, rel=1e-5)  # what the prior adds over none
 
 
 def test_noisy_readings_err_as_predicted(large):
-    estimator, readings, rare = large.estimator(), 200, 1e-4
+    estimator, readings, rare = Estimator(large.model, Tolerances.none()), 200, 1e-4
     found = predict_touch(estimator, 0.4, 0.1, "+y")
-    eq = solve_frictionless(
-        large.rod, large.model.gravity_base, 0.4 * large.length, np.pi / 2, 0.1
-    ).equilibrium
+    touch = touches_of(estimator, [(0.4, "+y")], [0.1])[0.1]
     rng = np.random.default_rng(4)
     noise = rng.multivariate_normal(np.zeros(6), large.model.noise_base(), readings)
-    estimates = [estimator.estimate(eq.wrench_base + e) for e in noise]
-    off = 1e3 * np.linalg.norm([c.p_contact_base - eq.p_contact_base for c in estimates], axis=1)
-    # Σ|e|² over its mean scatters at most as chi-square of one degree a reading (all error along one line).
+    estimates = [estimator.estimate(touch.wrench[0] + e) for e in noise]
+    point = touch.lin[0, POINT : POINT + 3, VALUE]
+    off = 1e3 * np.linalg.norm([c.p_surface_base - point for c in estimates], axis=1)
+    # Σ|e|² over its mean scatters at most as chi-square of one degree a reading (all error along one line). Friction is
+    # none in truth but 0.6 in the prior, so that a part of the predicted error is not drawn.
     share = (off**2).sum() / found.predicted_error_mm**2
-    assert stats.chi2(readings).ppf(rare) <= share <= stats.chi2(readings).ppf(1.0 - rare)
+    assert 0.8 * stats.chi2(readings).ppf(rare) <= share <= stats.chi2(readings).ppf(1.0 - rare)
     inside = (off <= found.predicted_error_95_mm).sum()
-    assert stats.binom(readings, 0.95).ppf(rare) <= inside <= stats.binom(readings, 0.95).ppf(1.0 - rare)
+    assert inside >= stats.binom(readings, 0.95).ppf(rare)
 
 
 def test_a_slight_touch_errs_as_one_over_its_force(large):
-    errors = [predict_touch(large.estimator(), 0.6, f, "+y").predicted_error_mm for f in (1e-5, 2e-5, 4e-5)]
+    estimator = Estimator(large.model, Tolerances.none())
+    errors = [predict_touch(estimator, 0.6, f, "+y").predicted_error_mm for f in (1e-5, 2e-5, 4e-5)]
     # What is left is how far the touch itself moves the point: 40 µN at 90 mm, a hundredth of a millimetre.
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=1e-3)
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=1e-3)
 
 
-def test_the_error_is_proportional_to_the_noise(large):
+def test_the_noise_alone_is_proportional_to_the_noise(large):
     noise = large.model.noise
-    twice = predict(
-        large.model.with_noise(Noise(2 * noise.force, 2 * noise.moment)), (0.5,), (0.05,), ("+y",)
+    doubled = large.model.with_noise(Noise(2 * noise.force, 2 * noise.moment))
+    twice, once = (
+        predict(replace(model, friction=0.0), (0.5,), (0.05,), ("+y",)) for model in (doubled, large.model)
     )
-    once = predict(large.model, (0.5,), (0.05,), ("+y",))
-    for name in ("predicted_error_mm", "predicted_error_95_mm", "std_s_mm"):
+    for name in ("noise_error_mm", "noise_error_95_mm"):
+        # The prior on friction is not scaled; where it binds altogether, only the solver's own error is left.
         assert getattr(twice.conditions[0], name) == pytest.approx(
-            2 * getattr(once.conditions[0], name), rel=1e-6
+            2 * getattr(once.conditions[0], name), rel=1e-3
         )
     felt = [p.detection[0].detectable_force_mN for p in (twice, once)]
     assert felt[0] == pytest.approx(2 * felt[1], rel=1e-9)
@@ -93,7 +187,7 @@ def test_the_error_is_proportional_to_the_noise(large):
 
 def test_the_lever_arm_is_as_vague_as_the_force(large):
     """σ_s ≈ s σ_F/F where the moment is read sharply: the bound that no single touch can beat."""
-    found = predict_touch(large.estimator(), 0.4, 0.02, "+y")
+    found = predict_touch(Estimator(large.model, Tolerances.none()), 0.4, 0.02, "+y")
     noise = large.model.noise
     wanted = 0.4 * large.length * noise.force / 0.02
     assert 1e-3 * found.std_s_mm == pytest.approx(wanted, rel=0.2)  # bending and moment noise are left out
@@ -103,14 +197,15 @@ def test_the_lever_arm_is_as_vague_as_the_force(large):
 
 
 def test_compliances_are_those_of_pressing_on(large):
-    h, force = 1e-4, 0.05
+    """Against the independent solver of a force at the deformed surface."""
+    h, force, s = 1e-4, 0.05, 0.5 * large.length
     low, high = (
-        solve_frictionless(large.rod, large.model.gravity_base, 0.5 * large.length, np.pi / 2, f, "reference")
+        solve_surface_force(large.rod, large.model.gravity_base, s, -np.pi / 2, f, mode="reference")
         for f in (force - h, force + h)
     )
     found = predict_touch(large.estimator(), 0.5, force, "+y")
     change = (high.equilibrium.wrench_base - low.equilibrium.wrench_base) / (2.0 * h)
-    press = high.equilibrium.p_contact_base - low.equilibrium.p_contact_base
+    press = high.p_surface_base - low.p_surface_base
     mean = (low.force_base + high.force_base) / 2.0
     per_N_mm = 1e3 * press @ mean / np.linalg.norm(mean) / (2.0 * h)
     # Differences over a five-hundredth of the force: h²; fast mode: 1e-6.
@@ -121,6 +216,7 @@ def test_compliances_are_those_of_pressing_on(large):
 
 
 def test_a_touch_at_the_detectable_force_is_on_the_verge(large):
+    """Detected with probability one half, by prediction, search and estimator alike."""
     found = predict(large.model, (0.6,), (0.01,), ("+y",)).detection[0]
     force = 1e-3 * found.detectable_force_mN
     assert predict_touch(large.estimator(), 0.6, 0.99 * force, "+y").result == "no_contact"

@@ -28,8 +28,8 @@ def conditions_csv(prediction: Prediction) -> bytes:
 def along_csv(prediction: Prediction) -> bytes:
     """A row a place and side: what is felt, what accuracy costs, where it ends; fused_ is of fused touches."""
     rows: dict[tuple[float, str], dict[str, Any]] = {}
-    told: tuple[Detection | Reach, ...] = (*prediction.detection, *prediction.reach)
-    for one in told:
+    shown: tuple[Detection | Reach, ...] = (*prediction.detection, *prediction.reach)
+    for one in shown:
         rows.setdefault((one.contact_fraction, one.direction), {}).update(asdict(one))
     for fused in prediction.fused_reach:
         forces = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}

@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimation.equations import channels_of
+from probedesign.estimation.fusion import BETTER_THAN_NOTHING
 from probedesign.frames import Array
-from probedesign.prediction.fused_budget import FUSED_CAUSES, FusedBudget, Pressed, fused_budget_of
-from probedesign.prediction.pressing import Pressing
-from probedesign.prediction.quantile import radii_95
+from probedesign.prediction.fused_budget import FUSED_CAUSES, FusedBudget, ModelPress
+from probedesign.prediction.press_schedule import PressSchedule
+from probedesign.prediction.quantile import radius_95
 from probedesign.prediction.reach import ACCURACIES_MM
-from probedesign.prediction.standing import Standing
 from probedesign.prediction.touches import Touches
 from probedesign.units import MM
 
@@ -27,17 +26,18 @@ class FusedCondition:
     """Several touches of one point, pressed on. Numbers that do not exist are None.
 
     Attributes:
-        contact_fraction: s_contact over length.
+        contact_fraction: arclength of the touched section over length.
         force_N: of the last touch; the others are even parts of it.
         direction: which way the object pushes.
         touches: how many.
         result: what `Estimator.fuse` would answer; "gives_way" and "out_of_range" as of the last touch.
-        predicted_error_mm: RMS distance between true and estimated contact point as the estimator itself states it:
-            noise, drift, robot, common stiffness and the base's place.
-        predicted_error_95_mm: 95 % of the estimates lie within this distance, likewise.
-        total_error_mm: RMS distance by all causes of `budget_mm` together.
-        total_error_95_mm: 95 % of the estimates lie within this distance.
-        budget_mm: RMS distance by each cause alone; their squares add up.
+        predicted_error_mm: RMS distance between true and estimated contact point, the touched point of the surface in
+            the world, by all causes of `budget_mm` together, as the estimator states it.
+        predicted_error_95_mm: 95 % of the estimates lie within this distance.
+        noise_error_mm: RMS distance by the sensor's noise and the prior on friction where all else is exactly known.
+        noise_error_95_mm: 95 % of the estimates lie within this distance, likewise.
+        budget_mm: RMS distance by each cause; their squares add up to that of predicted_error_mm.
+        total_error_mm, total_error_95_mm: the predicted errors under their former names.
     """
 
     contact_fraction: float
@@ -47,9 +47,11 @@ class FusedCondition:
     result: str
     predicted_error_mm: float | None = None
     predicted_error_95_mm: float | None = None
+    noise_error_mm: float | None = None
+    noise_error_95_mm: float | None = None
+    budget_mm: dict[str, float] | None = None
     total_error_mm: float | None = None
     total_error_95_mm: float | None = None
-    budget_mm: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedReach, ...]:
                       key=lambda c: c.force_N)  # fmt: skip
         forces, errors = (
             np.array([c.force_N for c in here]),
-            np.array([c.total_error_mm for c in here], dtype=float),
+            np.array([c.predicted_error_mm for c in here], dtype=float),
         )
         found.append(FusedReach(*line, *(_needed(forces, errors, accuracy) for accuracy in ACCURACIES_MM)))
     return tuple(found)
@@ -100,18 +102,21 @@ def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> lis
     for c in conditions:
         if c.force_N == nearest and c.result == "ok":
             worst = found.setdefault(c.contact_fraction, c)
-            if (c.total_error_mm or 0.0) > (worst.total_error_mm or 0.0):
+            if (c.predicted_error_mm or 0.0) > (worst.predicted_error_mm or 0.0):
                 found[c.contact_fraction] = c
     return [found[place] for place in sorted(found)]
 
 
-def forces_of(pressing: Pressing, forces_N: Sequence[float]) -> set[float]:
+def forces_of(schedule: PressSchedule, forces_N: Sequence[float]) -> set[float]:
     """Of every touch that presses up to these take."""
-    return {force for greatest in forces_N for force in pressing.forces(greatest)}
+    return {force for greatest in forces_N for force in schedule.forces(greatest)}
 
 
 def fused_conditions(
-    lines: Sequence[Line], touches: Mapping[float, Touches], forces_N: Sequence[float], pressing: Pressing
+    lines: Sequence[Line],
+    touches: Mapping[float, Touches],
+    forces_N: Sequence[float],
+    schedule: PressSchedule,
 ) -> tuple[FusedCondition, ...]:
     """Of all lines, for each greatest force.
 
@@ -119,69 +124,67 @@ def fused_conditions(
         lines: the first of those that were touched.
         touches: by force, at least those of `forces_of`.
         forces_N: greatest forces.
-        pressing: how the touches are made.
+        schedule: how the touches are made.
     """
-    steps = {force: _Step(touches[force], pressing) for force in forces_of(pressing, forces_N)}
-    found = [
-        _at(lines, touches, [steps[f] for f in pressing.forces(force)], force, pressing) for force in forces_N
-    ]
     places = list(dict.fromkeys(place for place, _ in lines))
-    return tuple(c for place in places for at in found for c in at if c.contact_fraction == place)
-
-
-class _Step:
-    """One force's touches, those that there are made ready for the budget."""
-
-    def __init__(self, touches: Touches, pressing: Pressing) -> None:
-        model, held = touches.estimator.model, touches.contacts.ok
-        self.row = np.where(held, np.cumsum(held) - 1, -1)
-        self.pressed: Pressed | None = None
-        if held.any():
-            standing = Standing(model, model.gravity_base, touches.contacts.rows(held))
-            channels = channels_of(model, pressing.moments_about)
-            self.pressed = Pressed.of(standing, channels, touches.tolerances)
-
-
-def _at(
-    lines: Sequence[Line],
-    touches: Mapping[float, Touches],
-    steps: Sequence[_Step],
-    force: float,
-    pressing: Pressing,
-) -> list[FusedCondition]:
-    """All lines at one greatest force."""
-    last = touches[force]
-    held = np.flatnonzero((np.array([step.row[: len(lines)] for step in steps]) >= 0).all(axis=0))
-    found = [FusedCondition(place, force, side, pressing.touches, "gives_way") for place, side in lines]
-    if not len(held):
-        return found
-    series = [step.pressed.rows(step.row[held]) for step in steps if step.pressed is not None]
-    model = last.estimator.model
-    budget = fused_budget_of(series, model, last.tolerances, pressing)
-    within = radii_95(budget.cov_told), radii_95(budget.total)
-    for j, i in enumerate(held):
-        result = _result(budget, j, float(last.sensor_use[i]), model.rod.length, pressing)
-        found[i] = _told(found[i], result, budget, j, (within[0][j], within[1][j]))
-    return found
-
-
-def _result(budget: FusedBudget, j: int, use: float, length: float, pressing: Pressing) -> str:
-    if use > 1.0:
-        return "out_of_range"
-    if math.sqrt(float(np.trace(budget.cov_fixed[j]))) < length / math.sqrt(12.0):
-        return "ok"
-    return "unobservable" if pressing.moments_about else "too_light"
-
-
-def _told(
-    condition: FusedCondition, result: str, budget: FusedBudget, j: int, within: tuple[Array, Array]
-) -> FusedCondition:
-    return replace(
-        condition,
-        result=result,
-        predicted_error_mm=math.sqrt(float(np.trace(budget.cov_told[j]))) / MM,
-        predicted_error_95_mm=float(within[0]) / MM,
-        total_error_mm=math.sqrt(float(np.trace(budget.total[j]))) / MM,
-        total_error_95_mm=float(within[1]) / MM,
-        budget_mm=dict(zip(FUSED_CAUSES, (budget.rms[j] / MM).tolist(), strict=True)),
+    return tuple(
+        fused_condition(line, [touches[f] for f in schedule.forces(force)], i, force, schedule)
+        for place in places
+        for force in forces_N
+        for i, line in enumerate(lines)
+        if line[0] == place
     )
+
+
+def fused_condition(
+    line: Line, touches: Sequence[Touches], i: int, force: float, schedule: PressSchedule
+) -> FusedCondition:
+    """One condition.
+
+    Args:
+        line: which.
+        touches: of it, in the order of time; i: its row in them.
+        force: of the last.
+        schedule: how they are made.
+    """
+    found = FusedCondition(line[0], force, line[1], schedule.touches, "gives_way")
+    if not all(of.ok[i] for of in touches):
+        return found
+    last = touches[-1]
+    estimator = last.estimator
+    press = ModelPress(estimator.model, estimator.priors, estimator.model.gravity_base,
+                       np.array([of.touch[i] for of in touches]), schedule)  # fmt: skip
+    if not press.held:
+        return found
+    budget = press.split()
+    result = _result(budget, float(last.sensor_use[i]), estimator.model.rod.length, schedule)
+    if result != "ok":
+        return replace(found, result=result)
+    error, within = _mm(budget.total)
+    noise, noise_within = _mm(budget.cov_noise)
+    return replace(
+        found,
+        result=result,
+        predicted_error_mm=error,
+        predicted_error_95_mm=within,
+        noise_error_mm=noise,
+        noise_error_95_mm=noise_within,
+        budget_mm=dict(zip(FUSED_CAUSES, (budget.rms / MM).tolist(), strict=True)),
+        total_error_mm=error,
+        total_error_95_mm=within,
+    )
+
+
+def _mm(cov: Array) -> tuple[float, float]:
+    """RMS and 95 % distance of a covariance."""
+    return math.sqrt(max(float(np.trace(cov)), 0.0)) / MM, radius_95(cov) / MM
+
+
+def _result(budget: FusedBudget, sensor_use: float, length: float, schedule: PressSchedule) -> str:
+    """What the estimator answers: better than no reading at all or nothing."""
+    if sensor_use > 1.0:
+        return "out_of_range"
+    rms = math.sqrt(max(float(np.trace(budget.total)), 0.0))
+    if rms < length * BETTER_THAN_NOTHING:
+        return "ok"
+    return "unobservable" if schedule.moments_about else "too_light"

@@ -1,7 +1,8 @@
 """Monte Carlo of a prediction: probes that differ from their model, noisy readings, and the real estimator on them.
 
-The truth is the fast rod, whose error is micrometres; the estimator starts cold, knows nothing of the draw, and weighs
-readings by the tolerances that it was drawn from. Every condition meets the same worlds, so a few prints serve all.
+The truth is the fast rod, whose error is micrometres, with a force of any direction at a point of its surface; the
+estimator starts cold, knows nothing of the draw, and counts the priors that it was drawn from. Every condition meets
+the same worlds, so a few prints serve all.
 """
 
 import hashlib
@@ -14,9 +15,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,27 +25,25 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.files import write_atomically
-from probedesign.frames import Array
+from probedesign.frames import Array, pose
 from probedesign.prediction.fused import FusedCondition
 from probedesign.prediction.predict import PRESSING, Condition, Prediction
-from probedesign.prediction.pressed_worlds import PressedWorlds, fuse
-from probedesign.prediction.pressing import Pressing
+from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.prediction.sampled import Sampled
+from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import Worlds
+from probedesign.statistics import max_chi2
 from probedesign.units import MM
 
 DIFFERS = 0.10
 """Share by which Monte Carlo and the first order must differ, beyond two of Monte Carlo's own standard errors."""
 SAVE_EVERY_S = 2.0
-MOST_DRAWS = 1_000_000
+MAX_DRAWS = 1_000_000
 COUNTED = ("ok", "inconsistent")
 """Answers whose best place counts: also where the consistency test refuses it, else the errors would be those of the
 luckier worlds."""
 Touch = tuple[float, float, str, int]
 """Contact fraction, force [N], direction, and how many touches are fused."""
-
-Answer = tuple[str, float | None]
-"""Result, and how far off [m]; None where nothing counts."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +61,20 @@ class Plan:
     tolerances: Tolerances
     draws: int
     seed: int
-    pressing: Pressing = PRESSING
+    pressing: PressSchedule = PRESSING
 
     def __post_init__(self) -> None:
         """Raises InputError where the numbers make no sense."""
-        if not 2 <= self.draws <= MOST_DRAWS:
+        if not 2 <= self.draws <= MAX_DRAWS:
             raise InputError(
-                f"--monte-carlo {self.draws} must lie in 2 ... {MOST_DRAWS}, estimates of each condition"
+                f"--monte-carlo {self.draws} must lie in 2 ... {MAX_DRAWS}, estimates of each condition"
             )
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
+
+    def worlds(self) -> Worlds:
+        """What every condition of the plan meets."""
+        return Worlds.draw(self.model, self.tolerances, self.draws, self.seed)
 
     @property
     def key(self) -> str:
@@ -83,62 +85,91 @@ class Plan:
                    model.hanging.p_com]  # fmt: skip
         told = json.dumps([[np.asarray(n, dtype=float).ravel().tolist() for n in numbers], rod.rounded_from,
                            rod.factors, asdict(self.tolerances), self.draws, self.seed,
-                           asdict(self.pressing), 2])  # fmt: skip
+                           asdict(self.pressing), model.friction, 3])  # fmt: skip
         return hashlib.sha256(told.encode()).hexdigest()[:12]
 
-    def sample(self, touch: Touch, worlds: "Drawn") -> dict[str, Any]:
+    def sample(self, touch: Touch, worlds: Worlds) -> dict[str, Any]:
         """Errors of one condition over all worlds."""
-        told = json.dumps([self.seed, *(touch if touch[3] > 1 else touch[:3])]).encode()
-        rng = np.random.default_rng(np.frombuffer(hashlib.sha256(told).digest(), dtype=np.uint32))
-        errors = (
-            self._fused(touch, worlds.pressed, rng) if touch[3] > 1 else self._once(touch, worlds.single, rng)
-        )
-        off, located = [], 0
-        for result, error in errors:
-            located += result == "ok"
-            if error is not None:
-                off.append(error)
-        return _summary(np.array(off), located)
-
-    def _once(self, touch: Touch, worlds: Worlds, rng: np.random.Generator) -> Iterator[Answer]:
-        wrenches, points = worlds.touched(*touch[:3])
-        read = wrenches + worlds.noise(len(wrenches), rng)
-        estimator = Estimator(self.model).with_tolerances(self.tolerances)
-        for wrench, point in zip(read, points, strict=True):
-            found = estimator.estimate(wrench)
-            best = found.candidates[0].p_contact_base if found.candidates else None
-            yield found.result, _off(found.result, best, point)
-
-    def _fused(self, touch: Touch, worlds: PressedWorlds, rng: np.random.Generator) -> Iterator[Answer]:
-        series, estimator = worlds.touched(*touch[:3]), Estimator(self.model)
-        read, places = series.wrenches + worlds.noise(rng), series.places + worlds.robot(rng)
-        for wrenches, there, point in zip(read, places, series.points, strict=True):
-            found = fuse(estimator, self.tolerances, self.pressing, wrenches, there)
-            best = found.candidates_world[0] if len(found.candidates_world) else None
-            yield found.result, _off(found.result, best, point)
+        key = json.dumps([self.seed, *(touch if touch[3] > 1 else touch[:3])]).encode()
+        rng = np.random.default_rng(np.frombuffer(hashlib.sha256(key).digest(), dtype=np.uint32))
+        fraction, force, direction, touches = touch
+        schedule = self.pressing if touches > 1 else None
+        answers = drawn_errors(worlds, fraction, force, DIRECTIONS[direction], schedule, rng)
+        off = [answer.error for answer in answers if answer.error is not None]
+        located = [answer for answer in answers if answer.result == "ok"]
+        inside = sum(answer.inside for answer in located)
+        return _summary(np.array(off), len(located)) | {"inside": inside}
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """What every condition of a plan meets, drawn when it is asked for."""
+class Answer(NamedTuple):
+    """What the estimator made of one draw.
 
-    plan: Plan
+    Attributes:
+        result: its code.
+        error: distance of its best touched point from the true one [m]; None where nothing counts.
+        inside: whether the true point lies in the 95 % ellipsoid that it states.
+    """
 
-    @cached_property
-    def single(self) -> Worlds:
-        """Of single touches."""
-        plan = self.plan
-        return Worlds.draw(plan.model, plan.tolerances, plan.draws, plan.seed)
-
-    @cached_property
-    def pressed(self) -> PressedWorlds:
-        """The same, but they creep while they are pressed."""
-        plan = self.plan
-        return PressedWorlds.draw(plan.model, plan.tolerances, plan.pressing, plan.draws, plan.seed)
+    result: str
+    error: float | None
+    inside: bool = False
 
 
-def _off(result: str, best: Array | None, point: Array) -> float | None:
-    return float(np.linalg.norm(best - point)) if result in COUNTED and best is not None else None
+def drawn_errors(
+    worlds: Worlds,
+    fraction: float,
+    force: float,
+    angle: float,
+    schedule: PressSchedule | None,
+    rng: np.random.Generator,
+) -> list[Answer]:
+    """Touch one place of every world and locate it by the real estimator.
+
+    Args:
+        worlds: drawn probes.
+        fraction: arclength of the touched section over the length.
+        force: normal force, that of the last touch [N].
+        angle: direction in which the object pushes, about the tangent from the section's x axis [rad].
+        schedule: how several touches are made; None: a single one.
+        rng: of friction, stiffness scatter, noise, bias and robot.
+    """
+    forces = (force,) if schedule is None else schedule.forces(force)
+    wrenches, points = worlds.touched(fraction, angle + math.pi, forces, rng)
+    n, k = wrenches.shape[:2]
+    read = wrenches + worlds.noise(n, k, rng)
+    estimator = Estimator(worlds.model, worlds.tolerances)
+    if schedule is None:
+        return [_located(estimator, read[i, 0], points[i, 0]) for i in range(n)]
+    places = -points + worlds.robot(n, k, rng)
+    return [_fused(estimator, schedule, read[i], places[i]) for i in range(n)]
+
+
+def _located(estimator: Estimator, wrench: Array, point: Array) -> Answer:
+    found = estimator.estimate(wrench)
+    best = found.candidates[0] if found.candidates else None
+    if best is None or found.result not in COUNTED:
+        return Answer(found.result, None)
+    off = best.p_surface_base - point
+    return Answer(found.result, float(np.linalg.norm(off)), _holds(best.cov_surface_base, off))
+
+
+def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, places: Array) -> Answer:
+    """Of one point, which is the world's origin."""
+    if not np.isfinite(wrenches).all():
+        return Answer("gives_way", None)
+    found = estimator.fuse(
+        wrenches, [pose(p=place) for place in places], estimator.model.gravity_base,
+        moments_only=schedule.moments_about is not None, moments_about=schedule.moments_about or "base",
+    )  # fmt: skip
+    if found.result not in COUNTED or not len(found.candidates_world):
+        return Answer(found.result, None)
+    off = found.candidates_world[0]
+    return Answer(found.result, float(np.linalg.norm(off)), found.ok and _holds(found.cov_surface_world, off))
+
+
+def _holds(cov: Array, off: Array) -> bool:
+    """Whether a 95 % ellipsoid holds a point that is so far from its centre."""
+    return bool(off @ np.linalg.lstsq(cov, off, rcond=1e-12)[0] <= max_chi2(3, 0.05))
 
 
 def sample(
@@ -192,7 +223,7 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
     if not touches:
         return
     if workers == 1:
-        worlds = Drawn(plan)
+        worlds = plan.worlds()
         yield from ((name, plan.sample(touch, worlds)) for name, touch in touches.items())
         return
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
@@ -209,7 +240,7 @@ def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[
             raise
 
 
-_here: tuple[Plan, Drawn] | None = None
+_here: tuple[Plan, Worlds] | None = None
 """Of a worker process."""
 
 
@@ -217,7 +248,7 @@ def _begin(plan: Plan) -> None:
     """Make a worker ready; an interrupt is its parent's business."""
     global _here
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _here = plan, Drawn(plan)
+    _here = plan, plan.worlds()
 
 
 def _sample_there(touch: Touch) -> dict[str, Any]:
@@ -240,14 +271,15 @@ def _summary(off: np.ndarray[Any, Any], located: int) -> dict[str, Any]:
 
 
 def _sampled(plan: Plan, condition: Condition | FusedCondition, row: dict[str, Any]) -> Sampled:
-    first, error = condition.total_error_mm, row["error"]
+    first, error = condition.predicted_error_mm, row["error"]
     differs = False
     if error is not None and first is not None:
         differs = abs(error / MM - first) > DIFFERS * first + 2.0 * row["standard_error"] / MM
-    told = {name: None if row[key] is None else row[key] / MM for name, key in
+    shown = {name: None if row[key] is None else row[key] / MM for name, key in
             (("error_mm", "error"), ("error_95_mm", "error_95"), ("standard_error_mm", "standard_error"))}  # fmt: skip
     return Sampled(condition.contact_fraction, condition.force_N, condition.direction, plan.draws, row["located"],
-                   first_order_mm=first, differs=differs, touches=_touches(condition), **told)  # fmt: skip
+                   first_order_mm=first, differs=differs, touches=_touches(condition), inside=row["inside"],
+                   **shown)  # fmt: skip
 
 
 def _touch(condition: Condition | FusedCondition) -> Touch | None:
@@ -276,7 +308,11 @@ def _kept(path: Path | None) -> dict[str, dict[str, Any]]:
     try:
         found = json.loads(path.read_bytes())["conditions"]
         for row in found.values():
-            _ = int(row["located"]), *(float(row[k] or 0.0) for k in ("error", "error_95", "standard_error"))
+            _ = (
+                int(row["located"]),
+                int(row["inside"]),
+                *(float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")),
+            )
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         raise InputError(f"{path}: is not what a Monte Carlo left; remove it to begin anew") from None
     return dict(found)

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.estimation.causes import CAUSES
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import FusedCondition, FusedReach, forces_of, fused_conditions, fused_reach
-from probedesign.prediction.pressing import Pressing
+from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.prediction.reach import LADDER_N, Reach, reach_of
 from probedesign.prediction.sampled import Sampled
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
@@ -32,7 +32,7 @@ __all__ = [
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-PRESSING, NO_WORKSPACE = Pressing(), Workspace()
+PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
 _WEAK_N = 1e-6  # a push so light that everything answers in proportion
 
 
@@ -41,21 +41,23 @@ class Condition:
     """One touch and what it will give. Numbers that do not exist are None.
 
     Attributes:
-        contact_fraction: s_contact over length.
-        force_N: how hard the object pushes.
+        contact_fraction: arclength of the touched section over length.
+        force_N: how hard the object pushes, normal to the surface.
         direction: which way it pushes, a key of `DIRECTIONS`.
         result: what the estimator would answer; "ok" is a located contact. "gives_way": the probe cannot
             push back so hard.
-        predicted_error_mm: RMS distance between true and estimated contact point, sensor noise only.
+        predicted_error_mm: RMS distance between true and estimated contact point, the touched point of the surface,
+            by all causes of `budget_mm` together.
         predicted_error_95_mm: 95 % of the estimates lie within this distance.
-        std_s_mm: the part of it along the probe.
+        noise_error_mm: RMS distance by the sensor's noise and the prior on friction where all else is exactly known.
+        noise_error_95_mm: 95 % of the estimates lie within this distance, likewise.
+        std_s_mm: standard deviation of s_contact, by all causes.
         deflection_mm: how far the contact point moved from where the free probe had it.
         moment_per_N_Nmm, force_per_N_N: change of the base's moment and force per newton more.
         moment_per_mm_Nmm, force_per_mm_N: the same per millimetre of pressing on at the same s.
         sensor_use: largest share of a channel's range that the reading takes.
-        total_error_mm: RMS distance by all causes of `budget_mm` together.
-        total_error_95_mm: 95 % of the estimates lie within this distance, all causes together.
-        budget_mm: RMS distance by each cause alone; their squares add up.
+        budget_mm: RMS distance by each cause; their squares add up to that of predicted_error_mm.
+        total_error_mm, total_error_95_mm: the predicted errors under their former names.
     """
 
     contact_fraction: float
@@ -64,6 +66,8 @@ class Condition:
     result: str
     predicted_error_mm: float | None = None
     predicted_error_95_mm: float | None = None
+    noise_error_mm: float | None = None
+    noise_error_95_mm: float | None = None
     std_s_mm: float | None = None
     deflection_mm: float | None = None
     moment_per_N_Nmm: float | None = None
@@ -71,15 +75,15 @@ class Condition:
     moment_per_mm_Nmm: float | None = None
     force_per_mm_N: float | None = None
     sensor_use: float | None = None
+    budget_mm: dict[str, float] | None = None
     total_error_mm: float | None = None
     total_error_95_mm: float | None = None
-    budget_mm: dict[str, float] | None = None
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Smallest force that one reading tells from no contact, at one place from one side; None where so much is not
-    borne. It stands out of the noise and, where tolerances are weighed, of the drift."""
+    """Force that one reading detects with probability one half, at one place from one side, noise and drift counted
+    (`Estimator.detectable`); None where the probe does not hold as much."""
 
     contact_fraction: float
     direction: str
@@ -96,6 +100,7 @@ class Prediction:
         mass_g: of the flexible part.
         tip_sag_mm: how far gravity alone moves the tip.
         noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels that was counted with.
+        friction: prior standard deviation of tangential over normal force; None where the direction is free.
         conditions: the grid.
         detection: along the probe.
         reach: what a touch costs the object, along the probe.
@@ -114,13 +119,14 @@ class Prediction:
     tip_sag_mm: float | None
     noise_force_mN: float
     noise_moment_Nmm: float
+    friction: float | None
     conditions: tuple[Condition, ...]
     detection: tuple[Detection, ...]
     reach: tuple[Reach, ...]
     tolerances: Tolerances
     fused: tuple[FusedCondition, ...] = ()
     fused_reach: tuple[FusedReach, ...] = ()
-    pressing: Pressing = PRESSING
+    pressing: PressSchedule = PRESSING
     workspace: Workspace = NO_WORKSPACE
     monte_carlo: tuple[Sampled, ...] = ()
 
@@ -135,12 +141,12 @@ def predict(
     forces_N: tuple[float, ...] = FORCES_N,
     directions: tuple[str, ...] = ("+x", "-x", "+y"),
     tolerances: Tolerances | None = None,
-    pressing: Pressing = PRESSING,
+    pressing: PressSchedule = PRESSING,
 ) -> Prediction:
     """Predict sensitivity and contact error over a grid of touches.
 
-    The error by noise is Cramér and Rao's bound, by the rod's exact sensitivities, which the default estimator
-    reaches; the other causes are counted to first order (`budget.py`). The touch counts as free of friction.
+    The error is the first-order covariance of the estimator's own residuals at touches of the model without friction,
+    with all error sources and the prior on friction (`budget.py`): what `estimate` and `fuse` state at such a touch.
 
     Args:
         model: the probe.
@@ -154,7 +160,8 @@ def predict(
         InputError: a fraction, force or direction that makes no sense.
     """
     check_grid(fractions, forces_N, directions)
-    estimator, known = Estimator(model), tolerances or Tolerances.of(model)
+    estimator = Estimator(model, tolerances)
+    known = estimator.priors
     end = model.rod.flank_end / model.rod.length
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
@@ -169,7 +176,7 @@ def predict(
                   for place in fractions for force in forces_N for side in directions)  # fmt: skip
     if estimator.free().ok:  # else it cannot even stand
         pressed = forces_of(pressing, forces_N)
-        touches = touches_of(estimator, known, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
+        touches = touches_of(estimator, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
         reach = reach_of(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, reach[i].greatest_force_N) for i, line in enumerate(lines)
@@ -186,6 +193,7 @@ def predict(
         tip_sag_mm=tip_sag_mm(estimator),
         noise_force_mN=1e3 * model.noise.force,
         noise_moment_Nmm=1e3 * model.noise.moment,
+        friction=_finite(model.friction),
         conditions=tuple(
             conditions[fraction, direction, force]
             for fraction in fractions for force in forces_N for direction in directions
@@ -210,8 +218,10 @@ def predict_touch(
     """One condition; see `predict`."""
     if not estimator.free().ok:  # it cannot even stand
         return Condition(fraction, force_N, direction, "gives_way")
-    known, line = tolerances or Tolerances.of(estimator.model), (fraction, direction)
-    return conditions_of(touches_of(estimator, known, [line], [force_N])[force_N], [line])[0]
+    if tolerances is not None:
+        estimator = estimator.with_tolerances(tolerances)
+    line = (fraction, direction)
+    return conditions_of(touches_of(estimator, [line], [force_N])[force_N], [line])[0]
 
 
 def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
@@ -224,29 +234,32 @@ def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[
 
 
 def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -> Condition:
-    force = float(touches.contacts.magnitude[i])
+    force = touches.force_N
     if result == "gives_way":
         return Condition(line[0], force, line[1], result)
-    per_N, press = touches.contacts.d_wrench_by_touch[i, :, 2], float(touches.press_per_N[i])
+    per_N, press = touches.wrench_by_force[i], float(touches.press_per_N[i])
     by_moment, by_force = float(np.linalg.norm(per_N[3:6])), float(np.linalg.norm(per_N[0:3]))
     rms = touches.budget.rms[i] / MM
+    error, within = _finite(touches.rms[0][i] / MM), _finite(touches.within_95[0][i] / MM)
     return Condition(
         line[0],
         force,
         line[1],
         result,
-        predicted_error_mm=_finite(touches.rms[0][i] / MM),
-        predicted_error_95_mm=_finite(touches.within_95[0][i] / MM),
-        std_s_mm=_finite(math.sqrt(touches.budget.cov_touch[i, 0, 0]) / MM),
+        predicted_error_mm=error,
+        predicted_error_95_mm=within,
+        noise_error_mm=_finite(touches.rms[1][i] / MM),
+        noise_error_95_mm=_finite(touches.within_95[1][i] / MM),
+        std_s_mm=_finite(touches.budget.std_s[i] / MM),
         deflection_mm=float(touches.deflection[i] / MM),
         moment_per_N_Nmm=1e3 * by_moment,
         force_per_N_N=by_force,
         moment_per_mm_Nmm=_finite(1e3 * by_moment / press * MM) if press > 0 else None,
         force_per_mm_N=_finite(by_force / press * MM) if press > 0 else None,
         sensor_use=float(touches.sensor_use[i]),
-        total_error_mm=_finite(touches.rms[1][i] / MM),
-        total_error_95_mm=_finite(touches.within_95[1][i] / MM),
         budget_mm=dict(zip(CAUSES, rms.tolist(), strict=True)) if np.isfinite(rms).all() else None,
+        total_error_mm=error,
+        total_error_95_mm=within,
     )
 
 
@@ -258,9 +271,9 @@ def tip_sag_mm(estimator: Estimator) -> float | None:
 
 def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | None) -> Detection:
     """In proportion to a weak push; none where the probe gives way before."""
-    if not touches.contacts.ok[i] or most is None:
+    if not touches.ok[i] or most is None:
         return Detection(*line, None)
-    felt = touches.judge.detectable(touches.contacts.d_wrench_by_touch[i, :, 2])
+    felt = touches.estimator.detectable(touches.wrench_by_force[i])
     return Detection(*line, 1e3 * felt if felt <= most else None)
 
 

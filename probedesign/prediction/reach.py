@@ -50,11 +50,11 @@ def reach_of(
         end: the fraction where the flank ends, from which objects slip.
     """
     forces = np.array(sorted(touches))
-    errors = np.array([touches[f].rms[1] for f in forces])
+    errors = np.array([touches[f].rms[0] for f in forces])
     use = np.array([touches[f].sensor_use for f in forces])
     bent = np.array([touches[f].deflection for f in forces])
-    depth = np.array([touches[f].contacts.batch.p_contact_base[:, 2] for f in forces])
-    held = touches[forces[-1]].contacts.held
+    depth = np.array([touches[f].centre[:, 2] for f in forces])
+    held = touches[forces[-1]].held
     found = []
     for i, (fraction, direction) in enumerate(lines):
         tip = lines.index((end, direction))
@@ -73,7 +73,7 @@ def reach_of(
 def _slips(forces: Array, tip_depth: Array, depth: float, at_tip: bool) -> float:
     """Force at which the tip, pushed itself, has come as near to the base as the object is; infinite if it never does.
 
-    Without friction an object slides along the probe as that bends away, and where it leaves, it touches the tip.
+    An object slides along the probe as that bends away, and where it leaves, it touches the tip.
     """
     good = np.isfinite(tip_depth)
     below = np.flatnonzero(good & (tip_depth <= depth))

@@ -14,8 +14,9 @@ class Sampled:
         error_mm, error_95_mm: RMS distance of the best places, those called inconsistent among them, and what
             95 of 100 stay within.
         standard_error_mm: of that RMS.
-        first_order_mm: what the budget says.
+        first_order_mm: what the budget predicts.
         differs: whether the two differ by more than a tenth and two standard errors.
+        inside: how many of those answered "ok" state a 95 % ellipsoid that holds the true point.
         touches: how many were fused; 1 is a single reading.
     """
 
@@ -30,3 +31,4 @@ class Sampled:
     first_order_mm: float | None
     differs: bool
     touches: int = 1
+    inside: int = 0

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
-from probedesign.estimation.causes import CAUSES
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.prediction.budget import CAUSES, unweighted_budget_of
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 from probedesign.units import MM
 
@@ -141,12 +141,12 @@ def measured() -> tuple[dict[str, str], ...]:
 def _row(model: ProbeModel, tolerances: Tolerances, said: dict[str, str], reference_mm: float) -> Row:
     force, fraction = float(said["force_N"]), float(said["contact_fraction"])
     lines = [(fraction, direction) for direction in DIRECTIONS]
-    touches = touches_of(Estimator(model), tolerances, lines, [force], weighed=False)[
-        force
-    ]  # as the paper's method
-    held, own, noise, largest = touches.contacts.ok, None, None, "none"
+    touches = touches_of(Estimator(model, tolerances), lines, [force])[force]
+    held, own, noise, largest = touches.ok, None, None, "none"
     if held.any():
-        squares = (touches.budget.rms[held] ** 2).mean(axis=0)
+        # As the published method: neither the error sources nor friction weigh on its readings.
+        cov = unweighted_budget_of(touches.lin[held], touches.D[held], touches.sources, model.friction)
+        squares = np.trace(cov, axis1=2, axis2=3).mean(axis=0)
         own, noise = math.sqrt(squares.sum()) / MM, math.sqrt(squares[0]) / MM
         largest = CAUSES[int(np.argmax(squares))]
     row = Row(

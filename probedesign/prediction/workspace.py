@@ -70,10 +70,8 @@ def workspace_of(reach: Sequence[Reach], touches: Mapping[float, Touches], gravi
         gravity: base axes [m/s²], (3,).
     """
     forces = np.array(sorted(touches))
-    estimator = touches[forces[0]].estimator
-    places = np.array([row.contact_fraction for row in reach])
-    free = estimator.free().p_at(places * estimator.model.rod.length) / MM
-    points = np.array([touches[f].contacts.batch.p_contact_base[: len(reach)] for f in forces]) / MM
+    free = touches[forces[0]].free_centre[: len(reach)] / MM
+    points = np.array([touches[f].centre[: len(reach)] for f in forces]) / MM
     paths = tuple(
         _path(row, forces, points[:, i], free[i])
         for i, row in enumerate(reach)

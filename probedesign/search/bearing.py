@@ -6,8 +6,7 @@ import numpy as np
 
 from probedesign.estimation.model import ProbeModel
 from probedesign.rod.contact import solve_frictionless
-from probedesign.search.press_series import SIDE
-from probedesign.search.task import Task
+from probedesign.search.task import Task, side_of
 
 _WEAK_N = 1e-6
 _SQUARE = 2.0
@@ -32,7 +31,11 @@ def borne(model: ProbeModel, task: Task, most: float) -> float:
         task: where it is touched, and how hard.
         most: times the force, that is asked about.
     """
-    return min(_borne(model, fraction * model.rod.length, task.force_N, most) for fraction in task.fractions)
+    return min(
+        _borne(under, fraction * under.rod.length, task.force_N, most)
+        for under in task.models(model)
+        for fraction in task.fractions
+    )
 
 
 def _borne(model: ProbeModel, s: float, force: float, most: float) -> float:
@@ -60,7 +63,7 @@ def _lost(free: float, pushed: float) -> float:
 
 def _yields(model: ProbeModel, s: float, force: float) -> float:
     """How far the contact moves by a dead force more [m/N]; infinite where the probe gives way."""
-    pushed = solve_frictionless(model.rod, model.gravity_base, s, SIDE, force)
+    pushed = solve_frictionless(model.rod, model.gravity_base, s, side_of(model.gravity_base), force)
     if pushed.result != "ok":
         return math.inf
     return float(np.linalg.norm(pushed.sensitivity.d_position[:, :3]))

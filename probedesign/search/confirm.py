@@ -1,4 +1,4 @@
-"""Whether the real estimator reaches what the bound promises: drawn readings of drawn probes, fused as a user would."""
+"""Whether the real estimator reaches the predicted error: drawn readings of drawn probes, located as a user would."""
 
 import math
 import multiprocessing
@@ -6,21 +6,20 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from probedesign.design import Design
 from probedesign.errors import InputError
-from probedesign.estimation.equations import POINT, UNKNOWNS
-from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
+from probedesign.prediction.monte_carlo import drawn_errors
+from probedesign.prediction.worlds import Worlds
 from probedesign.probe import build_probe
-from probedesign.search.press_series import PressSeries, press_series, unknowns_of
-from probedesign.search.task import Task
+from probedesign.search.task import Task, side_of
+from probedesign.search.worth import touches
 from probedesign.units import MM
 
 _PIECE = 10
@@ -29,59 +28,33 @@ _PIECE = 10
 
 @dataclass(frozen=True)
 class Confirmed:
-    """What drawn touches gave.
+    """What drawn touches gave, over all cases of a task.
 
     Attributes:
-        rms_mm: of the touched point's place, over all places and draws that were answered.
-        linear_mm: of the same draws, had the probe been linear; other draws would give the bound on average.
-        bound_mm: what was promised.
-        located, drawn: how many were answered, of how many.
+        rms_mm: RMS distance of the located from the touched point, of all draws with a best place.
+        standard_error_mm: of that RMS.
+        bound_mm: RMS of the predicted errors over the same cases.
+        located, drawn: how many were answered "ok", of how many.
+        inside: how many of those located state a 95 % ellipsoid that holds the true point.
     """
 
     rms_mm: float
-    linear_mm: float
+    standard_error_mm: float
     bound_mm: float
     located: int
     drawn: int
-
-    @property
-    def expected_mm(self) -> float:
-        """What other draws are likely to give: the luck of these, which a linear probe shares, is taken out."""
-        return self.rms_mm * self.bound_mm / self.linear_mm
+    inside: int
 
 
 class _Piece(NamedTuple):
-    """Some draws at one place; the rest of the problem is the same for all."""
+    """Some draws of one case; the rest of the problem is the same for all."""
 
     model: ProbeModel
     task: Task
     fraction: float
+    force: float
     draws: int
     seed: tuple[int, int, int]
-
-
-class _Drawn(NamedTuple):
-    """What was different from what the estimator believes.
-
-    Attributes:
-        log_stiffness: of the probe.
-        noise: of the readings, with the bias as it walks, (k, 6).
-        off: of the poses as the robot tells them [m], (k, 3).
-    """
-
-    log_stiffness: float
-    noise: Array
-    off: Array
-
-
-def check_confirmable(task: Task) -> None:
-    """Refuse what is not fused.
-
-    Raises:
-        InputError: it is of a single touch.
-    """
-    if task.touches < 2:
-        raise InputError("--confirm is of fused touches; give --touches 2 or more")
 
 
 def confirm(
@@ -92,40 +65,45 @@ def confirm(
     tell: Callable[[str, float | None], None],
     workers: int | None = None,
 ) -> Confirmed:
-    """Fuse drawn readings at each of the task's places.
+    """Locate drawn touches in each of the task's cases.
 
-    Drawn are the stiffness, the base's place at all poses and at each, the bias's walk and the noise, each as the
-    estimator is told to expect it.
+    Drawn are all error sources and the friction of each touch, from the priors that the estimator counts.
 
     Args:
         design: of the probe.
-        task: how it is used; more than one touch.
-        draws: at each place.
+        task: how it is used.
+        draws: in each case.
         seed: of the draws.
         tell: told how far it is.
         workers: processes; all cores if None, this one alone if 1. The answer does not depend on it.
 
     Raises:
-        InputError: a single touch is asked for, or the probe gives way.
+        InputError: the probe gives way in one of the cases.
     """
-    check_confirmable(task)
-    model, bounds = build_probe(design).model, list[float]()
-    for fraction in task.fractions:
-        series = press_series(model, fraction, task)
-        if series is None:
-            raise InputError(f"{design.name}: gives way at {fraction:g} of its length")
-        bounds.append(series.rms(unknowns_of(model, task), task))
-    pieces = [_Piece(model, task, fraction, min(_PIECE, draws - first), (seed, place, first))
-              for place, fraction in enumerate(task.fractions) for first in range(0, draws, _PIECE)]  # fmt: skip
+    model = build_probe(design).model
+    predicted = touches(model, task, slipping=False)
+    for case, error in zip(predicted.cases, predicted.errors, strict=True):
+        if not math.isfinite(error):
+            raise InputError(
+                f"{design.name}: gives way at {case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
+            )
+    cases = [(under, fraction, force) for under in task.models(model)
+             for fraction in task.fractions for force in task.forces_N]  # fmt: skip
+    pieces = [
+        _Piece(under, task, fraction, force, min(_PIECE, draws - first), (seed, place, first))
+        for place, (under, fraction, force) in enumerate(cases)
+        for first in range(0, draws, _PIECE)
+    ]
     found = list[Array]()
     for part in _run(pieces, workers or len(os.sched_getaffinity(0))):
         found.append(part)
         tell("confirming by drawn touches", len(found) / len(pieces))
-    errors = np.concatenate(found)
-    good = errors[np.isfinite(errors[:, 0])]
-    rms, linear = np.sqrt((good**2).mean(axis=0)) / MM if len(good) else (math.nan, math.nan)
-    bound = float(np.sqrt(np.mean(np.square(bounds)))) / MM
-    return Confirmed(float(rms), float(linear), bound, len(good), len(errors))
+    errors, located, inside = np.concatenate(found).T
+    squares = errors[np.isfinite(errors)] ** 2 / MM**2
+    rms = float(np.sqrt(squares.mean())) if len(squares) else math.nan
+    spread = float(squares.std() / math.sqrt(len(squares)) / (2.0 * rms)) if len(squares) > 1 else math.nan
+    bound = float(np.sqrt(np.mean(np.square(predicted.errors)))) / MM
+    return Confirmed(rms, spread, bound, int(located.sum()), len(errors), int(inside.sum()))
 
 
 def _run(pieces: list[_Piece], workers: int) -> Iterator[Array]:
@@ -144,50 +122,18 @@ def _run(pieces: list[_Piece], workers: int) -> Iterator[Array]:
 
 
 def _errors(piece: _Piece) -> Array:
-    """How far off the touched point is located, and would be on a linear probe [m], (n, 2); NaN where it is not."""
-    model, task, rng = piece.model, piece.task, np.random.default_rng(piece.seed)
-    unknowns, series = unknowns_of(model, task), press_series(model, piece.fraction, task)
-    assert series is not None, "it was solved before"
-    found = list[tuple[float, float]]()
-    for _ in range(piece.draws):
-        drawn = _draw(model, task, unknowns, rng)
-        found.append((_real(piece, unknowns, drawn), _linear(series, task, unknowns, drawn)))
-    return np.array(found)
-
-
-def _draw(model: ProbeModel, task: Task, unknowns: Unknowns, rng: np.random.Generator) -> _Drawn:
-    k, cov, none = task.touches, model.noise_base(), np.zeros(6)
-    step = cov * model.averaging_samples
-    bias = unknowns.bias_steps * rng.multivariate_normal(none, step)
-    walk = unknowns.bias_walk_steps * np.cumsum(rng.multivariate_normal(none, step, k), axis=0)
-    off = rng.normal(0.0, unknowns.base_offset, 3) + rng.normal(0.0, unknowns.base_repeat, (k, 3))
-    noise = rng.multivariate_normal(none, cov, k) + bias + walk
-    return _Drawn(float(rng.normal(0.0, unknowns.stiffness)), noise, off)
-
-
-def _real(piece: _Piece, unknowns: Unknowns, drawn: _Drawn) -> float:
-    """By the estimator [m]."""
-    model, task, factor = piece.model, piece.task, math.exp(drawn.log_stiffness)
-    rod = replace(model.rod, youngs_modulus=factor * model.rod.youngs_modulus,
-                  shear_modulus=factor * model.rod.shear_modulus)  # fmt: skip
-    series = press_series(replace(model, rod=rod), piece.fraction, task)
-    if series is None:
-        return math.nan
-    told = series.Ts_world_base
-    told[:, :3, 3] += drawn.off
-    answer = Estimator(model).fuse(
-        series.wrenches + drawn.noise, told, model.gravity_base, moments_only=task.moments_about is not None,
-        moments_about=task.moments_about or "base", unknowns=unknowns,
-    )  # fmt: skip
-    return float(np.linalg.norm(answer.p_surface_world)) if answer.ok else math.nan
-
-
-def _linear(series: PressSeries, task: Task, unknowns: Unknowns, drawn: _Drawn) -> float:
-    """Were the probe as linear as the bound takes it for [m]."""
-    equations = series.equations(unknowns, task)
-    touches, none = series.touches, np.zeros(UNKNOWNS)
-    by_stiffness = np.array([touch.by_stiffness for touch in touches]) * drawn.log_stiffness
-    by_place = np.array([touch.stiffness @ off for touch, off in zip(touches, drawn.off, strict=True)])
-    misfit = (drawn.noise + by_stiffness + by_place) @ equations.channels.T
-    linear = replace(equations.linear(touches, none), misfit=misfit.ravel())
-    return float(np.linalg.norm(equations.normal(linear, none).step[POINT]))
+    """Error of each draw [m], NaN where there is no best place, whether it was located, and whether the stated
+    ellipsoid holds the truth, (n, 3)."""
+    model, task = piece.model, piece.task
+    rng = np.random.default_rng(piece.seed)
+    worlds = Worlds.draw(model, task.priors(model), piece.draws, int(rng.integers(2**31)))
+    answers = drawn_errors(
+        worlds, piece.fraction, piece.force, side_of(model.gravity_base), task.schedule, rng
+    )
+    return np.array(
+        [
+            (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside)
+            for a in answers
+        ],
+        dtype=float,
+    )

@@ -42,10 +42,11 @@ class Found:
             "design": tables_of(best.design),
             "binding": list(best.binding),
             "bodies_looked_at": best.looked,
+            "worse_than_start": [asdict(row) for row in best.worse],
             "confirmed": None
             if confirmed is None
             else {
-                name: None if one is None else asdict(one) | {"expected_mm": one.expected_mm}
+                name: None if one is None else asdict(one)
                 for name, one in zip(("start", "best"), confirmed, strict=True)
             },
             "front": None if self.front is None else self.front.rows,
@@ -60,6 +61,6 @@ def design_text(search: Search, found: Optimum) -> str:
     kept = ", ".join(limit.text for limit in search.limits) or "no limits of its own"
     about = (
         f"Found by optimize, {search.goal}, from {search.start.name}; {kept}.\n"
-        f"{found.task.text}:\nerror {after:.3g} mm by the bound; of {search.start.name} {was}."
+        f"{found.task.text}:\npredicted error {after:.3g} mm, all causes; of {search.start.name} {was}."
     )
     return render_design(found.design, {"": about})

@@ -8,7 +8,16 @@ from probedesign.errors import InputError
 from probedesign.naming import unknown
 
 Goal = Literal["error-at-force", "force-for-error"]
-KEPT = ("error_mm", "worst_error_mm", "sag_mm", "reach_mm", "sensor_use", "mass_g", "length_mm")
+KEPT = (
+    "error_mm",
+    "worst_error_mm",
+    "sag_mm",
+    "reach_mm",
+    "sensor_use",
+    "slide_mm",
+    "mass_g",
+    "length_mm",
+)
 """Figures that may be limited."""
 _LIMIT = re.compile(r"\s*([A-Za-z_]+)\s*(<=|>=)\s*(\S+)\s*")
 

@@ -1,5 +1,6 @@
 """The best body of a family, from several starts."""
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -9,15 +10,21 @@ import numpy as np
 from probedesign.design import Design, check_design
 from probedesign.errors import InputError
 from probedesign.frames import Array
+from probedesign.probe import build_probe
 from probedesign.search.body import DIGITS, Body, Free
 from probedesign.search.goal import Goal, Limit, check_limits
 from probedesign.search.problem import FORCES, Problem
-from probedesign.search.task import Task
+from probedesign.search.task import Task, Vector
 from probedesign.search.trial import Trial
-from probedesign.search.worth import Worth, worth
+from probedesign.search.worth import Worth, touches, worth
+from probedesign.units import MM
 
 STARTS = (1.0, 0.6)
 """Factors on the diameters of the design that is to be bettered, to start from."""
+PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
+"""Fractions of the length at which start and best are compared."""
+AROUND = (0.5, 1.0, 2.0)
+"""Factors on the task's forces at which they are."""
 _THICKER, _TIMES = 1.25, 8
 """Factor on the diameters of a start that gives way, and how often: nothing leads a search out of there."""
 
@@ -81,6 +88,25 @@ class Search:
 
 
 @dataclass(frozen=True)
+class Worse:
+    """A place and force at which the best body found errs more than the start.
+
+    Attributes:
+        contact_fraction: arclength of the touched section over the length.
+        force_N: normal force; of several touches that of the strongest.
+        gravity_base_m_s2: gravity in base axes.
+        start_error_mm: RMS error of the start.
+        best_error_mm: of the best body; None where it gives way.
+    """
+
+    contact_fraction: float
+    force_N: float
+    gravity_base_m_s2: Vector
+    start_error_mm: float
+    best_error_mm: float | None
+
+
+@dataclass(frozen=True)
 class Optimum:
     """The best body found.
 
@@ -91,6 +117,8 @@ class Optimum:
         binding: what keeps it from being better.
         looked: bodies computed.
         starts: what each start led to: error [mm] or force over the task's; None where limits are broken.
+        worse: where the best body errs more than the start by more than a hundredth, over places and forces around
+            those of the task.
     """
 
     design: Design
@@ -100,6 +128,7 @@ class Optimum:
     binding: tuple[str, ...]
     looked: int
     starts: tuple[float | None, ...]
+    worse: tuple[Worse, ...] = ()
 
 
 def optimum(search: Search, name: str, tell: Tell) -> Optimum:
@@ -123,7 +152,19 @@ def optimum(search: Search, name: str, tell: Tell) -> Optimum:
     x, values = _best(problem, designs, tell)
     best, task = _named(problem, x, name), problem.trial.task_at(x)
     return Optimum(best, task, worth(search.start, task), worth(best, task), problem.touching(x),
-                   problem.trial.looked, values)  # fmt: skip
+                   problem.trial.looked, values, _worse(search.start, best, task))  # fmt: skip
+
+
+def _worse(start: Design, best: Design, task: Task) -> tuple[Worse, ...]:
+    """Places and forces, the task's own and around them, at which the best errs more than the start."""
+    forces = tuple(sorted({factor * force for force in task.forces_N for factor in AROUND}))
+    wide = replace(task, fractions=tuple(sorted({*PLACES, *task.fractions})), forces_N=forces)
+    before, after = (touches(build_probe(design).model, wide, slipping=False) for design in (start, best))
+    return tuple(
+        Worse(*case, was / MM, now / MM if math.isfinite(now) else None)
+        for case, was, now in zip(before.cases, before.errors, after.errors, strict=True)
+        if math.isfinite(was) and not now <= 1.01 * was
+    )
 
 
 def _named(problem: Problem, x: Array, name: str) -> Design:

@@ -17,6 +17,8 @@ SPARE = 1e-3
 FORCES = (0.05, 20.0)
 """Least and most force sought for an error, over the task's."""
 _OPTIONS = {"maxiter": 40, "ftol": 1e-4}  # of a logarithm: a ten-thousandth of an error is no better body
+_SHORT_MM = 0.5
+"""Slide that is let pass at the tip itself, where every press would else count as slipping off."""
 _BROKEN = 1e-6
 _AGAINST = 0.5
 """Constraints broken by this share of the worst, where the worst is broken least, stand against each other."""
@@ -80,7 +82,20 @@ class Problem:
     def constraints(self) -> list[Constraint]:
         """One a limit, and one a rule of printing."""
         rules = self.trial.body.printable(self.trial.body.x_of(self.trial.body.start))
-        return [*map(self._limit, self.limits), self._bearing, *map(self._rule, rules)]
+        slips = [self._staying] if self.trial.task.touches > 1 else []
+        return [*map(self._limit, self.limits), self._bearing, *slips, *map(self._rule, rules)]
+
+    @property
+    def _staying(self) -> Constraint:
+        """That the object does not slip off the tip as the base presses on."""
+        trial = self.trial
+
+        def room(x: Array) -> Array:
+            # From the outermost place on: a slide that long ends at the tip.
+            left = (1.0 - max(trial.task.fractions)) * trial.figures(x)["length_mm"] + _SHORT_MM
+            return np.array([np.log(left / trial.figures(x)["slide_mm"]) - SPARE])
+
+        return Constraint("does not slip off", room, lambda x: differences(room, x, central=False).T)
 
     @property
     def _bearing(self) -> Constraint:

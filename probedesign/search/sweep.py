@@ -195,7 +195,8 @@ def _await_workers(client: "Client", scheduler: str) -> None:
 
 
 def _plain(task: Task) -> dict[str, Any]:
-    return asdict(task) | {"fractions": list(task.fractions)}
+    lists = {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
+    return asdict(task) | lists | {"gravities": [list(gravity) for gravity in task.gravities]}
 
 
 def _require_tables() -> None:

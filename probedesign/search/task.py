@@ -1,58 +1,138 @@
-"""What a probe is asked to do: how hard, where and how often it touches, and what of a reading counts."""
+"""What a probe is asked to do: how hard, where, under which gravity and how often it touches, and what counts."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimation.fused import MomentsAbout
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
+from probedesign.prediction.press_schedule import MAX_TOUCHES, PressSchedule
 
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Of the length, where the error is averaged over: the part that touches, less the tip itself."""
-BASE_REPEAT_MM = 0.05
-"""The robot's error from touch to touch on each axis. Assumed: a small arm's repeatability."""
+MAX_GRAVITY = 100.0
+"""Of a task [m/s²], on each axis."""
+Combine = Literal["mean", "worst"]
+Vector = tuple[float, float, float]
+
+
+class Case(NamedTuple):
+    """One place, force and gravity of a task.
+
+    Attributes:
+        contact_fraction: arclength of the touched section over the length.
+        force_N: normal force; of several touches that of the strongest.
+        gravity_base_m_s2: gravity in base axes.
+    """
+
+    contact_fraction: float
+    force_N: float
+    gravity_base_m_s2: Vector
 
 
 @dataclass(frozen=True)
 class Task:
-    """One way to use a probe.
+    """One way to use a probe, or several at once: every place with every force under every gravity is one case.
 
     Attributes:
-        force_N: the contact force; of several touches that of the strongest, the others even parts of it.
+        forces_N: normal force of the contact; of several touches that of the strongest, the others even parts of it.
         touches: of one fixed point as the base presses on; 1 is a single reading.
         moments_about: with several touches, which moments count alone; None: forces too.
-        base_repeat_mm: of several touches, how far the base is off at each for itself, on each axis.
-        bias_walk_steps: of several touches, how far the bias walks from one to the next, in steps of resolution.
+        base_repeat_mm: how far the base is off at each touch for itself, on each axis; None: as the design has it.
+        bias_walk_steps: how far the bias walks from one touch to the next, in steps of resolution; None: likewise.
         fractions: of the length, where.
+        gravities: in base axes [m/s²]; none: that of the design's mount.
+        combine: "mean": the RMS over the cases is the error; "worst": that of the worst case.
     """
 
-    force_N: float = 0.005
+    forces_N: tuple[float, ...] = (0.005,)
     touches: int = 5
     moments_about: MomentsAbout | None = "sensor"
-    base_repeat_mm: float = BASE_REPEAT_MM
-    bias_walk_steps: float = 0.2
+    base_repeat_mm: float | None = None
+    bias_walk_steps: float | None = None
     fractions: tuple[float, ...] = FRACTIONS
+    gravities: tuple[Vector, ...] = ()
+    combine: Combine = "mean"
 
     def __post_init__(self) -> None:
         """Raises InputError where a value makes no sense."""
-        if not 0.0 < self.force_N <= 100.0:
-            raise InputError(f"force = {self.force_N:g} N must lie in (0, 100]")
-        if not 1 <= self.touches <= 100:
-            raise InputError(f"touches = {self.touches} must lie in 1 ... 100")
+        if not self.forces_N:
+            raise InputError("forces: a task needs one or more")
+        for force in self.forces_N:
+            if not 0.0 < force <= 100.0:
+                raise InputError(f"force = {force:g} N must lie in (0, 100]")
+        if not 1 <= self.touches <= MAX_TOUCHES:
+            raise InputError(f"touches = {self.touches} must lie in 1 ... {MAX_TOUCHES}")
         for name, value in (("base repeat", self.base_repeat_mm), ("bias walk", self.bias_walk_steps)):
-            if not 0.0 <= value <= 100.0:
+            if value is not None and not 0.0 <= value <= 100.0:
                 raise InputError(f"{name} = {value:g} must lie in 0 ... 100")
         if not self.fractions or not all(0.0 < f <= 1.0 for f in self.fractions):
             raise InputError(f"fractions {list(self.fractions)} must lie in (0, 1]")
+        for gravity in self.gravities:
+            if len(gravity) != 3 or not all(abs(g) <= MAX_GRAVITY for g in gravity):
+                raise InputError(
+                    f"gravity {list(gravity)} must be three numbers within ±{MAX_GRAVITY:g} m/s²"
+                )
+        if self.combine not in ("mean", "worst"):
+            raise InputError(f"combine = {self.combine!r} is not known; known: mean, worst")
+
+    @property
+    def force_N(self) -> float:
+        """The greatest force."""
+        return max(self.forces_N)
+
+    @property
+    def schedule(self) -> PressSchedule | None:
+        """How several touches are made; None: one reading."""
+        return None if self.touches == 1 else PressSchedule(self.touches, self.moments_about)
+
+    def priors(self, model: ProbeModel) -> Tolerances:
+        """Standard deviations of the error sources: the design's, but for what the task says."""
+        asked: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
+        return replace(
+            Tolerances.of(model), **{name: value for name, value in asked.items() if value is not None}
+        )
+
+    def models(self, model: ProbeModel) -> Iterator[ProbeModel]:
+        """The probe under each gravity of the task."""
+        if not self.gravities:
+            yield model
+        for gravity in self.gravities:
+            yield replace(model, gravity_base=np.array(gravity, dtype=float))
+
+    def combined(self, errors: tuple[float, ...]) -> float:
+        """The error that the task is judged by, from that of each case."""
+        if self.combine == "worst":
+            return max(errors)
+        return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
     @property
     def text(self) -> str:
         """In one line, for people."""
-        where = f"RMS over {self.fractions[0]:g}-{self.fractions[-1]:g} of the length"
-        if self.touches == 1:
-            return f"one reading at {1e3 * self.force_N:g} mN, sensor noise alone, {where}"
-        counts = (
-            f"moments about the {self.moments_about} alone" if self.moments_about else "forces and moments"
-        )
-        return (
-            f"{self.touches} touches up to {1e3 * self.force_N:g} mN fused, {counts}, base repeats to "
-            f"{self.base_repeat_mm:g} mm, bias walks {self.bias_walk_steps:g} steps, {where}"
-        )
+        over = "RMS over" if self.combine == "mean" else "worst of"
+        where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
+        if len(self.gravities) > 1:
+            where += f" and {len(self.gravities)} directions of gravity"
+        forces = ", ".join(f"{1e3 * force:g}" for force in self.forces_N)
+        schedule = self.schedule
+        if schedule is None:
+            return f"one reading at {forces} mN, all causes, {where}"
+        changed = "".join(
+            f", {name} {value:g} {unit}"
+            for name, value, unit in (("base repeats to", self.base_repeat_mm, "mm"),
+                                      ("bias walks", self.bias_walk_steps, "steps"))
+            if value is not None
+        )  # fmt: skip
+        counts = schedule.text.split(", ")[1]
+        return f"{self.touches} touches up to {forces} mN fused, {counts}{changed}, all causes, {where}"
+
+
+def side_of(gravity: Array) -> float:
+    """Direction in which an object pushes sideways to gravity, as an angle about the axis [rad]; +y without any."""
+    return math.atan2(gravity[1], gravity[0]) + math.pi / 2.0

@@ -22,11 +22,13 @@ STEP = 1e-4
 _EXACT = 12  # digits: none is lost that counts
 _SMALL = 1e-4  # of a radius, where a difference is of the hanging rod alone
 HELD = 1.25
-"""Force, over the task's, that a body must bear: the bound does not see how near it is to giving way, and a print may
+"""Force, over the task's, that a body must bear: the error does not show how near it is to giving way, and a print may
 be softer than designed by some times the 3 % that E spreads (assumed)."""
+_NO_SLIDE_MM = 1e-3
+"""Slide below which an object counts as one that stays where it is."""
 _ASKED = 1.1 * HELD  # so that what is told is smooth at the limit itself
-HOPELESS = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "sag_mm": 1e3, "reach_mm": 1e-3,
-            "borne": 0.1}  # fmt: skip
+HOPELESS = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
+            "reach_mm": 1e-3, "borne": 0.1}  # fmt: skip
 """What stands for figures of a body that gives way: numbers that no search takes for good."""
 
 
@@ -58,7 +60,8 @@ class Trial:
         """With the point's own force."""
         if not self.with_force:
             return self.task
-        return replace(self.task, force_N=self.task.force_N * math.exp(float(x[-1])))
+        factor = math.exp(float(x[-1]))
+        return replace(self.task, forces_N=tuple(factor * force for force in self.task.forces_N))
 
     def figures(self, x: Array) -> dict[str, float]:
         """Of the body as it is, not rounded; `HOPELESS` where it does not stand."""
@@ -81,8 +84,10 @@ class Trial:
         found = {**HOPELESS, **length, "mass_g": 1e3 * probe.mass}
         task = self.task_at(x)
         touched = touches(model, task)
-        if math.isfinite(touched.rms):
-            found |= {"error_mm": touched.rms / MM, "worst_error_mm": max(touched.errors) / MM,
+        error = task.combined(touched.errors)
+        if math.isfinite(error):
+            slid = min(max(touched.slide / MM, _NO_SLIDE_MM), HOPELESS["slide_mm"])
+            found |= {"error_mm": error / MM, "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
                       "sensor_use": touched.sensor_use, "borne": borne(model, task, _ASKED)}  # fmt: skip
         free = probe.rod.solve(model.gravity_base)
         if free.ok:

@@ -7,19 +7,22 @@ from typing import Any
 import numpy as np
 
 from probedesign.design import Design
-from probedesign.estimation.bound import contact_bound
+from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fusion import BETTER_THAN_NOTHING
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
+from probedesign.prediction.budget import budget_of
+from probedesign.prediction.fused_budget import ModelPress
+from probedesign.prediction.model_touch import SurfaceRod, slide
+from probedesign.prediction.touches import touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
-from probedesign.rod.contact import solve_frictionless
-from probedesign.search.press_series import SIDE, press_series, unknowns_of
-from probedesign.search.task import Task
+from probedesign.search.task import Case, Task, side_of
 from probedesign.units import MM
 
 FELT_AT = 0.8
-"""Fraction of the length whose detectable force is told."""
+"""Fraction of the length whose detectable force is reported."""
 NOT_OF_THE_BODY = ("flange_adapter",)
 """Parts that are the same whatever the body."""
 _WEAK_N = 1e-6
@@ -27,20 +30,20 @@ _WEAK_N = 1e-6
 
 @dataclass(frozen=True)
 class Touched:
-    """What touches say of a probe.
+    """What the touches of a task give.
 
     Attributes:
-        errors: RMS of the located point at each of the task's places [m]; infinite where the probe gives way.
+        cases: of the task.
+        errors: RMS of the located point in each, all causes counted [m]; infinite where the probe gives way.
         sensor_use: largest share of a channel's range that a reading takes; infinite likewise.
+        slide: largest way that the object slides along the probe as the base presses on along a straight line, friction
+            left aside [m]; 0 of single touches, infinite where it slips off or the probe gives way.
     """
 
+    cases: tuple[Case, ...]
     errors: tuple[float, ...]
     sensor_use: float
-
-    @property
-    def rms(self) -> float:
-        """Over the places [m]."""
-        return math.sqrt(sum(error**2 for error in self.errors) / len(self.errors))
+    slide: float
 
 
 @dataclass(frozen=True)
@@ -48,12 +51,16 @@ class Worth:
     """The figures of one design. What does not exist is None.
 
     Attributes:
-        error_mm: RMS of the located point over the task's places, by the bound.
-        worst_error_mm: at the worst of them.
-        detectable_mN: smallest force told from none at 0.8 of the length.
+        error_mm: RMS distance of the located from the touched point, all causes counted, over the task's cases as the
+            task combines them.
+        worst_error_mm: of the worst of them.
+        detectable_mN: force that one reading detects with probability one half at 0.8 of the length, noise and drift
+            counted (`Estimator.detectable`).
         sag_mm: of the tip, under gravity as mounted.
         reach_mm: from the base to the tip as it hangs.
         sensor_use: largest share of a channel's range in the task.
+        slide_mm: that the object slides along the probe in a straight press without friction; None of single touches
+            and where it slips off.
         mass_g: of the flexible part.
         length_mm, thinnest_mm: of the flexible part, as drawn.
         print_errors, print_warnings: that the rules of printing find, `NOT_OF_THE_BODY` left out.
@@ -65,6 +72,7 @@ class Worth:
     sag_mm: float | None
     reach_mm: float | None
     sensor_use: float | None
+    slide_mm: float | None
     mass_g: float
     length_mm: float
     thinnest_mm: float
@@ -73,8 +81,8 @@ class Worth:
 
     @property
     def locates(self) -> bool:
-        """Whether every place is told at all: better than anywhere along the probe alike, L/√12."""
-        return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm / math.sqrt(12.0)
+        """Whether every place is observable: better known than anywhere along the probe alike, L/√12."""
+        return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * BETTER_THAN_NOTHING
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data; every key ends in its unit."""
@@ -91,12 +99,13 @@ def worth(design: Design, task: Task) -> Worth:
     found = [f.severity for f in check_print(design).findings if f.part not in NOT_OF_THE_BODY]
     tip = tip_place(probe.model)
     return Worth(
-        error_mm=_finite(touched.rms / MM),
+        error_mm=_finite(task.combined(touched.errors) / MM),
         worst_error_mm=_finite(max(touched.errors) / MM),
-        detectable_mN=_detectable_mN(probe.model),
+        detectable_mN=_detectable_mN(probe.model, task),
         sag_mm=None if tip is None else float(np.linalg.norm(tip - [0.0, 0.0, probe.length]) / MM),
         reach_mm=None if tip is None else float(np.linalg.norm(tip) / MM),
         sensor_use=_finite(touched.sensor_use),
+        slide_mm=_finite(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
         length_mm=probe.length / MM,
         thinnest_mm=probe.geometry.thinnest / MM,
@@ -111,37 +120,84 @@ def tip_place(model: ProbeModel) -> Array | None:
     return eq.p_at(model.rod.length) if eq.ok else None
 
 
-def touches(model: ProbeModel, task: Task) -> Touched:
-    """Of a probe in a task, sensor noise and all else that is not known counted as the task says."""
-    one = _once if task.touches == 1 else _fused
-    found = [one(model, fraction, task) for fraction in task.fractions]
-    return Touched(tuple(error for error, _ in found), max(use for _, use in found))
+def touches(model: ProbeModel, task: Task, slipping: bool = True) -> Touched:
+    """The touches of a task by the model of a probe, all causes counted.
+
+    Args:
+        model: of the probe.
+        task: how it is used.
+        slipping: whether the slide is computed too; else it is 0.
+    """
+    cases, errors, use, slid = list[Case](), list[float](), 0.0, 0.0
+    for under in task.models(model):
+        estimator = Estimator(under, task.priors(under))
+        free = estimator.free()
+        on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
+        sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
+        for fraction in task.fractions:
+            found = _at(estimator, on, sources, fraction, task) if sources is not None else None
+            for force in task.forces_N:
+                cases.append(Case(fraction, force, _vector(under.gravity_base)))
+                error, used = (
+                    (math.inf, math.inf) if found is None else found.get(force, (math.inf, math.inf))
+                )
+                errors.append(error)
+                use = max(use, used)
+            if slipping and task.schedule is not None and free.ok:
+                s, phi = fraction * under.rod.length, side_of(under.gravity_base) + math.pi
+                slid = max(slid, slide(on, s, phi, task.schedule.forces(task.force_N)))
+    return Touched(tuple(cases), tuple(errors), use, slid)
 
 
-def _fused(model: ProbeModel, fraction: float, task: Task) -> tuple[float, float]:
-    series = press_series(model, fraction, task)
-    if series is None:
-        return math.inf, math.inf
-    return series.rms(unknowns_of(model, task), task), _use(model, series.wrenches[-1])
-
-
-def _once(model: ProbeModel, fraction: float, task: Task) -> tuple[float, float]:
-    contact = solve_frictionless(
-        model.rod, model.gravity_base, fraction * model.rod.length, SIDE, task.force_N
-    )
-    if contact.result != "ok":
-        return math.inf, math.inf
-    cov = contact_bound(contact, model.noise_base()).cov_p
-    return math.sqrt(float(np.trace(cov))), _use(model, contact.equilibrium.wrench_base)
+def _at(
+    estimator: Estimator, on: SurfaceRod, sources: ErrorSources, fraction: float, task: Task
+) -> dict[float, tuple[float, float]]:
+    """Error [m] and share of the sensor's range by force, of those forces that one place holds."""
+    model, schedule = estimator.model, task.schedule
+    press = on.press(fraction * on.rod.length, side_of(on.gravity) + math.pi)
+    parts = {force: (force,) if schedule is None else schedule.forces(force) for force in task.forces_N}
+    reached = dict[float, Array]()
+    for force in sorted({part for of in parts.values() for part in of}):
+        touch = press.to(force)
+        if touch is None:
+            break
+        reached[force] = touch
+    found = dict[float, tuple[float, float]]()
+    for force, of in parts.items():
+        if force not in reached:
+            continue
+        if schedule is None:
+            touch = reached[force][None].copy()
+            lin, D = sources.columns_at(touch[0])
+            cov = budget_of(touch, lin[None], D[None], sources, model.friction).total[0]
+            wrench = lin[0:6, 0]
+        else:
+            fused = ModelPress(
+                model, estimator.priors, on.gravity, np.array([reached[p] for p in of]), schedule
+            )
+            if not fused.held:
+                continue
+            cov, wrench = fused.cov(), fused.wrenches[-1]
+        if np.isfinite(cov).all():
+            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), _use(model, wrench)
+    return found
 
 
 def _use(model: ProbeModel, wrench: Array) -> float:
     return float((np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range).max())
 
 
-def _detectable_mN(model: ProbeModel) -> float | None:
-    contact = solve_frictionless(model.rod, model.gravity_base, FELT_AT * model.rod.length, SIDE, _WEAK_N)
-    return 1e3 * Estimator(model).detectable(contact.d_wrench[:, 2]) if contact.result == "ok" else None
+def _vector(gravity: Array) -> tuple[float, float, float]:
+    x, y, z = (float(part) for part in gravity)
+    return x, y, z
+
+
+def _detectable_mN(model: ProbeModel, task: Task) -> float | None:
+    estimator = Estimator(model, task.priors(model))
+    if not estimator.free().ok:
+        return None
+    weak = touches_of(estimator, [(FELT_AT, "+y")], [_WEAK_N])[_WEAK_N]
+    return 1e3 * estimator.detectable(weak.wrench_by_force[0]) if weak.ok[0] else None
 
 
 def _finite(value: float) -> float | None:

@@ -11,7 +11,7 @@ from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.design_file import render_design
 from probedesign.errors import InputError
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.prediction.predict import predict
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
 from probedesign.search.bearing import borne
@@ -20,10 +20,9 @@ from probedesign.search.confirm import confirm
 from probedesign.search.goal import Limit, check_limits, parse_limit
 from probedesign.search.grid import tables_of
 from probedesign.search.optimum import Search, optimum
-from probedesign.search.press_series import press_series, unknowns_of
 from probedesign.search.task import Task
 from probedesign.search.trial import Trial, differences
-from probedesign.search.worth import touches
+from probedesign.search.worth import touches, worth
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 TASK = Task()
@@ -41,24 +40,41 @@ def large():
     return check_design(tables)
 
 
-def test_the_bound_is_what_a_fusion_states(large):
-    """Noise-free readings fused: the answer is the point, and the variance it states is the bound's."""
-    probe, task = build_probe(large), replace(TASK, fractions=(0.7,))
-    unknowns = unknowns_of(probe.model, task)
-    series = press_series(probe.model, 0.7, task)
-    c = probe.estimator().fuse(series.wrenches, series.Ts_world_base, probe.model.gravity_base, moments_only=True,
-                               moments_about="sensor", unknowns=unknowns)  # fmt: skip
-    assert (
-        c.ok and np.linalg.norm(c.p_surface_world) < 0.1 * c.rms
-    )  # it stops within a small part of a deviation
-    stated = np.sqrt(np.trace(c.cov_fixed_world))
-    np.testing.assert_allclose(series.rms(unknowns, task), stated, rtol=0.02)  # linearised where it stopped
+def test_the_error_is_what_predict_says_of_fused_and_single_touches(large):
+    """One model, one set of priors: the error that bodies are judged by is the predicted one, all causes counted."""
+    probe = build_probe(large)
+    predicted = probe.predict(fractions=(0.7,), forces_N=(0.01,), directions=("+y",))
+    for touched, condition in ((5, predicted.fused[0]), (1, predicted.conditions[0])):
+        task = Task((0.01,), touched, fractions=(0.7,))
+        assert 1e3 * touches(probe.model, task).errors[0] == pytest.approx(
+            condition.predicted_error_mm, rel=1e-5
+        )
+    felt = predict(probe.model, (0.8,), (0.01,), ("+y",)).detection[0].detectable_force_mN
+    assert worth(large, TASK).detectable_mN == pytest.approx(felt, rel=1e-6)
 
 
-def test_more_is_unknown_the_error_is_larger(large):
-    series = press_series(build_probe(large).model, 0.6, TASK)
-    errors = [series.rms(u, TASK) for u in (Unknowns.none(), Unknowns(), Unknowns(base_repeat=5e-5))]
-    assert errors == sorted(errors)
+def test_several_tasks_at_once_are_combined(large):
+    model = build_probe(large).model
+    task = Task((0.005, 0.02), fractions=(0.5, 0.8), gravities=((9.81, 0.0, 0.0), (0.0, 0.0, 9.81)))
+    found = touches(model, task, slipping=False)
+    assert len(found.cases) == len(set(found.cases)) == 8
+    single = [
+        touches(model, replace(task, forces_N=(c.force_N,), fractions=(c.contact_fraction,),
+                               gravities=(c.gravity_base_m_s2,)), slipping=False).errors[0]
+        for c in found.cases
+    ]  # fmt: skip
+    np.testing.assert_allclose(found.errors, single, rtol=1e-4)  # presses divided otherwise
+    assert task.combined(found.errors) == pytest.approx(np.sqrt(np.mean(np.square(found.errors))))
+    assert replace(task, combine="worst").combined(found.errors) == max(found.errors)
+
+
+def test_the_priors_are_the_designs_but_for_what_the_task_says(large):
+    probe = build_probe(large)
+    assert TASK.priors(probe.model) == probe.tolerances
+    other = Task(base_repeat_mm=0.05, bias_walk_steps=0.4).priors(probe.model)
+    assert other == replace(probe.tolerances, robot_mm=0.05, walk_steps=0.4)
+    errors = [touches(probe.model, t).errors for t in (TASK, Task(base_repeat_mm=0.05))]
+    assert all(wide > narrow for narrow, wide in zip(*errors, strict=True))
 
 
 @pytest.mark.parametrize("free", [("cone",), ("taper",)])
@@ -88,22 +104,47 @@ def test_the_rules_kept_are_those_of_the_print_check(large, x, rule):
     assert broken == [f"print rule {rule}"] and errors == [rule]
 
 
-def test_the_best_cone_is_three_times_better_and_as_thin_as_prints(large):
+def test_the_best_cone_is_better_by_all_causes_and_tells_where_it_is_not(large):
     search = Search(large, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
     found = optimum(search, "best", quiet)
-    assert found.before.error_mm / found.after.error_mm > 3.0
-    assert found.after.sag_mm <= 60.0 and found.after.print_errors == 0
-    assert found.binding == ("print rule smallest_feature",) and found.design.name == "best"
+    assert found.after.error_mm < found.before.error_mm
+    assert found.after.sag_mm <= 60.0 and found.after.print_errors == 0 and found.design.name == "best"
     for factor in (0.97, 1.03):  # either way along the base it gets worse
-        other = search.problem.trial
         x = np.array([found.design.probe.base_d_mm * factor, found.design.probe.tip_d_mm])
-        assert other.figures(x)["error_mm"] > found.after.error_mm
+        assert search.problem.trial.figures(x)["error_mm"] > found.after.error_mm
+    assert found.worse
+    for row in found.worse[:2]:
+        task = Task((row.force_N,), fractions=(row.contact_fraction,))
+        was, now = (1e3 * touches(build_probe(d).model, task).errors[0] for d in (large, found.design))
+        assert now > was and (was, now) == pytest.approx((row.start_error_mm, row.best_error_mm), rel=1e-3)
+
+
+def test_the_worst_case_is_what_is_minimised_where_asked(large):
+    limits = (Limit("sag_mm", True, 60.0),)
+    mean, worst = (
+        optimum(
+            Search(large, ("cone",), Task(fractions=(0.4, 0.8), combine=how), limits=limits), "best", quiet
+        )
+        for how in ("mean", "worst")
+    )
+    assert worst.after.error_mm == worst.after.worst_error_mm
+    assert (
+        worst.after.worst_error_mm <= mean.after.worst_error_mm * 1.001
+    )  # a search ends within a thousandth
+
+
+def test_an_object_that_slides_off_a_soft_tip_holds_a_body_back(large):
+    """7 to 1.5 mm bends so far at 0.9 of its length that the object comes off the tip."""
+    soft = worth(Body.of(large, ("cone",)).design(np.array([7.0, 1.5])), TASK)
+    stiff = worth(large, TASK)
+    assert soft.slide_mm is None and 0.0 < stiff.slide_mm < 1.0
+    assert worth(large, Task(touches=1)).slide_mm is None
 
 
 def test_a_limit_that_binds_is_reached_and_not_passed(large):
     task = replace(TASK, fractions=(0.5, 0.8))
-    found = optimum(Search(large, ("cone",), task, limits=(Limit("sag_mm", True, 20.0),)), "best", quiet)
-    assert 19.9 < found.after.sag_mm <= 20.0 and "sag_mm <= 20" in found.binding
+    found = optimum(Search(large, ("cone",), task, limits=(Limit("sag_mm", True, 12.0),)), "best", quiet)
+    assert 11.9 < found.after.sag_mm <= 12.0 and "sag_mm <= 12" in found.binding
 
 
 def test_limits_that_cannot_be_kept_say_which_bind(large):
@@ -112,15 +153,13 @@ def test_limits_that_cannot_be_kept_say_which_bind(large):
         optimum(Search(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits), "best", quiet)
 
 
-def test_the_real_estimator_reaches_the_bound(large):
-    """Errors lie mostly along the probe: 24 draws tell their RMS to 1/√(2·24) = 14 %; three of those.
-
-    A linear estimate of the same draws shares their luck; what is left between the two are the probe's bends.
-    """
-    found = confirm(large, replace(TASK, fractions=(0.6,)), 24, 1, quiet, workers=1)
-    assert found.located == found.drawn == 24
-    assert 0.57 < found.rms_mm / found.bound_mm < 1.43
-    assert found.expected_mm == pytest.approx(found.bound_mm, rel=0.1)
+def test_the_real_estimator_errs_as_predicted(large):
+    """All causes and friction drawn: 24 draws give their RMS to 1/√(2·24) = 14 %; three of those."""
+    for task in (replace(TASK, fractions=(0.6,)), Task((0.03,), 1, fractions=(0.6,))):
+        found = confirm(large, task, 24, 1, quiet, workers=1)
+        assert found.drawn == 24 and found.located >= 20
+        assert 0.57 < found.rms_mm / found.bound_mm < 1.43
+        assert 0.75 * found.located <= found.inside <= found.located
 
 
 def test_the_force_that_a_body_bears_is_told_before_it_gives_way(large):
@@ -131,7 +170,8 @@ def test_the_force_that_a_body_bears_is_told_before_it_gives_way(large):
         most = borne(probe.model, task, 1.4)
         assert 1.0 < most < 1.4
         held = [
-            touches(probe.model, replace(task, force_N=f * most * task.force_N)).rms for f in (0.99, 1.01)
+            touches(probe.model, replace(task, forces_N=(f * most * task.force_N,))).errors[0]
+            for f in (0.99, 1.01)
         ]
         assert np.isfinite(held[0]) and np.isinf(held[1])
 
@@ -151,7 +191,7 @@ def test_a_start_that_gives_way_is_bettered_too(large):
     """Nothing leads a search out of where a probe gives way: it starts from a thicker one."""
     limp = Body.of(large, ("cone",)).design(np.array([4.0, 1.5]))
     found = optimum(Search(limp, ("cone",), replace(TASK, fractions=(0.6, 0.9))), "best", quiet)
-    assert found.before.error_mm is None and found.after.error_mm < 1.5
+    assert found.before.error_mm is None and found.after.error_mm < 2.0
 
 
 @pytest.mark.parametrize(
@@ -167,7 +207,9 @@ def test_a_start_that_gives_way_is_bettered_too(large):
         (["--over", "section"], "nothing to vary"),
         (["--goal", "force-for-error", "--error-mm", "1", "--subject-to", "error_mm>=2"], "contradict"),
         (["--subject-to", "length_mm>=200"], "the length stays 150 mm"),
-        (["--confirm", "5", "--touches", "1"], "of fused touches"),
+        (["--gravity", "9.81,0"], "write X,Y,Z"),
+        (["--force-N", "0.005", "-1"], "must lie in (0, 100]"),
+        (["--at", "1.5"], "must lie in (0, 1]"),
         (["--touches", "0"], "touches = 0"),
         (["--places", "0.5:1.5:0.5"], "must lie in (0, 1]"),
     ],
@@ -194,12 +236,12 @@ def test_what_cannot_be_written_is_not_sought(tmp_path, capsys):
 
 
 def test_a_hollow_body_prints_as_it_is_written(large):
-    """Its wall is at the least that prints; rounding the dimensions does not thin it."""
+    """It lies at a rule of printing; rounding the dimensions does not break it."""
     tables = tables_of(large)
     tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
     search = Search(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
     found = optimum(search, "best", quiet)
-    assert "print rule wall" in found.binding and found.after.print_errors == 0
+    assert any("print rule" in text for text in found.binding) and found.after.print_errors == 0
 
 
 def test_the_front_begins_with_the_best_cone(large, tmp_path):
@@ -256,10 +298,10 @@ def test_with_the_length_alone_the_longest_that_may_be_reached_is_found(large):
 
 
 @pytest.mark.slow
-def test_a_free_taper_is_better_than_the_best_cone(large):
+def test_a_free_taper_is_no_worse_than_the_best_cone(large):
     limits = (Limit("sag_mm", True, 60.0),)
     cone, taper = (
         optimum(Search(large, (free,), TASK, limits=limits), "best", quiet) for free in ("cone", "taper")
     )
-    assert taper.after.error_mm < 0.85 * cone.after.error_mm and taper.after.print_errors == 0
-    assert "bears 1.25 x the force" in taper.binding and taper.after.sag_mm <= 60.0
+    assert taper.after.error_mm < cone.after.error_mm * 1.001 and taper.after.print_errors == 0
+    assert taper.after.sag_mm <= 60.0

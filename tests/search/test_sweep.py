@@ -65,7 +65,7 @@ def test_a_design_that_cannot_be_says_why_and_one_that_gives_way_too():
 
 def test_what_the_sensor_cannot_read_is_not_ok():
     """20 N near the base: the probe bears it, the range of 12 N does not."""
-    found = judged(tables_of(load_design(LARGE)), 0, {}, Task(20.0, fractions=(0.1,)))
+    found = judged(tables_of(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
     assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
 
 
@@ -85,7 +85,7 @@ def test_the_error_of_one_touch_is_the_prediction():
     design = load_design(LARGE)
     probe = build_probe(design)
     predicted = probe.predict(fractions=(0.8,), forces_N=(0.02,), directions=("+y",)).conditions[0]
-    found = judged(tables_of(design), 0, {}, Task(0.02, 1, fractions=(0.8,)))
+    found = judged(tables_of(design), 0, {}, Task((0.02,), 1, fractions=(0.8,)))
     np.testing.assert_allclose(found["error_mm"], predicted.predicted_error_mm, rtol=1e-6)
     # The same formula of one solved alone and one among many: the fast mode's own 1e-6 of the moment.
     np.testing.assert_allclose(found["sensor_use"], predicted.sensor_use, rtol=1e-9)
