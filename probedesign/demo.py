@@ -35,7 +35,7 @@ class Demo:
         skipped: what could not be made, and why.
         located: how many readings gave a contact.
         touches: how many had one.
-        error_mm: RMS distance of the located from the true contact points.
+        error_mm: RMS distance of the located from the truly touched points.
         predicted_mm: what the estimates themselves said it would be.
     """
 
@@ -148,11 +148,11 @@ def _touched(estimator: Estimator, recording: Path, contacts: Path) -> Sweep:
     write_recording(recording, time, np.array([r.wrench_sensor for r in readings]))
     estimates = estimate_recording(estimator, recording)
     write_atomically(contacts, estimates.csv().encode())
-    truth = np.array([np.append(r.truth.s_contact, r.truth.p_contact_base) for r in readings if r.truth]) / MM
-    columns = ["s_contact_mm", "std_s_mm", *(f"p_contact_base_{a}_mm" for a in "xyz")]
+    truth = np.array([np.append(r.truth.s_contact, r.truth.p_surface_base) for r in readings if r.truth]) / MM
+    columns = ["s_contact_mm", "std_s_mm", *(f"p_surface_base_{a}_mm" for a in "xyz")]
     found = np.array([[row[c] for c in columns] for row in estimates.rows], dtype=float)
     spread = np.array(
-        [[row[f"cov_contact_base_{a}{a}_mm2"] for a in "xyz"] for row in estimates.rows], dtype=float
+        [[row[f"cov_surface_base_{a}{a}_mm2"] for a in "xyz"] for row in estimates.rows], dtype=float
     )
     return Sweep(
         time_s=time,

@@ -29,7 +29,7 @@ FRICTIONLESS_SCHEMA = 2
 """Still read: it has no `contact` and fewer tolerances (`NEW_TOLERANCES`)."""
 ROUND_SCHEMA = 1
 """Still read: as schema 2, with full round sections only and one second moment for all directions."""
-NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter")
+NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
 """Tolerances that files of the older schemas do not have: they take their defaults and are listed as assumed."""
 SECTION_STATIONS = 17
 """How many stations the section table shows between the knots' own; for people and for the check on load."""
@@ -102,17 +102,19 @@ def write_frozen(model: ProbeModel, path: Path) -> None:
     write_atomically(path, (json.dumps(freeze(model), indent=2) + "\n").encode())
 
 
-def load_estimator(path: str | Path, manifest: str | Path | None = None) -> Estimator:
-    """The estimator that a frozen probe holds.
+def load_estimator(path: str | Path, manifest: str | Path | None = None, *, exact: bool = False) -> Estimator:
+    """Return the estimator that a frozen probe holds.
 
     Args:
         path: `NAME.probe.json`.
         manifest: of the printed parts, to check against; a `manifest.json` beside the file is checked anyhow.
+        exact: take probe, mount, bench and bias as exactly known, so that the sensor's noise and the prior on friction
+            alone remain; otherwise every error source of the probe's tolerances counts.
 
     Raises:
         InputError: the file is unreadable, altered, of another schema, or not of the printed parts.
     """
-    return Estimator(load_model(path, manifest))
+    return Estimator(load_model(path, manifest), Tolerances.none() if exact else None)
 
 
 def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeModel:

@@ -284,6 +284,7 @@ class TolerancesTable(Table):
     """`[tolerances]`: standard deviations of the priors; what is not given is assumed."""
 
     drift_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    walk_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
     youngs_modulus: Share | None = None
     youngs_modulus_by_diameter: Annotated[float, Field(ge=-20.0, le=20.0)] | None = None
     shear_modulus: Share | None = None

@@ -23,7 +23,7 @@ from probedesign.files import check_room, keep_old, write_atomically
 from probedesign.prediction.csv_tables import along_csv, conditions_csv
 from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
-from probedesign.prediction.pressing import Pressing
+from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.printing.check import PrintCheck, check_print
 from probedesign.printing.preform.connection import connection_to
 from probedesign.printing.preform.job import job_of
@@ -126,7 +126,7 @@ def predict(
     draws: int | None = None,
     seed: int = 0,
     tell: Callable[[str, float | None], None] = _silent,
-    pressing: Pressing = PRESSING,
+    pressing: PressSchedule = PRESSING,
 ) -> tuple[Prediction, list[Path]]:
     """Design → rod → estimator → prediction → report.
 
@@ -223,7 +223,7 @@ def optimize(
     tell: Callable[[str, float | None], None],
 ) -> "Found":
     """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
-    from probedesign.search.confirm import check_confirmable, confirm
+    from probedesign.search.confirm import confirm
     from probedesign.search.found import Found, design_text
     from probedesign.search.front import check_installed, front
     from probedesign.search.optimum import optimum
@@ -232,8 +232,6 @@ def optimize(
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
     check_room(path)  # here and below: a search takes a minute, so what cannot end does not begin
-    if draws:
-        check_confirmable(search.task)
     if trials:
         check_installed()
     best = optimum(search, path.stem, tell)

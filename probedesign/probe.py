@@ -147,9 +147,14 @@ class Probe:
             gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns
         )  # fmt: skip
 
-    def estimator(self) -> Estimator:
-        """The estimator for this very geometry, as `deploy` freezes it."""
-        return Estimator(self.model)
+    def estimator(self, exact: bool = False) -> Estimator:
+        """Return the estimator for this geometry, as `deploy` freezes it.
+
+        Args:
+            exact: take probe, mount, bench and bias as exactly known, so that the sensor's noise and the prior on
+                friction alone remain; otherwise every error source of the design's tolerances counts.
+        """
+        return Estimator(self.model, Tolerances.none() if exact else None)
 
     def predict(self, **options: Any) -> "Prediction":
         """How well this probe will feel; see `probedesign.prediction.predict.predict`."""

@@ -280,7 +280,7 @@ def test_what_an_older_file_lacks_takes_its_default_and_is_listed_as_assumed(sch
     assert back.fingerprint == build_probe(design).model.fingerprint
     assert (back.friction, back.friction_provenance) == (0.6, "assumed")
     known, default = Tolerances.of(back), Tolerances()
-    new = ("root_radii", "gain", "stiffness_scatter")
+    new = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
     assert [getattr(known, key) for key in new] == [getattr(default, key) for key in new]
     assert back.assumptions == (
         *written["assumptions"],

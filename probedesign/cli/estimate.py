@@ -29,6 +29,8 @@ def estimate(
     other_probe: bool = False,
     manifest: Path | None = None,
     exact_model: bool = False,
+    method: Literal["ml", "force_moment", "paper"] = "ml",
+    friction: float | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
     """Locate the contacts of a recording, one estimate a row.
@@ -48,11 +50,14 @@ def estimate(
         moment_unit: of a bag whose publisher does not keep to N·m.
         other_probe: read a recording that was made with another probe.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
-        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
-            else they hold the tolerances of material, print and mount too.
+        exact_model: take probe, mount and bench for exactly what BUNDLE says; the sensor's noise, the drift of its bias
+            and the prior on friction remain. Otherwise all tolerances of BUNDLE count.
+        method: ml (maximum a posteriori, with friction) or force_moment, the published one (also called paper).
+        friction: standard deviation of tangential over normal force instead of BUNDLE's; 0: the force is normal to the
+            surface; inf: its direction is free.
         as_json: print one JSON document: the rows and all that is to know of them.
     """
-    from probedesign.deployment import load_estimator
+    from probedesign.cli.estimators import loaded_estimator
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
     from probedesign.live.recorded import Choice
@@ -62,12 +67,11 @@ def estimate(
 
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None
-    estimator = load_estimator(bundle, manifest)
-    estimator = estimator if exact_model else estimator.with_tolerances()
+    estimator = loaded_estimator(bundle, manifest, exact_model, friction)
     with working("loading the rod kernels"):
         warm_up(estimator, _say)
     choice = Choice(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = estimate_recording(estimator, recording, window, average, _progress, mend, choice)
+    estimates = estimate_recording(estimator, recording, window, average, _progress, mend, choice, method)
     for note in estimates.notes:
         _say(note)
     if out is not None:

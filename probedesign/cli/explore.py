@@ -71,7 +71,7 @@ def explore(
     opened, poses = _opened(estimator, recording, reading, base)
     for note in (opened.title, *opened.notes, poses.title, *poses.notes, known.line):
         _say(note)
-    exploration = Exploration(estimator, known.unknowns(model), known.turn, apart)
+    exploration = Exploration(estimator, known.priors(estimator.priors), apart)
     _run(exploration, opened, plan, poses, tells=recording is None)
     cloud, probe = exploration.cloud(), f"{model.name} {model.fingerprint}"
     if out is not None:

@@ -5,7 +5,7 @@ import sys
 from contextlib import closing, suppress
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -39,6 +39,8 @@ def live(
     view_port: int = 8080,
     manifest: Path | None = None,
     exact_model: bool = False,
+    method: Literal["ml", "force_moment", "paper"] = "ml",
+    friction: float | None = None,
     lines: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
@@ -69,12 +71,15 @@ def live(
         view_host: address that the page listens on; 0.0.0.0 opens it to the network.
         view_port: its port, or the next free one.
         manifest: manifest.json of the printed parts, to check that the probe is theirs.
-        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
-            else they hold the tolerances of material, print and mount too.
+        exact_model: take probe, mount and bench for exactly what BUNDLE says; the sensor's noise, the drift of its bias
+            and the prior on friction remain. Otherwise all tolerances of BUNDLE count.
+        method: ml (maximum a posteriori, with friction) or force_moment, the published one (also called paper).
+        friction: standard deviation of tangential over normal force instead of BUNDLE's; 0: the force is normal to the
+            surface; inf: its direction is free.
         lines: print a line an estimate on a terminal too.
         as_json: print each estimate as one line of JSON.
     """
-    from probedesign.deployment import load_estimator
+    from probedesign.cli.estimators import loaded_estimator
     from probedesign.live.outlets import Outlets
     from probedesign.live.pose.spec import open_poses
     from probedesign.live.requests import Requests
@@ -85,11 +90,11 @@ def live(
     from probedesign.live.warm_up import warm_up
 
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds, filter_hz)
-    estimator = load_estimator(bundle, manifest)
-    estimator = estimator if exact_model else estimator.with_tolerances()
+    plan = Plan(window, average, rate_hz, count, seconds, filter_hz, method=method)
+    estimator = loaded_estimator(bundle, manifest, exact_model, friction)
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
-             "exact_model": str(exact_model).lower(), "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
+             "exact_model": str(exact_model).lower(), "method": method,
+             "friction": f"{estimator.model.friction:g}", "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
              "pose": pose, "pose_latency_ms": f"{pose_latency_ms:g}", "gravity_world": gravity_world or ""}  # fmt: skip
     drawn = not (lines or as_json) and _on_terminal()
     page = (view_host, view_port) if view else None

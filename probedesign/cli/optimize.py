@@ -1,5 +1,6 @@
 """`probedesign optimize`: the body that does a task best."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from probedesign.search.front import Front
     from probedesign.search.optimum import Optimum
 
+SHOWN_WORSE = 6
+"""Places and forces at which the best body is worse than the start, that are printed."""
 Over = Literal["cone", "taper", "length", "section"]
 
 
@@ -36,7 +39,7 @@ def optimize(
     """Find the body that does a task best, and write it as a design file like any other.
 
     Rules of printing and the sensor's range are always kept. Limits: FIGURE<=NUMBER or FIGURE>=NUMBER with error_mm,
-    worst_error_mm, sag_mm, reach_mm, sensor_use, mass_g or length_mm. More: docs/search.md.
+    worst_error_mm, sag_mm, reach_mm, sensor_use, slide_mm, mass_g or length_mm. More: docs/search.md.
 
     Args:
         design: the design file to start from; what is not varied stays as it is there.
@@ -45,7 +48,7 @@ def optimize(
         subject_to: a limit such as "sag_mm<=60"; again for more.
         over: what may change: cone (base and tip), taper (a free profile), length, section. By default cone.
         options: what the body is judged by.
-        confirm: draw so many fusions at each place and run the real estimator on them.
+        confirm: draw so many probes and touches in each case, all causes and friction, and locate them.
         pareto: look at so many cones for the front of error, force and reach; needs the extra 'optimize'.
         seed: of the draws and of the front.
         out: the design file to write; by default designs/NAME-best.toml.
@@ -88,9 +91,20 @@ def _print(
             if one is None:
                 print(f"  {name}: gives way, so nothing was drawn")
                 continue
-            print(f"  {name}, drawn and fused: {one.rms_mm:.3g} mm RMS, {one.expected_mm:.3g} mm but for the luck of "
-                  f"the draws, bound {one.bound_mm:.3g} mm, {one.located} of {one.drawn} located")  # fmt: skip
+            print(f"  {name}, drawn from all causes: {one.rms_mm:.3g} ± {one.standard_error_mm:.1g} mm RMS, predicted "
+                  f"{one.bound_mm:.3g} mm; {one.located} of {one.drawn} located, {one.inside} of them "
+                  "inside their 95 % ellipsoid")  # fmt: skip
     print(f"  held back by: {', '.join(found.binding) or 'nothing: it is a free optimum'}")
+    ranked = sorted(
+        found.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True
+    )
+    for place in ranked[:SHOWN_WORSE]:
+        now = "gives way" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
+        gravity = ",".join(f"{g:g}" for g in place.gravity_base_m_s2)
+        print(f"  worse than the start at {place.contact_fraction:g} of the length, {1e3 * place.force_N:g} mN, "
+              f"gravity {gravity}: {now}, was {place.start_error_mm:.3g} mm")  # fmt: skip
+    if len(ranked) > SHOWN_WORSE:
+        print(f"  and worse at {len(ranked) - SHOWN_WORSE} more places and forces: --json lists all")
     print(f"  {found.looked} bodies looked at from {len(found.starts)} starts: "
           f"{', '.join('no good' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
     if front is not None:

@@ -42,7 +42,7 @@ def predict(
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
-    from probedesign.prediction.pressing import Pressing
+    from probedesign.prediction.press_schedule import PressSchedule
 
     if (design is None) is not table1:
         raise InputError(
@@ -58,7 +58,7 @@ def predict(
         else:
             tables.print_table_one(table)
         return
-    pressing = Pressing(touches, None if forces_too else "sensor")
+    pressing = PressSchedule(touches, None if forces_too else "sensor")
     with telling() as tell:
         prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, tell, pressing)
     if as_json:
@@ -83,11 +83,16 @@ def _print(prediction: "Prediction") -> None:
             "sag": sag,
             "noise": f"{prediction.noise_force_mN:.3g} mN and {prediction.noise_moment_Nmm:.3g} N·mm "
             "a reading and channel",
+            "friction": "direction of the force free"
+            if prediction.friction is None
+            else f"{prediction.friction:g}, tangential over normal force, standard deviation",
             "assumed": ", ".join(prediction.assumptions) or "nothing",
         }
     )
-    print("\nContact error [mm], RMS of one reading, worst of the directions; sensor noise only")
-    print(_error_table(prediction))
+    print("\nContact error [mm], RMS of one reading, worst of the directions; all causes counted")
+    print(_error_table(prediction, "predicted_error_mm"))
+    print("\nThe same by the sensor's noise alone, of a probe that is exactly its model")
+    print(_error_table(prediction, "noise_error_mm"))
     print("\n- : felt but not located   . : not felt   ^ : beyond the sensor   / : the probe gives way")
     print("\nAt the lightest force, worst of the directions")
     print(_sensitivity_table(prediction))
@@ -97,7 +102,7 @@ def _print(prediction: "Prediction") -> None:
 _MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
 
 
-def _error_table(prediction: "Prediction") -> str:
+def _error_table(prediction: "Prediction", error: str) -> str:
     forces = sorted({c.force_N for c in prediction.conditions})
     lines = ["  s/L  " + "".join(f"{1e3 * f:>7g} mN" for f in forces)]
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
@@ -105,7 +110,7 @@ def _error_table(prediction: "Prediction") -> str:
         for force in forces:
             here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, force)]
             bad = next((c.result for c in here if c.result != "ok"), None)
-            worst = max((c.predicted_error_mm or 0.0 for c in here), default=0.0)
+            worst = max((getattr(c, error) or 0.0 for c in here), default=0.0)
             cells.append(_MARKS.get(bad, "/") if bad else f"{worst:.3g}")
         lines.append(f"  {fraction:<5g}" + "".join(f"{cell:>10}" for cell in cells))
     return "\n".join(lines)

@@ -72,7 +72,7 @@ def _worst(conditions: "Sequence[Cell]", wanted_N: float) -> "dict[float, Cell]"
     for c in conditions:
         if c.force_N == force and c.result == "ok" and c.budget_mm is not None:
             before = worst.get(c.contact_fraction)
-            if before is None or (c.total_error_mm or 0.0) > (before.total_error_mm or 0.0):
+            if before is None or (c.predicted_error_mm or 0.0) > (before.predicted_error_mm or 0.0):
                 worst[c.contact_fraction] = c
     return worst
 
@@ -84,7 +84,7 @@ def _budget(worst: "dict[float, Cell]") -> str:
         (cause, lambda c, cause=cause: (c.budget_mm or {})[cause])  # type: ignore[misc]
         for cause in next(iter(worst.values())).budget_mm or {}
     ]
-    rows += [("all", lambda c: c.total_error_mm), ("95 % within", lambda c: c.total_error_95_mm)]
+    rows += [("all", lambda c: c.predicted_error_mm), ("95 % within", lambda c: c.predicted_error_95_mm)]
     for name, value in rows:
         lines.append(f"  {name:<18}" + "".join(_small(value(worst[place]), 7) for place in places))
     return "\n".join(lines)

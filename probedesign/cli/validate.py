@@ -27,8 +27,8 @@ def validate(
     Args:
         bundles_and_data: the frozen probe, NAME.probe.json, and the folder of a campaign; then those of further probes.
         out: folder for the files, of several probes one folder each in it; by default exports/NAME/validation.
-        exact_model: take the probe for exactly what BUNDLE says, so that ellipsoids hold the sensor's noise alone;
-            else they hold the tolerances of material, print and mount too.
+        exact_model: take probe, mount and bench for exactly what BUNDLE says; the sensor's noise, the drift of its bias
+            and the prior on friction remain. Otherwise all tolerances of BUNDLE count.
         plots: make the page and the picture; by default the latter where matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
@@ -69,7 +69,8 @@ def _print(validations: "tuple[Validation, ...]") -> None:
             f"{one.estimator.model.name}  geometry {one.estimator.model.fingerprint}  {one.campaign.folder}"
         )
     print(
-        "\n  probe     test          force contact way    shape RMS    contact  stated predicted 95 %  method result"
+        "\n  probe     test          force contact way    shape RMS    contact  stated predicted 95 %  "
+        "method       result"
     )
     print("                             mN    of L         mm     %       mm      mm      mm")
     for one in validations:
@@ -86,7 +87,7 @@ def _line(row: dict[str, Any]) -> str:
     return (f"  {row['probe'][:9]:<10}{row['test'][:12]:<12}{_cell(force, 7)}{_cell(row['contact_fraction'], 8)} "
             f"{row['direction'][:3] or '-':<4}{_cell(row['shape_rms_mm'], 7)}{_cell(row['shape_rms_percent'], 7)}"
             f"{_cell(row['contact_error_mm'], 8)}{_cell(row['stated_error_mm'], 8)}"
-            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<7}{row['result']}")  # fmt: skip
+            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}{row['result']}")  # fmt: skip
 
 
 def _summarise(found: "Validation", name: str) -> None:

@@ -7,9 +7,7 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
-from probedesign.units import MM
 
 FARTHEST_MM, FARTHEST_DEG = 10.0, 10.0
 """A base less well known than this is refused: a turn's errors are no longer in proportion to it, and touches of one
@@ -27,8 +25,8 @@ class Base:
         clocking_deg: of its turn about its z axis, likewise.
     """
 
-    base_offset_mm: float = Unknowns.base_offset / MM
-    base_repeat_mm: float = Unknowns.base_repeat / MM
+    base_offset_mm: float = Tolerances.base_mm
+    base_repeat_mm: float = Tolerances.robot_mm
     tilt_deg: float = Tolerances.tilt_deg
     clocking_deg: float = Tolerances.clocking_deg
 
@@ -43,19 +41,27 @@ class Base:
 
     @classmethod
     def of(cls, model: ProbeModel) -> "Base":
-        """Place and turn as the probe's tolerances have them; the scatter of a robot's poses is assumed."""
+        """Return what the probe's tolerances state of place, scatter and turn."""
         known = Tolerances.of(model)
-        return cls(known.base_mm, cls.base_repeat_mm, known.tilt_deg, known.clocking_deg)
+        return cls(known.base_mm, known.robot_mm, known.tilt_deg, known.clocking_deg)
 
-    def unknowns(self, model: ProbeModel) -> Unknowns:
-        """All that a fusion does not know: of the probe as the bundle has it, of the base as here."""
+    def priors(self, known: Tolerances) -> Tolerances:
+        """Return the same tolerances with the pose of the base as stated here.
+
+        Args:
+            known: of probe, sensor and mount.
+        """
         return replace(
-            Unknowns.of(model), base_offset=self.base_offset_mm * MM, base_repeat=self.base_repeat_mm * MM
+            known,
+            base_mm=self.base_offset_mm,
+            robot_mm=self.base_repeat_mm,
+            tilt_deg=self.tilt_deg,
+            clocking_deg=self.clocking_deg,
         )
 
     @property
     def turn(self) -> Array:
-        """About the base's axes [rad], (3,)."""
+        """Standard deviations of the turn about the base's axes [rad], (3,)."""
         return np.radians([self.tilt_deg, self.tilt_deg, self.clocking_deg])
 
     @property

@@ -30,7 +30,7 @@ class Point:
     Attributes:
         p_world: on the object's surface [m], (3,).
         cov_world: with everything unknown counted [m²], (3, 3).
-        cov_common: what of it all points share: stiffness and the base's place [m²], (3, 3).
+        cov_common: the part of it that error sources common to all points make [m²], (3, 3).
         touches: that tell it, in the order of time.
     """
 
@@ -62,7 +62,7 @@ class Cloud:
     Attributes:
         points: in the order of their first touch.
         unlocated: touches without a place, in the order of time.
-        stiffness, std_stiffness: factor on E and G by all touches together, and its standard deviation.
+        stiffness, std_stiffness: factor on E by all touches together, and its standard deviation.
         apart: points closer than this were not told apart [m].
     """
 
@@ -81,24 +81,27 @@ class _Group:
     touches: tuple[Touched, ...]
 
 
-def cloud_of(touches: Sequence[Touched], prior: Array, apart: float = APART) -> Cloud:
-    """The points that touches tell.
+def cloud_of(touches: Sequence[Touched], youngs_modulus: float, apart: float = APART) -> Cloud:
+    """Return the points that touches give, with the error sources that they share estimated jointly.
 
     Args:
         touches: of one run: one probe on one robot.
-        prior: standard deviations of the common unknowns beforehand, (7,): `Unknowns.prior`, then the base's turn.
+        youngs_modulus: standard deviation of the prior on E, relative.
         apart: points of the object lie at least so far from each other [m]; 0 fuses nothing.
     """
     groups = [_Group(touch.located, (touch,)) for touch in touches if touch.located is not None]
-    while (pair := _nearest(groups, prior, apart)) is not None:
+    while (pair := _nearest(groups, apart)) is not None:
         i, j = pair
         one, other = groups[i], groups.pop(j)
         groups[i] = _Group(one.located.with_(other.located), (*one.touches, *other.touches))
-    common, cov = _common(groups, prior)
+    common, cov = _common(groups)
     points = tuple(_point(group, common, cov) for group in groups)
     unlocated = tuple(touch for touch in touches if touch.located is None)
-    stiffness = math.exp(common[0])
-    return Cloud(points, unlocated, stiffness, stiffness * math.sqrt(cov[0, 0]), apart)
+    names = groups[0].located.names if groups else ()
+    i = names.index("E") if "E" in names else -1
+    log_E, var_E = (float(common[i]), float(cov[i, i])) if i >= 0 else (0.0, 1.0)
+    stiffness = math.exp(youngs_modulus * log_E)
+    return Cloud(points, unlocated, stiffness, stiffness * youngs_modulus * math.sqrt(var_E), apart)
 
 
 def _point(group: _Group, common: Array, cov: Array) -> Point:
@@ -108,21 +111,19 @@ def _point(group: _Group, common: Array, cov: Array) -> Point:
     return Point(located.at(common), located.cov(cov), shared, touches)
 
 
-def _common(groups: Sequence[_Group], prior: Array) -> tuple[Array, Array]:
-    """The common unknowns by all touches, (7,), and their covariance, (7, 7)."""
-    information = np.diag(1.0 / prior**2)
-    for group in groups:
-        information = information + group.located.information
-    scaled = np.linalg.inv(prior[:, None] * information * prior)
-    cov: Array = prior[:, None] * scaled * prior
-    return cov @ sum((g.located.lack for g in groups), np.zeros(len(prior))), cov
+def _common(groups: Sequence[_Group]) -> tuple[Array, Array]:
+    """Return the common error sources by all touches, (J,), and their covariance, (J, J)."""
+    J = len(groups[0].located.vector) if groups else 0
+    information = np.eye(J) + sum((group.located.information for group in groups), np.zeros((J, J)))
+    cov = np.asarray(np.linalg.inv(information), dtype=float)
+    return cov @ sum((group.located.vector for group in groups), np.zeros(J)), cov
 
 
-def _nearest(groups: Sequence[_Group], prior: Array, apart: float) -> tuple[int, int] | None:
+def _nearest(groups: Sequence[_Group], apart: float) -> tuple[int, int] | None:
     """The two that are most surely one point; None where no two are."""
     if len(groups) < 2 or apart <= 0.0:
         return None
-    common, cov_common = _common(groups, prior)
+    common, cov_common = _common(groups)
     a = np.array([group.located.at(common) for group in groups])
     B, S = np.array([group.located.B for group in groups]), np.array([group.located.S for group in groups])
     best, least = None, SAME_CHI2

@@ -10,7 +10,7 @@ from probedesign.live.phases import LEVER
 
 STANDS = 10e-6
 """Poses of a base that stands differ by no more [m], their rotations over `LEVER` likewise: a robot's own scatter
-(`Unknowns.base_repeat`, assumed)."""
+(`Tolerances.robot_mm`, assumed)."""
 FEWEST, SHORTEST = 3, 0.1
 """Readings of a dwell that counts, and how long they last [s]: less is the end of a move."""
 

@@ -6,17 +6,13 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.unknowns import EXACT, Unknowns
-from probedesign.exploring.base import Base
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
-from probedesign.frames import Array
 from probedesign.live.block import Block
 from probedesign.live.plan import Plan
 from probedesign.live.pose.poses import Poses
@@ -111,9 +107,7 @@ class Exploration:
 
     Attributes:
         estimator: of the probe.
-        unknowns: what is not known, the bias left aside.
-        turn: of the base about its axes, the same in every touch: standard deviations [rad], (3,); as the probe's
-            tolerances have it if None.
+        priors: standard deviations of the error sources; those of the estimator if None.
         apart: as in `cloud_of` [m].
         touches: every touch so far, in the order of time.
         readings: how many there were.
@@ -121,8 +115,7 @@ class Exploration:
     """
 
     estimator: Estimator
-    unknowns: Unknowns
-    turn: Array | None = None
+    priors: Tolerances | None = None
     apart: float = APART
     touches: list[Touched] = field(default_factory=list)
     readings: int = 0
@@ -143,23 +136,22 @@ class Exploration:
                     self.readings += 1
                     self.placeless += answer.stale == "pose"
                     for series in gathering.take(answer):
-                        yield self._touched(series)
+                        yield self._touched(series, poses)
         except KeyboardInterrupt:
             say("interrupted: what was touched by now is told")
         for series in gathering.ended():
-            yield self._touched(series)
+            yield self._touched(series, poses)
 
     def cloud(self) -> Cloud:
-        """All points by now."""
-        return cloud_of(self.touches, np.append(self.unknowns.prior, self._turn), self.apart)
+        """Return all points by now."""
+        return cloud_of(self.touches, self._priors.youngs_modulus, self.apart)
 
     @property
-    def _turn(self) -> Array:
-        turn = Base.of(self.estimator.model).turn if self.turn is None else self.turn
-        return np.maximum(turn, EXACT)
+    def _priors(self) -> Tolerances:
+        return self.estimator.priors if self.priors is None else self.priors
 
-    def _touched(self, series: Series) -> Touched:
-        found = touched(series, self.estimator, self.unknowns)
+    def _touched(self, series: Series, poses: Poses) -> Touched:
+        found = touched(series, self.estimator, self._priors, poses.gravity_world)
         self.touches.append(found)
         return found
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.errors import InputError
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import Spot
 from probedesign.exploring.robot_way import Way
@@ -77,9 +78,9 @@ class Errors:
         friction_spread: float = ASSUMED_SPREAD,
     ) -> "Errors":
         """As a bundle and a base are said to be known, with the friction of the object."""
-        unknowns, (x, y, z) = base.unknowns(model), base.turn.tolist()
-        return cls(unknowns.stiffness, unknowns.base_offset, unknowns.base_repeat, turn=(x, y, z),
-                   friction=friction, friction_spread=friction_spread)  # fmt: skip
+        x, y, z = base.turn.tolist()
+        return cls(Tolerances.of(model).youngs_modulus, base.base_offset_mm * MM, base.base_repeat_mm * MM,
+                   turn=(x, y, z), friction=friction, friction_spread=friction_spread)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimation.answer import told
-from probedesign.estimation.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import Fused
-from probedesign.estimation.fusion import Fusion
+from probedesign.estimation.fused import FusedEstimate
+from probedesign.estimation.fusion import Fusion, FusionState, Reading, channels_of
 from probedesign.estimation.observation import covariance
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.dwell import Dwell
 from probedesign.exploring.located import Located
 from probedesign.exploring.series import Series
@@ -52,38 +50,41 @@ class Touched:
     rms: float = float("nan")
 
 
-def touched(series: Series, estimator: Estimator, unknowns: Unknowns) -> Touched:
-    """The point that a series touches.
+def touched(series: Series, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> Touched:
+    """Return the point that a series touches.
 
     Args:
         series: one touch.
         estimator: of the probe.
-        unknowns: what is not known, the bias left aside.
+        priors: standard deviations of the error sources; the bias is replaced by `OPEN_STEPS` or `BIAS_STEPS`.
+        gravity_world: [m/s²], (3,).
     """
     if not series.dwells:
         return Touched(series, NEVER_SETTLED)
-    equations = _equations(series, estimator, unknowns)
-    if equations is None:
+    fusion = _fusion(series, estimator, priors, gravity_world)
+    if fusion is None:
         return Touched(series, "out_of_range")
-    solved = Fusion(equations).solved()
-    if isinstance(solved, Fused):
-        return Touched(series, solved.result)
-    answer = told(equations, *solved, brief=True)
+    found = fusion.solutions()
+    if isinstance(found, FusedEstimate):
+        return Touched(series, found.result)
+    answer = fusion.answer(found, brief=True)
     if not answer.ok:
         return Touched(series, answer.result)
-    best = solved[0][0]
-    bowed = answer.cov_fixed_world - best.cov[POINT, POINT]
+    state = FusionState(fusion, found[0].touches.copy())
+    if not state.linearise():
+        return Touched(series, "not_converged")
+    _chi2, _x, cov = state.solved(fusion.priors)
+    located = Located.of(state, answer.cov_surface_world - cov)
     sizes = np.linalg.norm(answer.force_base, axis=1)
     strongest = int(np.argmax(sizes))
-    T = equations.readings[strongest].T_world_base
-    located = Located.of(best, unknowns.prior, answer.p_surface_world - best.x[POINT], bowed, T)
-    direction = T[:3, :3] @ answer.force_base[strongest] / sizes[strongest]
+    R = fusion.readings[strongest].T_world_base[:3, :3]
+    direction = R @ answer.force_base[strongest] / sizes[strongest]
     s_contact = answer.s_contact[np.isfinite(answer.s_contact)]
     return Touched(series, "ok", located, float(sizes[strongest]), direction, s_contact, answer.rms)
 
 
-def _equations(series: Series, estimator: Estimator, unknowns: Unknowns) -> Equations | None:
-    """The readings to be fused; None if the sensor cannot have read them, or the free probe does not stand."""
+def _fusion(series: Series, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> Fusion | None:
+    """Return the readings to be fused; None if the sensor cannot have read them or the free probe cannot stand."""
     model = estimator.model
     free = [dwell for dwell in (series.before,) if dwell is not None]
     last = [dwell for dwell in (series.after,) if dwell is not None]
@@ -97,7 +98,7 @@ def _equations(series: Series, estimator: Estimator, unknowns: Unknowns) -> Equa
             return None
     bias = OPEN_STEPS if free or last else BIAS_STEPS
     readings = tuple(_reading(dwell, contact, estimator) for dwell, contact in kept)
-    return Equations(model, readings, replace(unknowns, bias_steps=bias), channels_of(model, None))
+    return Fusion(model, readings, replace(priors, drift_steps=bias), channels_of(model, None), gravity_world)
 
 
 def _reading(dwell: Dwell, contact: bool, estimator: Estimator) -> Reading:

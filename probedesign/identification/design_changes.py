@@ -6,7 +6,7 @@ from typing import Any
 from probedesign.design import Design
 from probedesign.design_edit import Change
 from probedesign.errors import InputError
-from probedesign.estimation.unknowns import IDENTIFIED, Unknowns
+from probedesign.estimation.unknowns import ASSUMED_STIFFNESS, IDENTIFIED
 from probedesign.identification.identification import Identification, Identified
 from probedesign.identification.unknowns import ROOT
 
@@ -131,7 +131,7 @@ def _value(one: Identified, found: Identification, day: str) -> Change:
 def _before(design: Design) -> float:
     """How well G was known, where no tolerance of it is set."""
     spread = design.material.stiffness_spread
-    usual = IDENTIFIED if design.youngs_modulus.provenance == "identified" else Unknowns.stiffness
+    usual = IDENTIFIED if design.youngs_modulus.provenance == "identified" else ASSUMED_STIFFNESS
     return usual if spread is None else spread
 
 

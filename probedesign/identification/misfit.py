@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.estimation.causes import LOG_DENSITY, LOG_DIAMETER, LOG_E, LOG_G
 from probedesign.frames import Array, skew
 from probedesign.identification.guess import ROOT_STEP, Guess
 from probedesign.identification.trial import Trial
@@ -15,6 +14,10 @@ from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Rod
 
+LOG_E, LOG_G, LOG_DENSITY, LOG_DIAMETER = (
+    kernels.PARAMETERS.index(f"log_{name}") for name in ("E", "G", "density", "diameter")
+)
+"""Columns of the rod's sensitivities."""
 FRICTION = 0.1
 """Standard deviation of the share of a touch's force that acts along the surface. A dry edge on this resin may well
 stick (assumed); the sensor tells the force itself, so that little is lost by trusting the surface little."""

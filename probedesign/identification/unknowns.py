@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimation.causes import parameters_of
+from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from probedesign.estimation.estimate import Estimate
-from probedesign.estimation.fused import Fused
+from probedesign.estimation.fused import FusedEstimate
 from probedesign.frames import Array
 from probedesign.live.contacts import Contact
 from probedesign.live.phases import Phase
@@ -36,7 +36,7 @@ class Answer:
     reading: Reading
     estimate: Estimate
     phase: Phase = ""
-    fused: Fused | None = None
+    fused: FusedEstimate | None = None
     T_world_base: Array = field(default_factory=_unknown_pose)
     wrench_base: Array = field(default_factory=lambda: np.full(6, np.nan))
     made: float = float("nan")

@@ -16,7 +16,7 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import Fused
+from probedesign.estimation.fused import FusedEstimate
 from probedesign.live.answer import Answer
 from probedesign.live.batch import Batch, Batches
 from probedesign.live.block import Block
@@ -164,7 +164,7 @@ class Chain:
         """Of a reading, filtered or not, and of what is seen by now."""
         estimate = Estimate("unobservable")
         if self._plan.estimates:
-            estimate = locate(self._estimator, reading, self.tare)
+            estimate = locate(self._estimator, reading, self.tare, self._plan.method)
             self._contacts.locate(estimate, self._seen.phase)
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
@@ -258,7 +258,7 @@ class Chain:
     def _see(self, batch: Batch) -> Seen:
         """What the watch sees; nothing where a reading has a fault."""
         if self._watch is None or batch.reading.fault:
-            return Seen("", None if self._poses is None else Fused("out_of_range"))
+            return Seen("", None if self._poses is None else FusedEstimate("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)
         return self._watch.see(batch, self.tare, T)
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from probedesign.estimation.estimate import Estimate
-from probedesign.estimation.fused import Fused
+from probedesign.estimation.fused import FusedEstimate
 from probedesign.live.phases import Phase
 
 MOST = 1000
@@ -28,7 +28,7 @@ class Contact:
     start: float
     end: float = math.nan
     settled: bool = False
-    fused: Fused | None = None
+    fused: FusedEstimate | None = None
     estimate: Estimate | None = None
 
     @property
@@ -43,7 +43,7 @@ class Contact:
         if not self.settled:
             told += ", never settled"
         if self.fused is not None and self.fused.ok:
-            x, y, z = (1e3 * float(value) for value in self.fused.p_contact_world)
+            x, y, z = (1e3 * float(value) for value in self.fused.p_surface_world)
             return f"{told}: ({x:z.2f}, {y:z.2f}, {z:z.2f}) mm in the world, ± {1e3 * self.fused.rms:.2f} mm"
         if self.fused is not None:
             told += f": as one point of the world {self.fused.result}"
@@ -69,7 +69,7 @@ class Contacts:
         """The touch that lasts."""
         return self.so_far[-1] if self.so_far and self.so_far[-1].lasts else None
 
-    def follow(self, time: float, phase: Phase, fused: Fused | None) -> Contact | None:
+    def follow(self, time: float, phase: Phase, fused: FusedEstimate | None) -> Contact | None:
         """Take in the phase at a time [s] and what is fused by then; the touch that has just ended, if one has."""
         present = self.present
         if phase not in ("touching", "settled"):

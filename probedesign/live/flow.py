@@ -40,6 +40,7 @@ def _truth(truths: list[Truth]) -> Truth | None:
         float(np.mean([t.s_contact for t in truths])),
         np.mean([t.p_contact_base for t in truths], axis=0),
         np.mean([t.force_base for t in truths], axis=0),
+        np.mean([t.p_surface_base for t in truths], axis=0),
     )
 
 

@@ -1,5 +1,6 @@
 """A recording in, one estimate a row out."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live.batch import averaged
 from probedesign.live.locate import locate
 from probedesign.live.reading import Reading
@@ -34,6 +35,7 @@ class Estimates:
         tare: taken from every reading, if one was asked for.
         rows: one for each reading or mean.
         notes: what a user should know of all that, each one line.
+        method: by which the readings were located.
     """
 
     estimator: Estimator
@@ -44,6 +46,7 @@ class Estimates:
     tare: Tare | None
     rows: list[Row]
     notes: tuple[str, ...]
+    method: Method = "ml"
 
     @property
     def counts(self) -> dict[str, int]:
@@ -68,7 +71,9 @@ class Estimates:
             "average": self.samples,
             "noise_force_N": model.noise.force,
             "noise_moment_Nm": model.noise.moment,
-            "tolerances": self.estimator.tolerances and asdict(self.estimator.tolerances),
+            "method": self.method,
+            "friction": str(model.friction) if math.isinf(model.friction) else model.friction,
+            "tolerances": asdict(self.estimator.priors),
             "tare": tare and {
                 "start_s": tare.window.start,
                 "end_s": tare.window.end,
@@ -90,6 +95,7 @@ def estimate_recording(
     progress: Progress = iter,
     mend: bool = False,
     choice: Choice | None = None,
+    method: Method = "ml",
 ) -> Estimates:
     """Locate the contacts of a recording.
 
@@ -101,6 +107,7 @@ def estimate_recording(
         progress: is handed the readings and hands them on one by one.
         mend: go on with a recording that lacks something: lines of a CSV, the end of a file.
         choice: what of a bag is read.
+        method: as in `Estimator.estimate`.
 
     Raises:
         InputError: the recording or the tare's window is no good.
@@ -116,11 +123,11 @@ def estimate_recording(
     if not readings:
         raise InputError(f"{path}: holds {len(time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None
-    rows = [row(reading, locate(estimator, reading, tare)) for reading in progress(readings)]
+    rows = [row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
     gaps, missing = gaps_in(time)
     gap = (f"{missing} samples are missing in {gaps} gaps",) if gaps else ()
     notes = (*dict.fromkeys((*recorded.notes, *lacking, *gap)), *_notes(len(time), samples, tare))
-    return Estimates(estimator, recorded, len(time), missing, samples, tare, rows, notes)
+    return Estimates(estimator, recorded, len(time), missing, samples, tare, rows, notes, method)
 
 
 def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ CHANCE = 1.4e-6
 """That steady readings look unsteady: once an hour at 7000/36 of them a second, as a false alarm does."""
 STANDS = 50e-6
 """A base that goes less far within `SPAN` stands [m]: five times the scatter of a robot's poses
-(`Unknowns.base_repeat`, assumed). Its rotation counts over `LEVER`."""
+(`Tolerances.robot_mm`, assumed). Its rotation counts over `LEVER`."""
 LEVER = 0.1
 """Of a rotation [m], as in the tracker."""
 MOST = 64

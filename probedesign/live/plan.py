@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from probedesign.errors import InputError
+from probedesign.estimation.estimator import Method
 from probedesign.live.tare import Window
 
 
@@ -18,6 +19,7 @@ class Plan:
         count: end after so many estimates.
         seconds: end so long after the first reading [s].
         filter_hz: cut-off of the low-pass before each estimate; None filters nothing.
+        method: by which a single reading is located.
         estimates: whether contacts are located as readings come; else phases and touches alone are told.
     """
 
@@ -28,6 +30,7 @@ class Plan:
     seconds: float | None = None
     filter_hz: float | None = None
     estimates: bool = True
+    method: Method = "ml"
 
     def __post_init__(self) -> None:
         """Raises InputError where a number cannot be meant."""

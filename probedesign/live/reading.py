@@ -15,14 +15,16 @@ class Truth:
         s_contact: arclength of the contact [m].
         p_contact_base: its point of the centreline [m], (3,).
         force_base: what the object does to the probe [N], (3,).
+        p_surface_base: the touched point of the surface [m], (3,).
     """
 
     s_contact: float
     p_contact_base: Array
     force_base: Array
+    p_surface_base: Array
 
 
-FREE = Truth(float("nan"), np.full(3, np.nan), np.full(3, np.nan))
+FREE = Truth(float("nan"), np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan))
 """Nothing touches."""
 
 

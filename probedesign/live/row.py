@@ -4,7 +4,7 @@ import json
 import math
 
 from probedesign.estimation.estimate import Estimate
-from probedesign.estimation.fused import Fused
+from probedesign.estimation.fused import FusedEstimate
 from probedesign.frames import Array
 from probedesign.live.answer import Answer
 from probedesign.live.reading import Reading
@@ -23,7 +23,12 @@ COLUMNS = (
     *(f"force_base_{axis}_N" for axis in "xyz"),
     *(f"cov_contact_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "detection_chi2",
+    *(f"cov_surface_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "force_normal_N",
+    "force_tangential_N",
+    "friction_ratio",
 )
+"""Contact: the centreline point where the force's line of action comes nearest; surface: the touched point."""
 WORLD_COLUMNS = (
     "phase",
     "fused_result",
@@ -32,9 +37,11 @@ WORLD_COLUMNS = (
     *(f"cov_contact_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "touch",
     "stale",
+    *(f"cov_surface_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
 )
 """Where poses of the base are known, after `COLUMNS`."""
-TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"))
+TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
+                *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
 
 
 def row(reading: Reading, estimate: Estimate) -> Row:
@@ -42,22 +49,28 @@ def row(reading: Reading, estimate: Estimate) -> Row:
     does not tell is NaN."""
     values: list[float | str] = [reading.time, estimate.result, estimate.s_contact / MM, estimate.std_s / MM]
     values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
-    values += [float(estimate.cov_contact_base[i, j]) / MM**2 for _, i, j in COVARIANCE]
-    answer: Row = dict(zip(COLUMNS, [*values, estimate.detection_chi2], strict=True))
-    if reading.truth is not None:
-        true = [reading.truth.s_contact / MM, *_mm(reading.truth.p_contact_base)]
+    values += [*_mm2(estimate.cov_contact_base), estimate.detection_chi2, *_mm2(estimate.cov_surface_base)]
+    values += [estimate.force_normal, estimate.force_tangential, estimate.friction_ratio]
+    answer: Row = dict(zip(COLUMNS, values, strict=True))
+    if (truth := reading.truth) is not None:
+        true = [truth.s_contact / MM, *_mm(truth.p_contact_base), *_mm(truth.p_surface_base)]
         answer |= dict(zip(TRUE_COLUMNS, true, strict=True))
     return answer
 
 
 def world_row(answer: Answer) -> Row:
     """The answer in the units of `WORLD_COLUMNS`; what it does not tell is NaN."""
-    fused = answer.fused or Fused("out_of_range")
+    fused = answer.fused or FusedEstimate("out_of_range")
     values: list[float | str] = [answer.phase, fused.result]
     values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world)]
-    values += [float(fused.cov_contact_world[i, j]) / MM**2 for _, i, j in COVARIANCE]
+    values += _mm2(fused.cov_contact_world)
     present = answer.contacts[-1].number if answer.contacts and answer.contacts[-1].lasts else math.nan
-    return dict(zip(WORLD_COLUMNS, [*values, present, answer.stale], strict=True))
+    values += [present, answer.stale, *_mm2(fused.cov_surface_world)]
+    return dict(zip(WORLD_COLUMNS, values, strict=True))
+
+
+def _mm2(cov: Array) -> list[float]:
+    return [float(cov[i, j]) / MM**2 for _, i, j in COVARIANCE]
 
 
 def _mm(p: Array) -> list[float]:
@@ -100,14 +113,14 @@ def readable_line(since: float, reading: Reading, estimate: Estimate, answer: An
         f"{since:9.2f} s",
         f"{estimate.result:<13}",
         _cell("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM),
-        _cell("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_contact_base)),
+        _cell("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_surface_base)),
         _cell("F {:7.1f} mN", force),
     ]
     if answer is not None and answer.fused is not None:
         fused = answer.fused
         cells.append(f"{answer.phase:<8}")
         place = _cell(
-            "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_contact_world), fused.rms / MM
+            "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_surface_world), fused.rms / MM
         )
         told = answer.stale and f"world: no {answer.stale}"
         cells.append(place if fused.ok or not told else told)

@@ -7,6 +7,7 @@ from collections.abc import Generator, Iterator
 import numpy as np
 
 from probedesign.errors import InputError
+from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.block import Block, blocks_of
@@ -119,11 +120,11 @@ class Simulation:
             result, eq = rubbed.result, rubbed.equilibrium
             if result == "ok":
                 on_axis = line_of_action(rod, eq, rubbed.p_surface_base)
-                truth = Truth(on_axis, eq.p_at(on_axis), rubbed.force_base)
+                truth = Truth(on_axis, eq.p_at(on_axis), rubbed.force_base, rubbed.p_surface_base)
         else:
             contact = solve_frictionless(rod, gravity, s, self._angle, force, mode="reference")
             result, eq = contact.result, contact.equilibrium
-            truth = Truth(s, eq.p_contact_base, contact.force_base)
+            truth = Truth(s, eq.p_contact_base, contact.force_base, surface_point(rod, eq))
         if result != "ok":
             at = f"{force / MILLINEWTON:g} mN at s = {s / MM:.1f} mm"
             raise InputError(f"sim: the probe does not bear {at} ({result}); say a smaller force_mN")

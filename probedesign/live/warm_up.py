@@ -55,6 +55,7 @@ def _touches(estimator: Estimator) -> list[tuple[Array, Array]]:
         touch = solve_frictionless(model.rod, model.gravity_base, s, 0.5, float(force))
         if touch.result == "ok":
             eq = touch.equilibrium
+            _ = eq.R_at(s)  # what a simulated source needs
             found.append((eq.wrench_base, pose(np.eye(3), -eq.p_contact_base)))
     return found
 

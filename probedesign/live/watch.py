@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimation.detector import DRIFT_STEPS, Detector, Touching
+from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import Fused
+from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.tracker import Tracker
-from probedesign.estimation.unknowns import Unknowns
 from probedesign.frames import Array
 from probedesign.live.batch import Batch
 from probedesign.live.contacts import Contacts
@@ -20,10 +19,8 @@ from probedesign.live.pose.poses import Poses
 from probedesign.live.tare import Tare
 
 BIAS_STEPS = 0.5
-"""Of the bias since the tare, in steps of the sensor's resolution: what a walk of `DRIFT_STEPS` makes of it in a
-hundred seconds. Free readings before the touch tie it down."""
-POSE_SECONDS = 0.5
-"""From one pose of a touch to the next, and from the free readings to the first, about [s]: so long the bias walks."""
+"""Of the bias since the tare, in steps of the sensor's resolution: what a walk of `detector.DRIFT_STEPS` makes of it in
+a hundred seconds. Free readings before the touch tie it down."""
 Say = Callable[[str], None]
 """Takes a line that a user should know."""
 
@@ -38,7 +35,7 @@ class Seen:
     """
 
     phase: Phase
-    fused: Fused | None
+    fused: FusedEstimate | None
 
 
 class Watch:
@@ -74,17 +71,20 @@ class Watch:
         self._timing = Timing(model.whiten)
         self._tracker: Tracker | None = None
         if poses is not None and estimates:
-            of_means = Estimator(replace(model, averaging_samples=1))
+            of_means = Estimator(replace(model, averaging_samples=1), estimator.tolerances)
             # Of a mean that is taken for a sample, the noise is the step; the sensor's own is so much greater.
-            step, walk = math.sqrt(model.averaging_samples), DRIFT_STEPS * math.sqrt(POSE_SECONDS)
-            unknowns = replace(Unknowns.of(model), bias_steps=BIAS_STEPS * step, bias_walk_steps=walk * step)
-            self._tracker = Tracker(of_means, unknowns, poses.gravity_world, rate=rate / samples)
+            step = math.sqrt(model.averaging_samples)
+            known = estimator.priors
+            priors = replace(known, drift_steps=BIAS_STEPS * step, walk_steps=known.walk_steps * step)
+            self._tracker = Tracker(
+                of_means, priors=priors, gravity_world=poses.gravity_world, rate=rate / samples
+            )
         self._seen = self._unknown
         self._each, self._last = samples / rate, math.nan
 
     @property
     def _unknown(self) -> Seen:
-        return Seen("", None if self._poses is None else Fused("out_of_range"))
+        return Seen("", None if self._poses is None else FusedEstimate("out_of_range"))
 
     def see(self, batch: Batch, tare: Tare | None, T_world_base: Array | None) -> Seen:
         """Take in a batch that is right, its gravity known.
@@ -131,7 +131,9 @@ class Watch:
         """Readings are missing between the last and the next."""
         self._phases.steadiness.forget()
 
-    def _fused(self, said: list[Touching], wrench: Array, T: Array | None, time: float) -> Fused | None:
+    def _fused(
+        self, said: list[Touching], wrench: Array, T: Array | None, time: float
+    ) -> FusedEstimate | None:
         """The tracker's answer. A batch that is partly free and partly not tells nothing of either."""
         if self._tracker is None or T is None:
             return None
@@ -139,9 +141,9 @@ class Watch:
             return self._tracker.update(wrench, T, time, "lost")
         if len(set(said)) == 1:
             return self._tracker.update(wrench, T, time, said[0])
-        return Fused("no_contact")
+        return FusedEstimate("no_contact")
 
-    def _follow(self, time: float, phase: Phase, fused: Fused | None) -> None:
+    def _follow(self, time: float, phase: Phase, fused: FusedEstimate | None) -> None:
         ended = self._contacts.follow(time, phase, fused)
         if ended is not None and self._tells:
             self._say(ended.line)

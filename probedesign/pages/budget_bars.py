@@ -11,18 +11,22 @@ GROUPS = {
     "noise": ("noise",),
     "drift": ("drift",),
     "robot": ("robot",),
-    "stiffness": ("E", "G", "creep"),
+    "friction": ("friction",),
+    "stiffness": ("E", "G", "creep", "stiffness scatter"),
     "diameters": ("diameter", "diameter scatter", "length"),
-    "mount": ("base place", "base tilt", "clocking"),
+    "mount": ("base place", "base tilt", "clocking", "root", "gain"),
     "weight": ("density", "gravity"),
 }
 """Causes that a reader has one remedy for."""
 CAPTION = (
-    "Shares of the variance, worst of the directions; above each bar the RMS error of all causes [mm]. Stiffness: E, G "
-    "and creep. Diameters: with their scatter and the length. Mount: place, tilt and clocking of the base. Weight: "
-    "density and gravity's direction."
+    "Shares of the variance, worst of the directions; above each bar the RMS error of all causes [mm]. Friction: what "
+    "its prior adds. Stiffness: E, G, creep and scatter from touch to touch. Diameters: with their scatter and the "
+    "length. Mount: place, tilt, clocking and root of the base, gain of the sensor. Weight: density and gravity's "
+    "direction."
 )
-_INK = ("#fff", "#fff", "#fff", "#fff", "#111", "#111", "#111")
+_FILL = (*COLOURS, "#F0E442")
+"""Okabe and Ito's eighth colour too."""
+_INK = ("#fff", "#fff", "#fff", "#fff", "#fff", "#111", "#111", "#111")
 _LEAST = 0.09  # share that has room for its number
 
 
@@ -36,16 +40,16 @@ def draw_budget(conditions: Sequence[Condition | FusedCondition]) -> bytes:
     y = Axis("share of the variance [%]", 0.0, 106.0, ticks=(0.0, 20.0, 40.0, 60.0, 80.0, 100.0))
     chart = Chart(Axis.named("contact, fraction of the length", places), y)
     for i, condition in enumerate(conditions, 1):
-        chart.text(i, 103.0, f"{condition.total_error_mm:.2g}", size=12.5)
+        chart.text(i, 103.0, f"{condition.predicted_error_mm:.2g}", size=12.5)
         below = 0.0
-        for (_, share), colour, ink in zip(shares_of(condition).items(), COLOURS, _INK, strict=True):
+        for (_, share), colour, ink in zip(shares_of(condition).items(), _FILL, _INK, strict=True):
             chart.box((i - 0.42, i + 0.42), (below, below + 100.0 * share), colour)
             if share >= _LEAST:
                 chart.text(i, below + 50.0 * share, f"{100.0 * share:.0f}", ink)
             below += 100.0 * share
     used = [any(shares_of(c)[name] > 0.0 for c in conditions) for name in GROUPS]
     chart.legend = [
-        Entry(name, colour) for name, colour, here in zip(GROUPS, COLOURS, used, strict=True) if here
+        Entry(name, colour) for name, colour, here in zip(GROUPS, _FILL, used, strict=True) if here
     ]
     return chart.svg()
 
@@ -64,7 +68,7 @@ def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
     found: dict[float, Condition] = {}
     for c in conditions:
         if c.force_N == nearest and c.budget_mm is not None:
-            before = found.get(c.contact_fraction, replace(c, total_error_mm=-1.0))
-            if (c.total_error_mm or 0.0) > (before.total_error_mm or 0.0):
+            before = found.get(c.contact_fraction, replace(c, predicted_error_mm=-1.0))
+            if (c.predicted_error_mm or 0.0) > (before.predicted_error_mm or 0.0):
                 found[c.contact_fraction] = c
     return [found[place] for place in sorted(found)]

@@ -10,7 +10,7 @@ from probedesign.errors import InputError
 from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, span_of
 from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.prediction.predict import Prediction
-from probedesign.prediction.pressing import MOST_TOUCHES, Pressing
+from probedesign.prediction.press_schedule import MAX_TOUCHES, PressSchedule
 from probedesign.probe import build_probe
 from probedesign.search.task import Task
 from probedesign.search.worth import FIGURES, Touched, Worth, touches, worth
@@ -31,7 +31,7 @@ class Compared:
         design: it.
         worth: its figures in the task.
         along: its touches at `PLACES`.
-        by_force: RMS over the task's places at each of `FORCES_N` [m]; infinite where it gives way.
+        by_force: error as the task combines its places, at each of `FORCES_N` [m]; infinite where it gives way.
         prediction: pushed sideways with the task's force: what is felt, borne and, fused, left with all causes.
     """
 
@@ -58,13 +58,14 @@ def _compared(design: Design, task: Task) -> Compared:
     model, moments = probe.model, task.moments_about
     prediction = probe.predict(
         forces_N=(task.force_N,), directions=(SIDE,),
-        tolerances=replace(probe.tolerances, robot_mm=task.base_repeat_mm),
-        pressing=Pressing(min(max(task.touches, 2), MOST_TOUCHES), moments),
+        tolerances=task.priors(model),
+        pressing=PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), moments),
     )  # fmt: skip
-    rms = tuple(touches(model, replace(task, force_N=force)).rms for force in FORCES_N)
-    return Compared(
-        design, worth(design, task), touches(model, replace(task, fractions=PLACES)), rms, prediction
+    rms = tuple(
+        task.combined(touches(model, replace(task, forces_N=(f,)), slipping=False).errors) for f in FORCES_N
     )
+    along = replace(task, fractions=PLACES, forces_N=(task.force_N,), gravities=task.gravities[:1])
+    return Compared(design, worth(design, task), touches(model, along, slipping=False), rms, prediction)
 
 
 def table_of(compared: Sequence[Compared]) -> TextTable:
@@ -75,11 +76,11 @@ def table_of(compared: Sequence[Compared]) -> TextTable:
 
 def comparison_page(compared: Sequence[Compared], task: Task) -> bytes:
     """The page."""
-    touched = task.text.split(", RMS over")[0]
+    touched = task.text.split(", all causes")[0] + ", all causes counted"
     drawn: list[tuple[str, str, bytes]] = [
-        ("How well along the probe?", f"{touched}; by the bound. A line ends where the probe gives way.",
+        ("How well along the probe?", f"{touched}. A line ends where the probe gives way.",
          _lines(compared, _along, _PLACE, _ERROR)),
-        ("How well at which force?", "The same, RMS over the task's places, by the strongest force.",
+        ("How well at which force?", "The same, over the task's places, by the strongest force.",
          _lines(compared, _by_force, Axis("contact force [mN]", 0.9, 55.0, log=True), _ERROR)),
         ("What is left with all causes?", f"{compared[0].prediction.pressing.text}, up to {1e3 * task.force_N:g} mN, "
          "all causes of the error counted, pushed sideways.", _lines(compared, _all_causes, _PLACE, _ERROR)),
@@ -136,7 +137,7 @@ def _by_force(one: Compared) -> _Line:
 def _all_causes(one: Compared) -> _Line:
     cells = one.prediction.fused
     return [c.contact_fraction for c in cells], [
-        _number(c.total_error_mm if c.result == "ok" else None) for c in cells
+        _number(c.predicted_error_mm if c.result == "ok" else None) for c in cells
     ]
 
 

@@ -49,12 +49,13 @@ def _errors(prediction: Prediction) -> list[Section]:
     k = prediction.pressing.touches
     return [
         Section("How well does one reading locate?", f"RMS error, all causes counted. {_WORDS}",
-                draw_error_map(prediction.conditions, lambda c: c.total_error_mm)),
-        Section(f"And {k} touches, fused?", f"The last of {k} touches has this force. RMS error, all causes counted, "
-                "worst of the directions [mm].", draw_error_map(prediction.fused, lambda c: c.total_error_mm)),
-        Section("Were the sensor's noise all?", "One reading of a probe that is exactly its model: the bound. "
-                "Worst of the directions [mm].",
                 draw_error_map(prediction.conditions, lambda c: c.predicted_error_mm)),
+        Section(f"And {k} touches, fused?", f"The last of {k} touches has this force. RMS error, all causes counted, "
+                "worst of the directions [mm].", draw_error_map(prediction.fused, lambda c: c.predicted_error_mm)),
+        Section("Were the sensor's noise all?", "One reading of a probe that is exactly its model, with the prior on "
+                "friction: the bound. "
+                "Worst of the directions [mm].",
+                draw_error_map(prediction.conditions, lambda c: c.noise_error_mm)),
         Section("From which force on?", "Felt: told from none every other time, one false alarm an hour. Then located "
                 "to so many millimetres, RMS, all causes counted. The end: what the probe or the sensor bears. Worst "
                 "of the directions; a line is broken where no force will do.", draw_forces(prediction)),

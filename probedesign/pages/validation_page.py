@@ -130,7 +130,7 @@ def _inner(validation: Validation) -> list[Section]:
         jump = (
             ""
             if trial.kind == "free"
-            else " The force jumps where it is touched, and the moment has its kink there."
+            else " At the touched section the force jumps, and the moment by the couple of that force about the axis."
         )
         name = f"{trial.test.name}, {_words(trial)}"
         found.append(

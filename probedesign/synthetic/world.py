@@ -1,15 +1,15 @@
 """The truth of a synthetic campaign: the probe as it was printed, where it stands, and how each test bends it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.errors import InputError
-from probedesign.estimation.causes import parameters_of, turns_of
+from probedesign.estimation.error_sources import parameters_of, turns_of
+from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.paper import surface_point
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.prediction.touches import DIRECTIONS
@@ -208,10 +208,13 @@ def _moved(shift: Array, turn: Array) -> Array:
 
 
 def _rod(model: ProbeModel, plan: Plan, tolerances: Tolerances, rng: np.random.Generator) -> Rod:
-    """The printed probe; the moduli that the plan names are its own, to the digit."""
+    """Return the printed probe; the moduli that the plan names are its own, to the digit.
+
+    What scatters from touch to touch is no property of the print.
+    """
     K = len(model.rod.s)
     by = np.zeros(4 + K)
-    for rows in parameters_of(model.rod, tolerances).values():
+    for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0)).values():
         by += rng.normal(size=len(rows)) @ rows
     for i, (said, own) in enumerate(
         ((plan.youngs_modulus, model.rod.youngs_modulus), (plan.shear_modulus, model.rod.shear_modulus))

@@ -9,7 +9,7 @@ from probedesign.units import MM
 
 
 def predicted_error(model: ProbeModel, fraction: float, force: float, way: str) -> float:
-    """RMS distance by all causes that `predict` tells of such a touch: one reading, the design's own mount and
+    """RMS distance by all causes that `predict` states for such a touch: one reading, the design's own mount and
     tolerances, no reference [m]; NaN where it says that none is located, or where it cannot be asked.
 
     Args:
@@ -21,4 +21,8 @@ def predicted_error(model: ProbeModel, fraction: float, force: float, way: str) 
     if not 0.0 < fraction <= 1.0 or not force > 0.0 or not way:
         return math.nan
     told = predict_touch(Estimator(model), fraction, force, way)
-    return told.total_error_mm * MM if told.result == "ok" and told.total_error_mm is not None else math.nan
+    return (
+        told.predicted_error_mm * MM
+        if told.result == "ok" and told.predicted_error_mm is not None
+        else math.nan
+    )

@@ -1,7 +1,7 @@
 """One test: the estimate beside the reference."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,6 +10,7 @@ from probedesign.campaign.campaign import Campaign, Test
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, inverse
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.beforehand import predicted_error
@@ -17,9 +18,9 @@ from probedesign.validation.miss import Miss, miss_of
 from probedesign.validation.taring import Reading, cov_of_pose, reading_of, tolerances_of
 
 Kind = Literal["free", "weight", "touch"]
-METHODS: dict[Kind, Method] = {"free": "ml", "weight": "paper", "touch": "ml"}
-"""By which each kind is estimated. A known force is a dead load: friction holds it where it hangs, so that it need not
-be normal to the surface, as "ml" takes contacts to be; the method of the paper takes a force of any direction."""
+METHODS: dict[Kind, Method] = {"free": "ml", "weight": "force_moment", "touch": "ml"}
+"""By which each kind is estimated. A known force is a dead load on the centreline, of any direction, which the
+force–moment method locates; a touch acts on the surface, by a force whose friction has a prior."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,8 @@ def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) 
         campaign: it is of.
         test: to look at.
         estimator: of the frozen probe, as `load_estimator` gives it.
-        exact: take the probe for exactly what its model says.
+        exact: take probe, mount and bench for exactly what the model says; noise and drift of the sensor and the prior
+            on friction remain.
     """
     model = estimator.model
     kind: Kind = "touch" if test.force_world is None else "free" if test.free else "weight"
@@ -115,17 +117,20 @@ def trial_of(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) 
         contact_base=contact,
         way=way,
         predicted=predicted_error(model, fraction, force, way) if kind == "touch" else math.nan,
-        miss=miss_of(campaign, test, used, method, estimate, contact, reading),
+        miss=miss_of(campaign, test, estimate, contact),
         readings=len(reading.wrenches_base),
         tares=reading.tares,
     )  # fmt: skip
 
 
 def _prepared(campaign: Campaign, estimator: Estimator, reading: Reading, exact: bool) -> Estimator:
-    """The estimator as well as the probe is known in this campaign."""
-    if exact or not len(reading.wrenches_base):
+    """Return the estimator with the tolerances that hold in this campaign, or with those of bias and tare alone."""
+    if not len(reading.wrenches_base):
         return estimator
-    return estimator.with_tolerances(tolerances_of(campaign, estimator.model, reading))
+    known = tolerances_of(campaign, estimator.model, reading)
+    if exact:
+        known = replace(Tolerances.none(), drift_steps=known.drift_steps, tared=known.tared)
+    return estimator.with_tolerances(known)
 
 
 def _shape(

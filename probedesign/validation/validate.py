@@ -12,7 +12,7 @@ import numpy as np
 from probedesign.campaign.campaign import Campaign
 from probedesign.campaign.reading import check_probe
 from probedesign.errors import InputError
-from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.units import MM
 from probedesign.validation.honesty import Honesty, honesty_of
@@ -21,7 +21,7 @@ from probedesign.validation.trial import Trial, trial_of
 COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
            "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
            "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
-           "tares")  # fmt: skip
+           "tares", "force_normal_N", "force_tangential_N", "friction_ratio")  # fmt: skip
 """Of validation.csv; those of the paper's Table I keep their names."""
 WHY: dict[str, str] = {
     **{str(code): words for code, words in RESULTS.items()},
@@ -119,6 +119,8 @@ class Validation:
     def _row(self, trial: Trial) -> dict[str, Any]:
         miss, length = trial.miss, self.estimator.model.rod.length
         z = list(miss.z) if miss is not None and miss.dof == 3 else [math.nan] * 3
+        found = trial.estimate or Estimate("out_of_range")
+        friction = (found.force_normal, found.force_tangential, found.friction_ratio)
         stated = (
             (miss.size, miss.expected, trial.predicted, math.sqrt(np.trace(miss.cov_reference)))
             if miss
@@ -129,7 +131,7 @@ class Validation:
             trial.way, trial.method, trial.result, trial.shape_rms / MM,
             100.0 * trial.shape_rms / length, trial.reference_rms / MM, *(value / MM for value in stated),
             miss.within_95 if miss else None, miss.nees if miss else None, *z, len(trial.markers_base),
-            trial.readings, trial.tares,
+            trial.readings, trial.tares, *friction,
         )  # fmt: skip
         return {name: _plain(value) for name, value in zip(COLUMNS, values, strict=True)}
 
@@ -175,7 +177,7 @@ def validate(
     Args:
         estimator: as `load_estimator` gives it.
         campaign: from `read_campaign`.
-        exact: take the probe for exactly what its model says; else its tolerances count.
+        exact: take probe, mount and bench for exactly what the model says; else all tolerances count.
         tell: told the share done.
 
     Raises:

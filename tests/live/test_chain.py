@@ -87,9 +87,9 @@ def test_the_touched_point_lies_in_its_ellipsoid_of_the_world(motion, touched):
     """A Gaussian's lies there in 999 of 1000 cases: χ² of three degrees of freedom below 16.3."""
     _, _, chain = touched
     (contact,) = chain.contacts
-    assert contact.settled and contact.fused.ok and contact.fused.fixed == "surface"
+    assert contact.settled and contact.fused.ok
     off = contact.fused.p_surface_world - motion.things[0].point
-    assert off @ np.linalg.solve(contact.fused.cov_fixed_world, off) < 16.3
+    assert off @ np.linalg.solve(contact.fused.cov_surface_world, off) < 16.3
     assert contact.fused.rms < 1e-3  # one reading alone knows this touch to 2 mm
 
 

@@ -121,7 +121,7 @@ def test_the_tools_of_mcap_read_it(whole, model):
 def test_rosbags_reads_it(model, tmp_path):
     p, cov, pose = np.array([0.001, 0.002, 0.09]), np.diag([1e-6, 2e-6, 3e-6]), np.eye(4)
     pose[:3, :3], pose[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
-    estimate = Estimate("ok", 0.09, 0.001, p, p, np.array([0.01, 0.0, 0.0]), cov)
+    estimate = Estimate("ok", 0.09, 0.001, 2.0 * p, p, np.array([0.01, 0.0, 0.0]), 4.0 * cov, cov)
     file = McapFile(tmp_path / "told.mcap", model)
     file.read(BLOCKS[0])
     file.answered(

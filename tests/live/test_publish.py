@@ -23,6 +23,7 @@ SIM = "sim:?speed=max&rate_hz=3"
 @pytest.fixture
 def receiver():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)  # it is read when the run is over
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(10.0)
         yield receiver

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.estimation.estimate import Estimate
-from probedesign.estimation.fused import Fused
+from probedesign.estimation.fused import FusedEstimate
 from probedesign.live.answer import Answer
 from probedesign.live.contacts import Contact
 from probedesign.live.reading import FREE, Reading, Truth
@@ -18,8 +18,11 @@ P, SURFACE, FORCE = (
     np.array([0.3, 0.0, -0.4]),
 )
 COV = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]]) * 1e-6
-FOUND = Estimate("ok", 0.08, 0.0025, P, SURFACE, FORCE, COV, detection_chi2=123.0)
-TRUE = Reading(1700000000.000001, np.zeros(6), np.zeros(3), Truth(0.0801, 2.0 * P, FORCE))
+COV_SURFACE = 2.0 * COV
+FOUND = Estimate(
+    "ok", 0.08, 0.0025, P, SURFACE, FORCE, COV, COV_SURFACE, 0.4, 0.3, 0.75, detection_chi2=123.0
+)
+TRUE = Reading(1700000000.000001, np.zeros(6), np.zeros(3), Truth(0.0801, 2.0 * P, FORCE, 3.0 * P))
 
 
 def test_every_number_in_its_unit():
@@ -27,8 +30,9 @@ def test_every_number_in_its_unit():
     values = list(row(TRUE, FOUND).values())
     assert values[:2] == [1700000000.000001, "ok"]
     lengths = [80.0, 2.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    truth = [80.1, 2.0, 4.0, 6.0]
-    expected = [*lengths, 0.3, 0.0, -0.4, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 123.0, *truth]
+    surface = [2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 0.4, 0.3, 0.75]
+    truth = [80.1, 2.0, 4.0, 6.0, 3.0, 6.0, 9.0]
+    expected = [*lengths, 0.3, 0.0, -0.4, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 123.0, *surface, *truth]
     assert values[2:] == pytest.approx(expected, rel=1e-15)
 
 
@@ -42,7 +46,7 @@ def test_csv_holds_its_columns_and_the_time_to_the_last_bit():
 def test_what_is_not_told_is_empty_or_null():
     reading = Reading(1.0, np.zeros(6), np.zeros(3), FREE)
     answer = row(reading, Estimate("no_contact", detection_chi2=4.0))
-    assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4\n"
+    assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4" + 9 * "," + "\n"
     document = json.loads(json_line(answer))
     assert [name for name, value in document.items() if value is not None] == [
         "time_s",
@@ -60,25 +64,26 @@ def test_what_is_not_told_is_empty_or_null():
 
 def test_the_readable_line():
     assert readable_line(12.34, TRUE, FOUND) == (
-        "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   1.0,    2.0,    3.0) mm  F   500.0 mN"
+        "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   4.0,    5.0,    6.0) mm  F   500.0 mN"
         "  true s   80.1 mm"
     )
 
 
 def test_the_world_in_its_units():
-    fused = Fused("ok", 2.0 * P, SURFACE, COV, rms=1e-3)
+    fused = FusedEstimate("ok", SURFACE, COV_SURFACE, 2.0 * P, COV, rms=1e-3)
     contacts = (Contact(7, 1.0),)
     told = world_row(Answer(TRUE, FOUND, "settled", fused, contacts=contacts))
     assert tuple(told) == WORLD_COLUMNS
     values = list(told.values())
-    assert values[:2] == ["settled", "ok"] and values[-2:] == [7, ""]
+    assert values[:2] == ["settled", "ok"] and values[14:16] == [7, ""]
     expected = [2.0, 4.0, 6.0, 4.0, 5.0, 6.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert values[2:-2] == pytest.approx(expected, rel=1e-15)
+    assert values[2:14] == pytest.approx(expected, rel=1e-15)
+    assert values[16:] == pytest.approx([2.0, 4.0, 6.0, 8.0, 10.0, 12.0], rel=1e-15)
 
 
 def test_without_a_pose_the_world_is_empty():
     answer = Answer(
-        TRUE, FOUND, "", Fused("out_of_range"), stale="pose", contacts=(Contact(1, 0.0, end=0.5),)
+        TRUE, FOUND, "", FusedEstimate("out_of_range"), stale="pose", contacts=(Contact(1, 0.0, end=0.5),)
     )
     told = json.loads(json_line(world_row(answer)))
     assert {name: value for name, value in told.items() if value is not None} == {

@@ -130,14 +130,17 @@ def test_the_table_is_ordered_as_the_papers_and_drops_nothing(found, made):
     assert all(f"{trial.test.name} ({trial.kind}): {trial.result}" in told for trial in found.astray)
 
 
-def test_the_internal_force_jumps_by_the_contact_force_and_the_moment_does_not(found):
+def test_force_and_moment_jump_by_the_contact_force_and_its_couple(found):
+    """The force acts on the surface: about the touched section's centre it has the couple ρ × F."""
     trial = next(t for t in found.trials if t.kind == "touch" and t.shape is not None)
     s, force = inner(trial.shape, "force")
     _, moment = inner(trial.shape, "moment")
     at = int(np.argmin(np.abs(s - trial.shape.s_contact)))
     # a nanometre apart: weight and moment change by nothing that counts
     np.testing.assert_allclose(force[at] - force[at + 1], 1e3 * trial.estimate.force_base, atol=1e-3)
-    np.testing.assert_allclose(moment[at], moment[at + 1], atol=1e-3)
+    estimate = trial.estimate
+    couple = np.cross(estimate.p_surface_base - trial.shape.p_at(s[at : at + 1])[0], estimate.force_base)
+    np.testing.assert_allclose(moment[at] - moment[at + 1], 1e3 * couple, atol=1e-3)
     np.testing.assert_allclose(moment[-1], 0.0, atol=1e-9)  # shot from the free tip
 
 
@@ -170,11 +173,10 @@ def test_stated_errors_come_true_over_prints(tmp_path):
 
 
 def test_weights_are_located_by_the_method_that_takes_them(found):
-    """A thread holds its load where it hangs: contacts free of friction explain two of four of these readings only.
-    Of this print one is called inconsistent by chance, as one in five hundred is."""
+    """A thread's load is a dead load on the centreline, of any direction."""
     weights = [trial for trial in found.trials if trial.kind == "weight"]
     located = [trial for trial in weights if trial.result == "ok"]
-    assert len(weights) == 4 and len(located) >= 3 and {trial.method for trial in weights} == {"paper"}
+    assert len(weights) == 4 and len(located) >= 3 and {trial.method for trial in weights} == {"force_moment"}
     assert all(trial.miss.within_95 and trial.shape_rms < 2e-3 for trial in located)
     assert not any(trial.counts for trial in weights)
     told = f"{len(located)} of {len(located)} weights lie within their 95 % interval"

@@ -40,12 +40,12 @@ def _wrenches(answers: Sequence[Answer]) -> Values:
 
 def _contacts(answers: Sequence[Answer]) -> Values:
     found = [(a.reading.time, a.estimate) for a in answers if a.estimate.ok]
-    return [(time, _place(e.p_contact_base, e.cov_contact_base)) for time, e in found]
+    return [(time, _place(e.p_surface_base, e.cov_surface_base)) for time, e in found]
 
 
 def _contacts_world(answers: Sequence[Answer]) -> Values:
     found = [(a.reading.time, a.fused) for a in answers if a.fused is not None and a.fused.ok]
-    return [(time, _place(f.p_contact_world, f.cov_contact_world)) for time, f in found]
+    return [(time, _place(f.p_surface_world, f.cov_surface_world)) for time, f in found]
 
 
 def _place(p: Array, cov: Array) -> list[float]:

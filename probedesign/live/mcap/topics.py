@@ -60,9 +60,9 @@ BLOCK = Topic(
 WITHOUT_BIAS = Topic("/probedesign/wrench", WRENCH, {})
 """What was estimated from: without bias, averaged, at the base."""
 CONTACT = Topic("/probedesign/contact", UNCERTAIN_POSE, {})
-"""The contact in the base frame, with each result `ok`."""
+"""The touched point in the base frame, with each result `ok`."""
 CONTACT_WORLD = Topic("/probedesign/contact_world", UNCERTAIN_POSE, {})
-"""The fused contact, with each result `ok`."""
+"""The touched point of all readings of a touch, with each fused result `ok`."""
 BASE = Topic("/probedesign/base", POSE, {})
 """Each pose of the base in the world that counts, by the source's clock."""
 ESTIMATE = Topic(

@@ -55,7 +55,7 @@ def touches_html(touches: tuple[Place, ...]) -> str:
 
 
 def _touch(place: Place) -> str:
-    x, y, z = (f"{float(value) / MM:z.1f}" for value in place.p)
+    x, y, z = (f"{float(value) / MM:z.1f}" for value in place.p_surface)
     frame = "world" if place.in_world else "base"
     s = f"{place.s / MM:.1f} ± {place.std_s / MM:.1f}"
     return f"<tr><td>{place.number}</td><td>{s}</td><td>{x}, {y}, {z}</td><td>{frame}</td></tr>"

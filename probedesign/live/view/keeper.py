@@ -134,18 +134,15 @@ def place_of(answer: Answer, number: int) -> Place | None:
     if not estimate.ok:
         return None
     told = (estimate.force_base, estimate.s_contact, estimate.std_s)
-    when = (answer.reading.time, number)
+    when = (answer.reading.time, number, estimate.friction_ratio)
     if not np.isfinite(T).all():
-        p, surface = estimate.p_contact_base, estimate.p_surface_base
-        return Place(p, estimate.cov_contact_base, surface, *told, False, *when)
+        return Place(estimate.p_surface_base, estimate.cov_surface_base, *told, False, *when)
     R, origin = T[:3, :3], T[:3, 3]
     told = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
     if fused is not None and fused.ok:
-        return Place(
-            fused.p_contact_world, fused.cov_contact_world, fused.p_surface_world, *told, True, *when
-        )
-    p, surface = R @ estimate.p_contact_base + origin, R @ estimate.p_surface_base + origin
-    return Place(p, R @ estimate.cov_contact_base @ R.T, surface, *told, True, *when)
+        return Place(fused.p_surface_world, fused.cov_surface_world, *told, True, *when)
+    surface = R @ estimate.p_surface_base + origin
+    return Place(surface, R @ estimate.cov_surface_base @ R.T, *told, True, *when)
 
 
 def shape_of(answer: Answer) -> Shape | None:

@@ -48,25 +48,25 @@ class Place:
     """A contact that was located.
 
     Attributes:
-        p: point of the centreline [m], (3,).
-        cov: its covariance [m²], (3, 3).
         p_surface: the touched point [m], (3,).
+        cov: its covariance [m²], (3, 3).
         force: what the object does to the probe [N], (3,).
         s, std_s: arclength and its standard deviation [m].
         in_world: whether all this is told in the world; else in the base frame.
         time: of the source [s].
         number: of the touch, from one.
+        friction_ratio: tangential over normal force; NaN where it is not known.
     """
 
-    p: Array
-    cov: Array
     p_surface: Array
+    cov: Array
     force: Array
     s: float
     std_s: float
     in_world: bool
     time: float
     number: int
+    friction_ratio: float = float("nan")
 
 
 STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")

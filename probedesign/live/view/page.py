@@ -177,9 +177,9 @@ class Page:
         if place is None:
             return
         R, origin = self._in_scene(place)
-        p, surface = R @ place.p + origin, R @ place.p_surface + origin
+        surface = R @ place.p_surface + origin
         half_axes, axes = ellipsoid(R @ place.cov @ R.T)
-        self._contact.position = self._spread.position = UNIT * p
+        self._contact.position = self._spread.position = UNIT * surface
         self._spread.scale = tuple(UNIT * np.maximum(half_axes, THINNEST))
         self._spread.wxyz = _wxyz(axes)
         force = R @ place.force
@@ -196,7 +196,7 @@ class Page:
         for (mark, number), place in zip(self._marks, touches[-MARKED:], strict=False):
             R, origin = self._in_scene(place)
             mark.visible = number.visible = True
-            mark.position, number.text = UNIT * (R @ place.p + origin), f"{place.number}"
+            mark.position, number.text = UNIT * (R @ place.p_surface + origin), f"{place.number}"
 
 
 def level(gravity_base: Array) -> Array:

@@ -72,9 +72,16 @@ def _contact(place: Place | None) -> list[Said]:
     frame = "world" if place.in_world else "base"
     return [
         Said("contact", f"s {place.s / MM:.1f} ± {place.std_s / MM:.1f} mm"),
-        Said("point", f"{_numbers(place.p, MM)} mm, {frame}; ± {_numbers(_stds(place.cov), MM)} mm"),
-        Said("force", f"{float(np.linalg.norm(place.force)) / MILLINEWTON:.1f} mN"),
+        Said("point", f"{_numbers(place.p_surface, MM)} mm, {frame}; ± {_numbers(_stds(place.cov), MM)} mm"),
+        Said("force", f"{float(np.linalg.norm(place.force)) / MILLINEWTON:.1f} mN{_friction(place)}"),
     ]
+
+
+def _friction(place: Place) -> str:
+    """Return the friction in words; empty where the method does not separate it."""
+    if not np.isfinite(place.friction_ratio):
+        return ""
+    return f", tangential over normal {place.friction_ratio:.2f}"
 
 
 def _fused(answer: Answer) -> list[Said]:
@@ -86,7 +93,7 @@ def _fused(answer: Answer) -> list[Said]:
     return [
         Said(
             "fused",
-            f"{_numbers(answer.fused.p_contact_world, MM)} mm, world, ± {answer.fused.rms / MM:.1f} mm",
+            f"{_numbers(answer.fused.p_surface_world, MM)} mm, world, ± {answer.fused.rms / MM:.1f} mm",
         )
     ]
 
