@@ -32,7 +32,7 @@ def report() -> None:
         calls[f"{name}, ml, from a neighbour"] = partial(
             estimator.estimate, 1.0001 * wrench, GRAVITY, near=near
         )
-        calls[f"{name}, paper"] = partial(estimator.estimate, wrench, GRAVITY, method="paper")
+        calls[f"{name}, force–moment"] = partial(estimator.estimate, wrench, GRAVITY, method="force_moment")
     pressed = presses(model, GRAVITY, 0.7 * model.rod.length, np.pi / 2, np.linspace(2e-3, 1e-2, 5))
     assert pressed is not None, "so light a press is held"
     calls["fuse, five touches"] = partial(estimator.fuse, pressed.wrenches, pressed.Ts, GRAVITY)

@@ -7,6 +7,7 @@ Through the command the sensor's bias walks as the contact test assumes, 0.05 st
 which is 0.2 from touch to touch; through `fuse` it walks 0.2 steps from each pose to the next.
 """
 
+import csv
 import io
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -26,13 +27,14 @@ from probedesign.deployment import write_frozen
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import card_house, spots
 from probedesign.exploring.cloud import WITHIN_95
 from probedesign.exploring.rehearsal import Errors, Rehearsal, rehearse
 from probedesign.exploring.rehearsal_files import write_rehearsal
 from probedesign.frames import Array
+from probedesign.rod.friction import ASSUMED_FRICTION
 from probedesign.units import MILLINEWTON, MM
 
 COMMANDS, HOUSES = 3, 20
@@ -40,8 +42,8 @@ COMMANDS, HOUSES = 3, 20
 they hold or miss together: many houses tell more than many draws of one."""
 READINGS = 50
 """To a pose, in Python: a quarter of a second of a Net F/T box's samples, averaged by 36."""
-FRICTION = 0.0
-"""Median friction coefficient of the cards: 0 as long as `explore` fuses touches without friction."""
+FRICTION = ASSUMED_FRICTION
+"""Median friction coefficient of the cards."""
 TARGET = 2.0
 SYMMETRIC = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
 """Where a row of place and covariance has the covariance's entries."""
@@ -114,16 +116,16 @@ def _through_command(model: ProbeModel, house: Rehearsal, seed: int, known: Sequ
         write_rehearsal(house, model, at, np.random.default_rng(1000 + seed))
         _run(["explore", f"{at}/large.probe.json", f"{at}/house.mcap", "--pose", f"{at}/poses.csv",
               "--tare-s", "0.5:3.5", "--average", "36", "--out", f"{at}/found", *known])  # fmt: skip
-        table = np.genfromtxt(
-            at / "found/points.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
-        )
-    found = table[table["result"] == "ok"]
-    points = np.stack([found[f"{axis}_world_mm"] for axis in "xyz"], axis=1).astype(float)
-    cov = np.stack([found[f"cov_world_{name}_mm2"] for name in ("xx", "xy", "xz", "yy", "yz", "zz")], axis=1)
+        with (at / "found/points.csv").open(encoding="utf-8") as file:
+            found = [row for row in csv.DictReader(file) if row["result"] == "ok"]
+    names = [f"{axis}_world_mm" for axis in "xyz"]
+    names += [f"cov_world_{name}_mm2" for name in ("xx", "xy", "xz", "yy", "yz", "zz")]
+    rows = np.array([[float(row[name]) for name in names] for row in found]).reshape(-1, 9)
+    times = [float(row["time_s"]) for row in found]
     truth, starts = np.array([t.p_world for t in house.touches]) / MM, [t.start for t in house.touches]
-    nearest = [int(np.argmin(np.abs(np.array(starts) - time))) for time in found["time_s"]]
+    nearest = [int(np.argmin(np.abs(np.array(starts) - time))) for time in times]
     missing = max(sum(not t.spot.again for t in house.touches) - len(found), 0)
-    return _compared(np.concatenate([points, cov.astype(float)], axis=1), truth[nearest], missing)
+    return _compared(rows, truth[nearest], missing)
 
 
 def _compared(rows: Array, truth: Array, missing: int) -> Found:
@@ -145,18 +147,18 @@ def _run(arguments: list[str]) -> None:
 def _through_fuse(model: ProbeModel, house: Rehearsal, rng: np.random.Generator) -> Found:
     """All touches, each by itself, with a free reading before and after it."""
     estimator, rows, truth = Estimator(model), list[Array](), list[Array]()
-    unknowns = replace(Unknowns.of(model), bias_steps=10.0)
+    priors = replace(Tolerances.of(model), drift_steps=10.0)
     step = model.noise_base() * model.averaging_samples
     for touch in house.touches:
         wrenches = np.vstack([house.free, touch.wrenches, house.free])
         k = len(wrenches)
         read = wrenches + rng.multivariate_normal(np.zeros(6), model.noise_base() / READINGS, k)
-        read += rng.multivariate_normal(np.zeros(6), unknowns.bias_walk_steps**2 * step, k).cumsum(axis=0)
+        read += rng.multivariate_normal(np.zeros(6), priors.walk_steps**2 * step, k).cumsum(axis=0)
         Ts = np.concatenate([touch.Ts_told[:1], touch.Ts_told, touch.Ts_told[-1:]])
         touched = [False, *[True] * len(touch.wrenches), False]
-        answer = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched, unknowns=unknowns)
+        answer = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched, priors=priors)
         if answer.ok:
-            cov = answer.cov_fixed_world[np.triu_indices(3)] / MM**2
+            cov = answer.cov_surface_world[np.triu_indices(3)] / MM**2
             rows.append(np.append(answer.p_surface_world / MM, cov))
             truth.append(touch.p_world / MM)
     return _compared(np.array(rows), np.array(truth), len(house.touches) - len(rows))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.estimation.causes import parameters_of, turns_of
+from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose, wrench_map
@@ -112,7 +112,9 @@ def _truth(
 ) -> Truth:
     K = len(model.rod.s)
     factors = np.zeros(4 + K)
-    causes = parameters_of(model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0))
+    causes = parameters_of(
+        model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0, stiffness_scatter=0.0)
+    )
     for cause, rows in causes.items():
         drawn = rng.normal(size=len(rows)) @ rows
         factors += drawn if dimensions or cause not in DIMENSIONS else 0.0

@@ -56,7 +56,7 @@ def report(minutes: float = MINUTES, view: bool = False) -> None:
         folder = Path(name)
         bundle = folder / "large.probe.json"
         write_frozen(build_probe(load_design(DESIGN)).model, bundle)
-        estimator = load_estimator(bundle).with_tolerances()  # as the command has it
+        estimator = load_estimator(bundle)  # as the command has it
         warm_up(estimator, print, fusing=True)
         with _box(bundle) as spec:
             _rate(estimator, spec, 60.0 * minutes, folder, view)

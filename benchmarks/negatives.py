@@ -1,4 +1,4 @@
-"""Readings that one frictionless contact of a fixed point did not make: what do the estimators say?"""
+"""Readings that one contact of a fixed point did not make, and touches with friction: what do the estimators answer?"""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.touches import Presses, Touch, random_presses, random_touches, read, stiffened, surface_point
-from probedesign.estimation.equations import POINT, Equations, Reading, channels_of
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import Fusion
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.fused import FusedEstimate
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.frames import Array
+from probedesign.rod.friction import solve_surface_force
 
 FORCES = (1e-2, 0.5)
 """[N]."""
@@ -33,25 +33,25 @@ Draws = Callable[[np.random.Generator], Iterator[Outcome]]
 
 
 def _located(one: Touch, wrench: Array, point: Array, rng: np.random.Generator) -> Outcome:
-    """One touch of the model's probe that truly is at that point of the centreline."""
+    """One touch of the model's probe that truly is at that point of the surface."""
     c = Estimator(one.model).estimate(read(wrench[None], one.model, rng)[0], one.gravity)
     if not c.candidates:
         return Outcome(c.result, np.inf)
     best = c.candidates[0]
-    off = float(np.linalg.norm(best.p_contact_base - point))
-    return Outcome(c.result, off / float(np.sqrt(np.trace(best.cov_contact_base))))
+    off = float(np.linalg.norm(best.p_surface_base - point))
+    return Outcome(c.result, off / float(np.sqrt(np.trace(best.cov_surface_base))))
 
 
 def friction(rng: np.random.Generator) -> Iterator[Outcome]:
-    """A tangential force of 0.3 to 0.5 of the normal one, any way along the surface, at the touched point."""
+    """A tangential force of 0.3 to 0.5 of the normal one, any way along the surface: to be located, not refused."""
     for one in random_touches(FORCES, rng):
-        normal = one.solved.force_base / one.force
-        aside = np.cross(normal, rng.normal(size=3))
-        force = one.force * (normal + rng.uniform(*FRICTION) * aside / np.linalg.norm(aside))
-        arm = surface_point(one) - one.point
-        eq = one.model.rod.solve(one.gravity, force, one.s, couple=np.cross(arm, force), mode="reference")
-        if eq.ok:
-            yield _located(one, eq.wrench_base, eq.p_contact_base, rng)
+        size, turn = rng.uniform(*FRICTION), rng.uniform(0.0, 2.0 * np.pi)
+        ratios = (size * float(np.cos(turn)), size * float(np.sin(turn)))
+        rubbed = solve_surface_force(
+            one.model.rod, one.gravity, one.s, one.angle + np.pi, one.force, ratios, "reference"
+        )
+        if rubbed.result == "ok":
+            yield _located(one, rubbed.equilibrium.wrench_base, rubbed.p_surface_base, rng)
 
 
 def two_contacts(rng: np.random.Generator) -> Iterator[Outcome]:
@@ -62,7 +62,7 @@ def two_contacts(rng: np.random.Generator) -> Iterator[Outcome]:
         s = one.model.rod.length * rng.uniform(0.2, 0.9)
         other = one.model.rod.solve(one.gravity, 0.5 * across, s, mode="reference")
         if free.ok and other.ok:
-            yield _located(one, one.wrench + other.wrench_base - free.wrench_base, one.point, rng)
+            yield _located(one, one.wrench + other.wrench_base - free.wrench_base, surface_point(one), rng)
 
 
 def other_stiffness(rng: np.random.Generator) -> Iterator[Outcome]:
@@ -70,7 +70,7 @@ def other_stiffness(rng: np.random.Generator) -> Iterator[Outcome]:
     for pressed in random_presses(FORCES, rng):
         touches = stiffened(pressed, 1.1)
         if len(touches) == len(pressed.touches):
-            yield _located(pressed.touches[-1], touches[-1].wrench, touches[-1].point, rng)
+            yield _located(pressed.touches[-1], touches[-1].wrench, surface_point(touches[-1]), rng)
 
 
 def _fused(pressed: Presses, wrenches: Array, Ts: Array, rng: np.random.Generator) -> Outcome:
@@ -78,15 +78,16 @@ def _fused(pressed: Presses, wrenches: Array, Ts: Array, rng: np.random.Generato
     model = pressed.model
     estimator = Estimator(model)
     seen = read(wrenches, model, rng)
-    c = estimator.fuse(seen, Ts, pressed.gravity, unknowns=Unknowns())
     readings = tuple(
         Reading(w, model.noise_base(), T, pressed.gravity, True) for w, T in zip(seen, Ts, strict=True)
     )
-    solved = Fusion(Equations(model, readings, Unknowns(), channels_of(model, None))).solved()
-    if not isinstance(solved, tuple) or solved[1] == "contact":
-        return Outcome(c.result, np.inf if c.result != "ok" else 0.0)
-    best = solved[0][0]
-    return Outcome(c.result, float(np.linalg.norm(best.x[POINT]) / np.sqrt(np.trace(best.cov[POINT, POINT]))))
+    fusion = Fusion(model, readings, estimator.priors, channels_of(model, None), pressed.gravity)
+    found = fusion.solutions()
+    if isinstance(found, FusedEstimate):
+        return Outcome(found.result, np.inf)
+    best = found[0]
+    off = float(np.linalg.norm(best.x[:3]) / np.sqrt(np.trace(best.cov)))
+    return Outcome(fusion.answer(found, brief=True).result, off)
 
 
 def fused_stiffness(rng: np.random.Generator) -> Iterator[Outcome]:

@@ -10,6 +10,7 @@ from benchmarks.touches import paper_models
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
+from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import Worlds
 from probedesign.units import MM
 
@@ -23,10 +24,11 @@ def report() -> None:
     rows = []
     for name, model in paper_models().items():
         worlds = Worlds.draw(model, Tolerances.of(model), DRAWS, 3)
-        exact = Estimator(model)
+        exact = Estimator(model, Tolerances.none())
         for fraction, force, direction in TOUCHES:
-            wrenches, points = worlds.touched(fraction, force, direction)
-            read = wrenches + worlds.noise(DRAWS, np.random.default_rng(7))
+            rng, phi = np.random.default_rng(7), DIRECTIONS[direction] + np.pi
+            wrenches, points = (of[:, 0] for of in worlds.touched(fraction, phi, (force,), rng))
+            read = wrenches + worlds.noise(DRAWS, 1, rng)[:, 0]
             told = [_told(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
             rows.append([f"{name}, {1e3 * force:g} mN at {fraction:g} L, {direction}",
                          *(" / ".join(pair) for pair in zip(*told, strict=True))])  # fmt: skip
@@ -47,8 +49,8 @@ def _told(estimator: Estimator, read: Array, points: Array) -> tuple[str, ...]:
     start = time.process_time()
     found = [estimator.estimate(wrench) for wrench in read]
     spent = (time.process_time() - start) / len(read)
-    off = [e.candidates[0].p_contact_base - p for e, p in zip(found, points, strict=True) if e.candidates]
-    located = [(e.p_contact_base - p, e.cov_contact_base) for e, p in zip(found, points, strict=True) if e.ok]
+    off = [e.candidates[0].p_surface_base - p for e, p in zip(found, points, strict=True) if e.candidates]
+    located = [(e.p_surface_base - p, e.cov_surface_base) for e, p in zip(found, points, strict=True) if e.ok]
     inside = np.mean([d @ np.linalg.solve(cov, d) <= WITHIN_95 for d, cov in located])
     stated = np.sqrt(np.mean([np.trace(cov) for _, cov in located]))
     rms = np.sqrt(np.mean(np.sum(np.square(off), axis=1)))

@@ -74,7 +74,8 @@ class Priors:
         """Return them as the estimator takes them, as far as it knows them."""
         known: dict[str, Any] = {name: value for name, value in self.by_name.items()
                                  if name in Tolerances.__dataclass_fields__}  # fmt: skip
-        return replace(Tolerances.none(), tared=True, **known)
+        # The bias of these worlds walks by drift_steps from touch to touch.
+        return replace(Tolerances.none(), tared=True, walk_steps=self.by_name["drift_steps"], **known)
 
     def __getitem__(self, name: str) -> float:
         return self.by_name[name]

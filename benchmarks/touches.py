@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.design import load_design
-from probedesign.estimation.bound import Bound, contact_bound
-from probedesign.estimation.estimator import Estimator
+from probedesign.estimation import surface_contact_kernel as surface
+from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.multistart import placed
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.probe import build_probe
-from probedesign.rod.contact import FrictionlessContact, solve_frictionless
+from probedesign.rod.friction import SurfaceForce, solve_surface_force
 
 ROOT = Path(__file__).parents[1]
 TABLE_I = ROOT / "tests/data/table1.csv"
@@ -36,7 +38,7 @@ class Touch:
         gravity: base axes [m/s²], (3,).
         s, angle, force: [m], [rad], [N].
         solved: in reference mode.
-        bound: for one reading.
+        rms: of the touched point by the Cramér–Rao bound of one reading without friction [m].
     """
 
     model: ProbeModel
@@ -44,8 +46,8 @@ class Touch:
     s: float
     angle: float
     force: float
-    solved: FrictionlessContact
-    bound: Bound
+    solved: SurfaceForce
+    rms: float
 
     @property
     def wrench(self) -> Array:
@@ -54,13 +56,8 @@ class Touch:
 
     @property
     def point(self) -> Array:
-        """Of the centreline [m], (3,)."""
+        """Centre of the touched section [m], (3,)."""
         return self.solved.equilibrium.p_contact_base
-
-    @property
-    def rms(self) -> float:
-        """Of the point by the bound [m]."""
-        return float(np.sqrt(np.trace(self.bound.cov_p)))
 
 
 @cache
@@ -72,11 +69,35 @@ def paper_models() -> dict[str, ProbeModel]:
 
 def touch(model: ProbeModel, gravity: Array, s: float, angle: float, force: float) -> Touch | None:
     """A touch solved in reference mode; None if the probe gives way."""
-    solved = solve_frictionless(model.rod, gravity, s, angle, force, "reference")
+    solved = solve_surface_force(model.rod, gravity, s, angle + np.pi, force, (0.0, 0.0), "reference")
     if solved.result != "ok":
         return None
-    bound = contact_bound(solved, Estimator(model).cov_wrench)
-    return Touch(model, gravity, s, angle, force, solved, bound)
+    rms = bound_of(model, gravity, solved)
+    return Touch(model, gravity, s, angle, force, solved, rms) if np.isfinite(rms) else None
+
+
+def bound_of(model: ProbeModel, gravity: Array, solved: SurfaceForce) -> float:
+    """Return the RMS of the touched point by the Cramér–Rao bound of one reading, force normal to the surface [m].
+
+    With the derivatives H of the base wrench and X of the touched point by arclength, angle and normal force and the
+    covariance Σ of the reading, it is the root of the trace of X (Hᵀ Σ⁻¹ H)⁻¹ Xᵀ.
+    """
+    rod, eq, exact = model.rod, solved.equilibrium, Tolerances.none()
+    sources = ErrorSources.of(model, exact, gravity, rod.solve(gravity))
+    one, R = np.zeros(surface.TOUCH), eq.R_at(eq.s_contact)
+    placed(rod.body, rod.flank_end, eq.s_contact, solved.force_base, R[:, 2].copy(), R[:, 0].copy(), one)
+    one[surface.TIP :] = eq.tip
+    lin, _ = sources.columns_at(one)
+    normal = slice(surface.BY_TOUCH, surface.BY_TOUCH + 3)
+    white = np.linalg.solve(np.linalg.cholesky(model.noise_base()), lin[:6, normal])
+    scale = np.linalg.norm(white, axis=0)
+    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+        return float("inf")
+    _, values, right = np.linalg.svd(white / scale)
+    if values[-1] < 1e-12:
+        return float("inf")
+    by = lin[surface.POINT : surface.POINT + 3, normal] / scale @ right.T / values
+    return float(np.linalg.norm(by))
 
 
 def random_touches(decade: tuple[float, float], rng: np.random.Generator) -> Iterator[Touch]:
@@ -142,11 +163,8 @@ class Presses:
 
 
 def surface_point(one: Touch) -> Array:
-    """The touched point [m], (3,)."""
-    rod = one.model.rod
-    tan = rod.taper_at(one.s)
-    radius = float(np.interp(one.s, rod.s, rod.radius)) / np.hypot(1.0, tan)
-    return one.point - radius * one.solved.force_base / one.force
+    """Return the touched point [m], (3,)."""
+    return one.solved.p_surface_base
 
 
 def presses(model: ProbeModel, gravity: Array, s: float, angle: float, forces: Array) -> Presses | None:

@@ -1,6 +1,6 @@
 """Made-up campaigns, each of its own drawn print: do the errors that `validate` states come true?
 
-Touches are located without friction, weights by the paper's method and along the probe alone."""
+Touches are located with the prior on friction, weights by the force–moment method and along the probe alone."""
 
 import tempfile
 from pathlib import Path

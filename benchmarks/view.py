@@ -41,7 +41,7 @@ def report() -> None:
     with tempfile.TemporaryDirectory() as elsewhere:
         bundle = Path(elsewhere) / "large.probe.json"
         write_frozen(build_probe(load_design(ROOT / "designs" / "large.toml")).model, bundle)
-        estimator = load_estimator(bundle).with_tolerances()  # as the command has it
+        estimator = load_estimator(bundle)  # as the command has it
         warm_up(estimator, print)
         draw_page(estimator, ROOT / "exports" / "large")
 
