@@ -16,14 +16,12 @@ def main(arguments: list[str]) -> int:
     """Run the parts named, all if none; the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
-    parser.add_argument(
-        "--minutes", type=float, help="how long live streams, a third of a minute if not said"
-    )
+    parser.add_argument("--minutes", type=float, help="how long live streams, default a third of a minute")
     parser.add_argument("--view", action="store_true", help="live with the page of live --view")
     parser.add_argument("--draws", type=int, help="coverage: single touches a row")
     parser.add_argument("--only", help="coverage: only rows with this in their name")
     parser.add_argument("--bounds", action="store_true", help="coverage: the bounds of one touch instead")
-    parser.add_argument("--workers", type=int, help="coverage: processes, 2 if not said")
+    parser.add_argument("--workers", type=int, help="coverage: processes, default 2")
     parser.add_argument("--json", action="store_true", help="coverage: one JSON document")
     said = parser.parse_args(arguments)
     unknown = [name for name in said.parts if name not in PARTS]

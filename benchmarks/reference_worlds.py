@@ -1,6 +1,6 @@
 """Probes, mounts, sensors and touches drawn from the priors, read by the reference rod of `tests/reference`.
 
-A world is a row z of standard normals, one for each error source of `Tolerances`; `Sources` says which. Everything here
+A world is a row z of standard normals, one for each error source of `Tolerances`; `Sources` names them. Everything here
 is written anew, apart from `probedesign.estimation` and `probedesign.prediction`, which it is meant to judge.
 """
 
@@ -234,12 +234,12 @@ class Worlds:
         """Return the base wrench of the true free probes in the true bases, (n, 6)."""
         return self.free_touches.wrench
 
-    def told(self, wrench: Array) -> Array:
+    def in_nominal_frame(self, wrench: Array) -> Array:
         """Return wrenches of the true bases in the model's base frame, (n, 6)."""
         force, moment = (np.einsum("nij,nj->ni", self.R, part) for part in (wrench[:, :3], wrench[:, 3:]))
         return np.hstack([force, moment + np.cross(self.shift, force)])
 
-    def told_point(self, point: Array) -> Array:
+    def point_in_nominal_frame(self, point: Array) -> Array:
         """Return points of the true bases in the model's base frame [m], (n, 3)."""
         return np.einsum("nij,nj->ni", self.R, point) + self.shift
 
@@ -255,7 +255,7 @@ class Worlds:
         """
         T = self.sources.model.T_sensor_base
         there, back = wrench_map(T), wrench_map(inverse(T))
-        added = (self.told(touched) - self.told(free)) @ there.T
+        added = (self.in_nominal_frame(touched) - self.in_nominal_frame(free)) @ there.T
         return nominal_free + ((1.0 + self.gain) * added + self.drift[:, k]) @ back.T
 
 
@@ -295,7 +295,7 @@ def read(
     sources, n = worlds.sources, len(z)
     bare = nominal_free(sources.model)
     wrench = worlds.reading(touches.wrench, free, k, bare)
-    point = worlds.told_point(touches.p_surface)
+    point = worlds.point_in_nominal_frame(touches.p_surface)
     if not columns:
         none = np.zeros((n, 0, 0))
         return Readings(touches, wrench, point, none, none, none, none)
@@ -311,7 +311,9 @@ def read(
     J = np.stack(
         [worlds.reading(touches.wrench + dw[:, :, i], free, k, bare) - wrench for i in range(5)], axis=2
     )
-    P = np.stack([worlds.told_point(touches.p_surface + dp[:, :, i]) - point for i in range(5)], axis=2)
+    P = np.stack(
+        [worlds.point_in_nominal_frame(touches.p_surface + dp[:, :, i]) - point for i in range(5)], axis=2
+    )
     D, Q = _world_columns(worlds, z, touches, free, k, wrench, point, bare)
     return Readings(touches, wrench, point, J / over, P / over, D, Q)
 
@@ -336,7 +338,7 @@ def _world_columns(worlds: Worlds, z: Array, touches: Touches, free: Array, k: i
         i = bending.index(j) if j in bending else -1
         by_touch, by_free, by_point = (dw[:, :, i], df[:, :, i], dp[:, :, i]) if i >= 0 else (0.0, 0.0, 0.0)
         D[:, :, j] = w.reading(touches.wrench + by_touch, free + by_free, k, bare) - wrench
-        Q[:, :, j] = w.told_point(touches.p_surface + by_point) - point
+        Q[:, :, j] = w.point_in_nominal_frame(touches.p_surface + by_point) - point
     return D / SMALL, Q / SMALL
 
 

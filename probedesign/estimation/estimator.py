@@ -52,7 +52,7 @@ class Estimator:
 
     Attributes:
         model: the probe.
-        tolerances: standard deviations of what the model says of it; None: as its design has them.
+        tolerances: standard deviations of the model's parameters; None: those of its design.
     """
 
     model: ProbeModel

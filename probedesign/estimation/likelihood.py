@@ -60,7 +60,7 @@ from probedesign.statistics import MISFIT_CHANCE, max_chi2
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
 _ALIKE = 0.05
-"""Likewise over a standard deviation; a fit ends within a hundredth or so."""
+"""Two places closer than this, over a standard deviation, are one; a fit ends within a hundredth of it."""
 
 
 def dof_of(friction: float) -> int:

@@ -177,7 +177,7 @@ def _settle(body, end, gravity, mass, wrench, noise, friction, own, turns, root,
 @kernel
 def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
                  base_from_sensor, reference, still, near, work, rows):  # fmt: skip
-    """Fit touches from a guess alone, or wherever the trace says that one may lie, the likeliest place first.
+    """Fit touches from one guess, or from every candidate of the trace, the likeliest first.
 
     Args:
         body: of the rod; end: the furthest arclength at which a touch acts [m].
@@ -186,7 +186,7 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, 
         noise: its covariance by noise and drift, (6, 6).
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
         own, ... still: of the error sources, see `error_columns`.
-        near: whether a guess stands where the first row's touch does; nothing is traced then.
+        near: whether the first row's touch holds a guess; nothing is traced then.
         work: scratch, (room_for(knots, J),).
         rows: filled, (MAX_STARTS, ROW).
 
@@ -247,8 +247,7 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, 
 
 @inner
 def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
-    """Where the trace says that a contact may lie: score, arclength, and whether it is likely, into rows, best first;
-    returns how many."""
+    """Candidates of the trace into rows, best first: score, arclength, whether it is likely; returns how many."""
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for j in range(reached):

@@ -262,7 +262,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
     )  # fmt: skip
     if status != OK or not lack < MAX_LACK:
         return status, math.inf, -1.0, size
-    change = (lacking[0], lacking[1], lacking[2])  # A lies where it stands
+    change = (lacking[0], lacking[1], lacking[2])  # A shares its memory
     beyond = minus(take(contact, M), take(load, COUPLE))
     on_base_side = take(contact, M)
     t, x_axis, y_axis = _row3(columns, R_TANGENT, k), _row3(columns, R_X, k), _row3(columns, R_Y, k)

@@ -55,9 +55,9 @@ a touch that fits no single point must not hold up the readings."""
 SETTLING = 8
 """Gauss-Newton steps at the first readings, from the place that one reading by itself gives."""
 _APART = 5e-6
-"""Poses nearer than this [m], and their rotations [rad] likewise over a tenth of a metre, are one."""
+"""Distance [m] below which two poses are one; a rotation of 1 rad counts as a tenth of a metre."""
 _MIXED = 1e-4
-"""Poses further apart than this, measured likewise, are not mixed into one keyframe: their readings differ too much."""
+"""Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ."""
 _HELD, _HELD_SECONDS = 256.0, 0.15
 """Free readings that are held back before they count, the fewer: the last ones may be touches not yet detected; the
 contact test takes a seventh of a second at most."""
@@ -187,7 +187,7 @@ class Tracker:
             wrench_base: one sample at the base [N, N·m], (6,).
             T_world_base: pose of the base as it was read, (4, 4).
             time: of the sensor's clock [s].
-            touching: what another test says of the reading, as `Detector` would; the tracker's own test if None.
+            touching: state of the contact by another test, as `Detector` gives it; the tracker's own test if None.
 
         Returns:
             The touched point: "ok" with its covariance, "no_contact", or why there is no number. A reading that cannot
@@ -204,9 +204,9 @@ class Tracker:
         if not free.ok:
             return FusedEstimate("not_converged")
         self._time = float(time)
-        said = touching or self._detector.update(wrench - free.wrench_base)
-        if said != "contact":
-            self._release(wrench - free.wrench_base, lost=said == "lost")
+        state = touching or self._detector.update(wrench - free.wrench_base)
+        if state != "contact":
+            self._release(wrench - free.wrench_base, lost=state == "lost")
             return FusedEstimate("no_contact")
         i = self._place(wrench, T)
         return self._solve(i) if self._x is not None else self._begin()

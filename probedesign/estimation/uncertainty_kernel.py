@@ -99,7 +99,7 @@ def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_fr
         body: of the rod; gravity: [m/s²], (3,).
         lin: linearisation with all parameters, see `surface_contact_kernel`.
         own: one standard deviation a row, of log E and what follows it, (a, 4 + K).
-        turns: likewise, of the base's shift and turn and of gravity [m, rad, m/s²], (b, 9).
+        turns: one standard deviation a row, of the base's shift and turn and of gravity [m, rad, m/s²], (b, 9).
         root: of the length of rigid rod at the root [m].
         gain: of the sensor's channels, relative, (6,).
         hanging: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
@@ -278,8 +278,8 @@ the standard normal over δ² + δ⁴/(3 TAIL) + χ²₁ <= χ²₃(95 %))."""
 MAX_CURVATURE = 8.0
 """Curvature of the valley times the length, at most: a probe bent to a quarter of a circle over its outer fifth."""
 WIDE = 0.02
-"""Standard deviation of the point, over the length, from which the valley is evaluated on both sides; where it is less,
-the inner side stands for both."""
+"""Standard deviation of the point, over the length, from which the curve is evaluated on both sides; where it is less,
+the inner side is taken for both."""
 BESIDE = 1e4
 """Weight that keeps a point on the valley at its distance from the estimate, over its information."""
 

@@ -341,11 +341,11 @@ def _touch(
     start = bench.start(spot)
     way.go(start - CLEAR * spot.towards)
     depths = bench.depths(spot, (LIGHT, FIRM), friction)
-    told = [start + depth * spot.towards for depth in depths * TIMES]
+    commanded = [start + depth * spot.towards for depth in depths * TIMES]
     began, poses = way.now, list[_Pose]()
     offset_world = bench.R @ offset
-    drawn = (p + offset_world + rng.normal(0.0, errors.base_repeat, 3) for p in told)
-    for goal, (touched, here) in zip(told, _poses(bench, spot, drawn, friction), strict=True):
+    drawn = (p + offset_world + rng.normal(0.0, errors.base_repeat, 3) for p in commanded)
+    for goal, (touched, here) in zip(commanded, _poses(bench, spot, drawn, friction), strict=True):
         if not poses:
             way.comes(start + (touched - CLEAR) * spot.towards)
         way.press(goal, here.equilibrium.wrench_base)

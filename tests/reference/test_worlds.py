@@ -34,7 +34,7 @@ def test_every_error_source_moves_reading_and_point_by_its_columns():
     z = step * np.eye(sources.size)
     others, moved = touched(sources, z)
     wrench = others.reading(moved.wrench, others.free(), 0, readings.wrench[0] - _added(worlds, touches))
-    point = others.told_point(moved.p_surface)
+    point = others.point_in_nominal_frame(moved.p_surface)
     noise = np.sqrt(np.diag(MODEL.noise_base()))
     for name, slot in sources.slots.items():
         for j in range(slot.start, slot.stop):

@@ -133,16 +133,16 @@ def place_of(answer: Answer, number: int) -> Place | None:
     estimate, fused, T = answer.estimate, answer.fused, answer.T_world_base
     if not estimate.ok:
         return None
-    told = (estimate.force_base, estimate.s_contact, estimate.std_s)
+    contact = (estimate.force_base, estimate.s_contact, estimate.std_s)
     when = (answer.reading.time, number, estimate.friction_ratio)
     if not np.isfinite(T).all():
-        return Place(estimate.p_surface_base, estimate.cov_surface_base, *told, False, *when)
+        return Place(estimate.p_surface_base, estimate.cov_surface_base, *contact, False, *when)
     R, origin = T[:3, :3], T[:3, 3]
-    told = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
+    contact = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
     if fused is not None and fused.ok:
-        return Place(fused.p_surface_world, fused.cov_surface_world, *told, True, *when)
+        return Place(fused.p_surface_world, fused.cov_surface_world, *contact, True, *when)
     surface = R @ estimate.p_surface_base + origin
-    return Place(surface, R @ estimate.cov_surface_base @ R.T, *told, True, *when)
+    return Place(surface, R @ estimate.cov_surface_base @ R.T, *contact, True, *when)
 
 
 def shape_of(answer: Answer) -> Shape | None:
