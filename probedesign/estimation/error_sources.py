@@ -143,6 +143,10 @@ class ErrorSources:
         sources = replace(sources, reference=free.wrench_base)
         return replace(sources, still=sources.free_columns(free))
 
+    def column(self, name: str) -> int:
+        """The first column of a source; -1 where there is none."""
+        return self.names.index(name) if name in self.names else -1
+
     @cached_property
     def _arguments(self) -> tuple[Array | float, ...]:
         """What `error_columns` takes, from `own` on."""

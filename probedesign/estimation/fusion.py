@@ -13,37 +13,24 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
-from probedesign.estimation import fusion_kernel as kernel
-from probedesign.estimation import multistart
-from probedesign.estimation.error_sources import FINE, ErrorSources, across
+from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import Result
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
+from probedesign.estimation.fusion_state import GROUPS, FusionState, Pin, without
 from probedesign.estimation.iso_moment_curves import closest_approaches, curve
 from probedesign.estimation.likelihood import locate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import Observation
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import (
-    ALONG,
-    AROUND,
-    DEAD,
     NORMAL,
-    OWN,
-    PHI,
-    POINT,
-    ROWS,
-    TIP,
     TOUCH,
-    UNKNOWNS,
-    VALUE,
-    work_size,
 )
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.uncertainty_kernel import ASIDE, TAIL
 from probedesign.frames import Array, wrench_map
 from probedesign.statistics import MISFIT_CHANCE, RIVAL_CHI2, max_chi2
-from probedesign.units import MM
 
 NEAR = 1e-9
 """Poses whose numbers differ by no more, in metres too, are one."""
@@ -58,6 +45,13 @@ SETTLED = 0.03
 """Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken."""
 MAX_STEP = 0.1
 """Of arclength over length, in one iteration."""
+COMMON_FRICTION = 0.5
+"""Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
+two materials and slip to the same side, but differ in how far each has slipped."""
+PINNED = 1e-3
+"""Standard deviation, over that of the free point, to which `Fusion.curvature` keeps the point aside."""
+MAX_LONGER = 4.0
+"""Largest factor by which a flat misfit may stretch the variance along its valley; beyond it is not normal at all."""
 BETTER_THAN_NOTHING = 1.0 / math.sqrt(12.0)
 """Standard deviation of a place somewhere along the probe, over its length."""
 
@@ -125,6 +119,7 @@ class Fusion:
         priors: standard deviations of the error sources.
         channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
         gravity_world: [m/s²], (3,).
+        common_friction: share of the friction ratio's variance that all touches have in common, below 1.
     """
 
     model: ProbeModel
@@ -132,6 +127,7 @@ class Fusion:
     priors: Tolerances
     channels: Array
     gravity_world: Array
+    common_friction: float = COMMON_FRICTION
 
     @property
     def moments_only(self) -> bool:
@@ -175,10 +171,9 @@ class Fusion:
         return tuple(found)
 
     @cached_property
-    def _columns(self) -> tuple[int, int]:
+    def own_columns(self) -> tuple[int, int]:
         """Columns of the error sources that scatter from touch to touch, and that creep; -1: none."""
-        names = self.sources[0].names
-        return tuple(names.index(n) if n in names else -1 for n in ("stiffness scatter", "creep"))  # type: ignore[return-value]
+        return self.sources[0].column("stiffness scatter"), self.sources[0].column("creep")
 
     @cached_property
     def ramps(self) -> Array:
@@ -187,7 +182,7 @@ class Fusion:
         return np.ones(1) if k == 1 else np.linspace(0.0, 1.0, k)
 
     @cached_property
-    def _whitening(self) -> Array:
+    def whitening(self) -> Array:
         covs = np.array([self.channels @ reading.cov @ self.channels.T for reading in self.readings])
         return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(covs)))
 
@@ -198,7 +193,7 @@ class Fusion:
         return np.ascontiguousarray(self.channels @ np.linalg.cholesky(step))
 
     @cached_property
-    def _free(self) -> dict[int, tuple[Array, Array]]:
+    def free(self) -> dict[int, tuple[Array, Array]]:
         """Of the readings without contact: the free probe's wrench, (6,), and its error columns, (6, J)."""
         found = {}
         for k, (reading, sources) in enumerate(zip(self.readings, self.sources, strict=True)):
@@ -222,7 +217,7 @@ class Fusion:
             return FusedEstimate("unobservable")
         found: list[Solution] = []
         for starts in self._starts():
-            found = _distinct([*found, *(self._run(start) for start in starts)])
+            found = _distinct([*found, *(self.refine(start) for start in starts)])
             if any(place.chi2 <= max_chi2(self.dof, MISFIT_CHANCE) for place in found):
                 break
         return found or FusedEstimate("not_converged")
@@ -270,10 +265,10 @@ class Fusion:
             start[k] = places[0].touch
         return [start]
 
-    def _run(self, start: Array) -> Solution | None:
-        """Gauss-Newton from one guess."""
-        touches, most = start.copy(), MAX_STEP * self.model.rod.length
-        state = FusionState(self, touches)
+    def refine(self, start: Array, pin: Pin | None = None) -> Solution | None:
+        """Gauss-Newton from one guess of the touches, (k, TOUCH); None where it does not converge."""
+        touches, max_step = start.copy(), MAX_STEP * self.model.rod.length
+        state = FusionState(self, touches, pin)
         share, last, way = 1.0, None, np.zeros(3)
         for iteration in range(MAX_ITERATIONS):
             if not state.linearise():
@@ -286,7 +281,7 @@ class Fusion:
             back = float(moved @ way) < -0.25 * float(way @ way)
             share, way, last = (max(0.5 * share, 0.1) if back else min(2.0 * share, 1.0)), moved, x[:3].copy()
             linearised = touches.copy()
-            size = state.step(x, share, most)
+            size = state.step(share, max_step)
             near = float(np.abs(moved).max()) <= CLOSE * math.sqrt(float(np.trace(cov))) + 1e-9
             if near and size <= SETTLED * math.sqrt(1.0 + chi2):
                 touches[:] = linearised
@@ -309,8 +304,7 @@ class Fusion:
         if not state.linearise():
             return FusedEstimate("not_converged")
         _chi2, x, cov = state.solved(self.priors)
-        names = self.sources[0].names
-        E = names.index("E") if "E" in names else -1
+        E = self.sources[0].column("E")
         std_E = state.std_of(3 + E) if E >= 0 else 0.0
         scale = self.priors.youngs_modulus
         stiffness = math.exp(scale * float(x[3 + E])) if E >= 0 else 1.0
@@ -328,21 +322,74 @@ class Fusion:
         if code != "ok":
             return result
         state.solved(self.priors)
-        mean, cov_mean = state.mean_centre(x)
-        placed = replace(result, p_surface_world=x[:3].copy(), cov_surface_world=cov, p_contact_world=mean,
-                         cov_contact_world=cov_mean, **state.forces())  # type: ignore[arg-type]  # fmt: skip
-        if self.one_pose:
-            placed = self._bowed(placed)
+        mean, cov_mean = state.mean_centre()
+        added, added_contact = self.curvature(best)
+        surface = cov + added
+        placed = replace(result, p_surface_world=x[:3].copy(), cov_surface_world=surface, p_contact_world=mean,
+                         cov_contact_world=cov_mean + added_contact, rms=math.sqrt(max(float(np.trace(surface)), 0.0)),
+                         **state.forces()._asdict())  # fmt: skip
         return placed if brief else replace(placed, rms_with=state.gains())
 
-    def _bowed(self, result: FusedEstimate) -> FusedEstimate:
-        """A result from one pose with what the curve of the probe adds to its covariance."""
-        return add_single_pose_curvature(
-            result,
-            self.model,
-            [r for r in self.readings if r.touched],
-            self.sources[int(self.touched.argmax())],
+    def curvature(self, best: Solution) -> tuple[Array, Array]:
+        """What the curve of the likely points adds to the covariances of touched point and centreline [m²], (3, 3).
+
+        The points that explain the readings lie on a curve x + a δ + b δ² + c δ³, far narrower than it is bowed. Its
+        mean square about x, for a standard normal δ, is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ. The fusion is solved
+        again with the point kept √3 standard deviations aside; where its misfit rises by less than three, δ spreads
+        further than a standard normal. One pose leaves the point as uncertain as a single reading does, and its curve
+        is that of the single estimate.
+        """
+        if self.one_pose:
+            return self._single_curvature()
+        variances, axes = np.linalg.eigh(best.cov)
+        added = np.zeros((3, 3))
+        for variance, axis in zip(variances[:0:-1], axes.T[:0:-1], strict=True):
+            std = math.sqrt(max(float(variance), 0.0))
+            if not std > 0.0:
+                continue
+            a = best.cov @ axis / std
+            aside, rises = [], []
+            for side in (-ASIDE, ASIDE):
+                at = float(axis @ best.x[:3]) + side * std
+                place = self.refine(best.touches, Pin(axis, at, PINNED * std))
+                if place is not None:
+                    aside.append((side, place.x[:3] - best.x[:3] - side * a))
+                    rises.append(max(place.chi2 - best.chi2, 0.0))
+            if not aside:
+                continue
+            # With one side alone the cubic term is taken for zero.
+            b = sum((off for _, off in aside), np.zeros(3)) / (3.0 * len(aside))
+            c = (
+                sum((side * off for side, off in aside), np.zeros(3)) / 18.0
+                if len(aside) == 2
+                else np.zeros(3)
+            )
+            longer = min(max(ASIDE**2 / max(float(np.mean(rises)), 1e-9), 1.0), MAX_LONGER)
+            both = np.outer(a, c)
+            added += (longer - 1.0) * np.outer(a, a) + 3.0 * (both + both.T)
+            added += 3.0 * TAIL * longer**2 * np.outer(b, b) + 15.0 * np.outer(c, c)
+        return added, added
+
+    def _single_curvature(self) -> tuple[Array, Array]:
+        """What the estimate of the mean reading of one pose adds to its linear covariances [m²], (3, 3) each."""
+        first = int(self.touched.argmax())
+        sources, reading = self.sources[first], self.readings[first]
+        wrenches = [r.wrench for r in self.readings if r.touched]
+        covs = [r.cov for r in self.readings if r.touched]
+        cov = np.mean(covs, axis=0) / len(covs)
+        whiten = np.linalg.inv(np.linalg.cholesky(cov))
+        hanging = self.model.mass * reading.gravity
+        seen = Observation(np.mean(wrenches, axis=0), whiten, reading.gravity, hanging, math.inf)
+        places = locate(Problem(sources, seen, self.model.friction, cov + sources.drift))
+        R, none = reading.T_world_base[:3, :3], np.zeros((3, 3))
+        if not places:
+            return none, none
+        best = places[0]
+        added = (
+            R @ (best.cov_surface_base - best.cov_linear_base) @ R.T,
+            R @ (best.cov_contact_base - best.cov_linear_contact_base) @ R.T,
         )
+        return added if all(np.isfinite(of).all() for of in added) else (none, none)
 
     def _code(self, found: list[Solution], rms: float) -> Result:
         best = found[0]
@@ -364,236 +411,6 @@ class Fusion:
 def pulls(touches: Array, std: Array) -> bool:
     """Whether a touch pulls by more than the noise of a force may feign, std [N], (k,)."""
     return bool((touches[:, NORMAL] < -3.0 * std).any())
-
-
-GROUPS = ("stiffness", "bias", "robot")
-"""Groups of error sources whose absence `rms_without` reports."""
-
-
-def without(priors: Tolerances, group: str) -> Tolerances:
-    """The same priors with one group of error sources gone."""
-    if group == "stiffness":
-        return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
-    if group == "bias":
-        return replace(priors, drift_steps=0.0, walk_steps=0.0)
-    return replace(priors, base_mm=0.0, robot_mm=0.0)
-
-
-_SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiffness scatter": "stiffness_scatter",
-           "base place": "base_mm"}  # fmt: skip
-"""Priors that `FusionState.rms` may change, by the error source whose columns go with them."""
-
-
-class FusionState:
-    """The touches of a fusion as they are linearised, and the memory that the kernels work in."""
-
-    def __init__(self, fusion: Fusion, touches: Array) -> None:
-        """Args:
-        fusion: of the readings.
-        touches: at every pose, (k, TOUCH), moved in place.
-        """
-        self.fusion, self.touches = fusion, touches
-        k, m = len(fusion.readings), len(fusion.channels)
-        parameters = OWN + len(fusion.model.rod.s)
-        self.causes = len(fusion.sources[0].names)
-        width = kernel.columns(self.causes)
-        self.lin = np.empty((k, ROWS, 1 + UNKNOWNS + parameters))
-        self.D = np.empty((k, 12, self.causes))
-        self.reduced = np.empty((k, m, width))
-        self.local = np.empty((k, kernel.LOCAL, kernel.LOCAL + width))
-        self._sweep_work = np.empty(work_size(parameters))
-        self._block = np.empty((kernel.rows_of(m), kernel.LOCAL + width))
-        self._work = np.empty(max(kernel.solve_work(self.causes), 100))
-        self._x, self._cov = np.empty(width - 1), np.empty((3, 3))
-
-    def linearise(self) -> bool:
-        """All touches where they are; whether the probe holds them all."""
-        fusion = self.fusion
-        for k, sources in enumerate(fusion.sources):
-            if fusion.touched[k] and not kernel.linearise_keyframe(
-                fusion.model.rod.body, sources.gravity, fusion.model.mass, FINE, self.touches[k],
-                *sources.arguments(), self._sweep_work, self.lin[k], self.D[k],
-            ):  # fmt: skip
-                return False
-        return True
-
-    def _reduce(self, priors: Tolerances, D: Array, friction: float | None) -> None:
-        fusion = self.fusion
-        ratio = fusion.model.friction if friction is None else friction
-        scatter, creep = fusion._columns
-        for k, reading in enumerate(fusion.readings):
-            whiten = fusion._whitening[k]
-            if not reading.touched:
-                free, columns = fusion._free[k]
-                kernel.reduce_free(
-                    columns, free, reading.wrench, fusion.channels, whiten, fusion.bias, self.reduced[k]
-                )
-                continue
-            kernel.reduce_keyframe(
-                self.touches[k], self.lin[k], D[k], reading.wrench, reading.T_world_base, fusion.channels, whiten,
-                fusion.bias, ratio, priors.robot_mm * MM, scatter, creep, float(fusion.ramps[k]),
-                self._block, self.local[k], self.reduced[k],
-            )  # fmt: skip
-
-    def solved(
-        self,
-        priors: Tolerances,
-        D: Array | None = None,
-        friction: float | None = None,
-    ) -> tuple[float, Array, Array]:
-        """Least misfit, common unknowns and covariance of the touched point, of the touches as linearised.
-
-        Args:
-            priors: standard deviations that the columns do not hold: bias and base at each pose.
-            D: error columns, (k, 12, J); those of the touches if None.
-            friction: prior standard deviation of the friction ratio; that of the model if None.
-        """
-        self._reduce(priors, self.D if D is None else D, friction)
-        order = np.arange(len(self.fusion.readings))
-        walk = np.full(len(order), priors.walk_steps**2)
-        chi2 = kernel.solve_reduced(
-            self.reduced, order, walk, priors.drift_steps, self.causes, self._work, self._x, self._cov
-        )
-        return float(chi2), self._x.copy(), self._cov.copy()
-
-    def step(self, x: Array, share: float, most: float) -> float:
-        """Carry every touch towards where the common unknowns put it; the largest step in standard deviations."""
-        work, end = np.empty(60), self.fusion.model.rod.flank_end
-        sizes = [
-            float(
-                kernel.step_keyframe(self.touches[k], self.lin[k], self.local[k], x, share, most, end, work)
-            )
-            for k in np.flatnonzero(self.fusion.touched)
-        ]
-        return max(sizes)
-
-    def information(self) -> tuple[Array, Array]:
-        """Information matrix (n, n) and vector (n,) of touched point [m] and error sources, after `solved`.
-
-        The bias is marginalised; the unit priors of the error sources are part of the matrix.
-
-        Returns:
-            Both of n = 3 + J unknowns.
-        """
-        n, o = len(self._x), 3 + self.causes
-        L, scale = np.tril(self._work[: n * n].reshape(n, n)), self._work[n * n : n * n + n]
-        root = scale[:, None] * L
-        A = root @ root.T
-        reduced = A[:o, :o] - A[:o, o:] @ np.linalg.solve(A[o:, o:], A[o:, :o])
-        return reduced, reduced @ self._x[:o]
-
-    def std_of(self, j: int) -> float:
-        """Standard deviation of a common unknown, after `solved`."""
-        n = len(self._x)
-        return float(kernel.standard_deviation(self._work, n, j, np.empty(n)))
-
-    def cov_with_sources(self) -> Array:
-        """Covariance of the touched point [m] with the error sources (unit priors), after `solved`, (3, J)."""
-        n = len(self._x)
-        L, scale = self._work[: n * n].reshape(n, n), self._work[n * n : n * n + n]
-        half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
-        return np.asarray(half[:, :3].T @ half[:, 3 : 3 + self.causes])
-
-    def rms(self, priors: Tolerances) -> float:
-        """Of the touched point [m] under other priors, by the bound."""
-        D, now = self.D.copy(), self.fusion.priors
-        for c, name in enumerate(self.fusion.sources[0].names):
-            if name in _SCALED:
-                before = getattr(now, _SCALED[name])
-                D[:, :, c] *= getattr(priors, _SCALED[name]) / before if before > 0.0 else 0.0
-        return math.sqrt(max(float(np.trace(self.solved(priors, D)[2])), 0.0))
-
-    def mean_centre(self, x: Array) -> tuple[Array, Array]:
-        """Mean of the centreline points in the world [m], (3,), and its covariance [m²], after `solved`."""
-        fusion, n = self.fusion, len(x)
-        poses = np.array([reading.T_world_base for reading in fusion.readings])
-        mean, cov, order = np.empty(3), np.empty((3, 3)), np.flatnonzero(fusion.touched)
-        kernel.mean_centre(
-            self.lin, self.D, self.local, poses, order, x, *fusion._columns, fusion.ramps[order],
-            np.empty(6 * n + 100), self._work, mean, cov,
-        )  # fmt: skip
-        return mean, cov
-
-    def forces(self) -> dict[str, Array]:
-        """Arclength, force and friction at every pose; NaN where free."""
-        touches, free = self.touches, ~self.fusion.touched
-        s = np.empty(len(touches))
-        multistart.contact_arclengths(self.fusion.model.rod.body, touches, s)
-        force = touches[:, DEAD : DEAD + 3].copy()
-        normal = touches[:, NORMAL].copy()
-        tangential = normal * np.hypot(touches[:, AROUND], touches[:, ALONG])
-        force[free] = 0.0
-        for of in (s, normal, tangential):
-            of[free] = np.nan
-        return {"s_contact": s, "force_base": force, "force_normal": normal, "force_tangential": tangential}
-
-    def gains(self) -> dict[str, float]:
-        """The error with one more touch like the last, a further press as far again, or a stiffness known to half."""
-        fusion = self.fusion
-        halved = replace(fusion.priors, youngs_modulus=0.5 * fusion.priors.youngs_modulus)
-        gains = {"stiffness": self.rms(halved)}
-        at = np.flatnonzero(fusion.touched)
-        last = fusion.readings[at[-1]]
-        gains["one more touch"] = self._with(last, self.touches[at[-1]])
-        if len(at) > 1:
-            further = 2.0 * self.touches[at[-1]] - self.touches[at[-2]]
-            further[TIP:] = self.touches[at[-1], TIP:]
-            further[PHI] = self.touches[at[-1], PHI]
-            gain = self._with(last, further)
-            if math.isfinite(gain):
-                gains["further press"] = gain
-        return gains
-
-    def _with(self, reading: Reading, touch: Array) -> float:
-        """The error with one reading more, from the pose that puts its touched point where that of `reading` is [m]."""
-        fusion = self.fusion
-        more = replace(fusion, readings=(*fusion.readings, reading))
-        state = FusionState(more, np.vstack([self.touches, touch]))
-        if not state.linearise():
-            return math.nan
-        T = reading.T_world_base.copy()
-        i = int(np.flatnonzero(fusion.touched)[-1])
-        T[:3, 3] += T[:3, :3] @ (
-            self.lin[i][POINT : POINT + 3, VALUE] - state.lin[-1][POINT : POINT + 3, VALUE]
-        )
-        state.fusion = replace(more, readings=(*fusion.readings, replace(reading, T_world_base=T)))
-        return math.sqrt(max(float(np.trace(state.solved(fusion.priors)[2])), 0.0))
-
-
-def add_single_pose_curvature(
-    result: FusedEstimate, model: ProbeModel, readings: list[Reading], sources: ErrorSources
-) -> FusedEstimate:
-    """A result from one pose with the curvature of the valley of likely touches added, as a single reading has it.
-
-    Presses from several poses pin the place down so well that its covariance is linear; one pose leaves it as uncertain
-    as one reading does, along a curve.
-    """
-    first = readings[0]
-    wrench = np.mean([reading.wrench for reading in readings], axis=0)
-    cov = np.mean([reading.cov for reading in readings], axis=0) / len(readings)
-    seen = Observation(
-        wrench, np.linalg.inv(np.linalg.cholesky(cov)), first.gravity, model.mass * first.gravity, math.inf
-    )
-    places = locate(Problem(sources, seen, model.friction, cov + sources.drift))
-    if not places:
-        return result
-    R = first.T_world_base[:3, :3]
-    added = [
-        R @ (wide - linear) @ R.T
-        for wide, linear in (
-            (places[0].cov_surface_base, places[0].cov_linear_base),
-            (places[0].cov_contact_base, places[0].cov_linear_contact_base),
-        )
-    ]
-    if not all(np.isfinite(of).all() for of in added):
-        return result
-    surface = result.cov_surface_world + added[0]
-    return replace(
-        result,
-        cov_surface_world=surface,
-        cov_contact_world=result.cov_contact_world + added[1],
-        rms=math.sqrt(max(float(np.trace(surface)), 0.0)),
-    )
 
 
 def _distinct(found: Iterable[Solution | None]) -> list[Solution]:

@@ -1,17 +1,21 @@
 """Touches of one fixed point as residual blocks: reduced pose by pose, solved together (compiled).
 
-Common unknowns are the touched point X [m], the error sources m of `error_sources.py` (unit priors) and the bias β of
-the sensor in steps of its resolution, a random walk over the readings. Unknown at pose k alone are its touch y (5) and
-how far its stiffness is off, e. To first order about the last linearisation, with h the base wrench, x the touched
-point and H, X_y their derivatives by the touch:
+Common unknowns are the touched point X [m], the error sources m of `error_sources.py` (unit priors), the part f of the
+friction ratios that all touches share (unit priors) and the bias β of the sensor in steps of its resolution, a random
+walk over the readings. Unknown at pose k alone are its touch y (5) and how far its stiffness is off, e. To first order
+about the last linearisation, with h the base wrench, x the touched point and H, X_y their derivatives by the touch:
 
     W (h + H δy + D m + D_e e + B β - w)            what was read, in the channels that count
-    a_1/μ, a_2/μ                                    the prior on friction
+    (a - c μ f)/(√(1 - c²) μ), two rows             the prior on friction
     e                                               the prior on the stiffness at this touch
     (T (x + X_y δy + Q m + Q_e e) - X)/σ_robot      the touched point stays where it is
 
+The friction ratio a of every touch is N(0, μ²) per direction. Touches of one object by one probe are alike, and slip to
+the same side: the share c² of that variance is common to them.
+
 Householder reflections take y and e out of each pose's rows; what is left is accumulated in the order of time in the
-information matrix of (X, m, β), β walking from pose to pose. `tests/reference/fusion.py` solves the same dense system.
+information matrix of (X, m, f, β), β walking from pose to pose. `tests/reference/fusion.py` solves the same dense
+system.
 """
 
 import math
@@ -47,7 +51,7 @@ from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
 
 drop_stale(Path(__file__).parent)
 
-BIAS = 6
+BIAS, FRICTION = 6, 2
 LOCAL = UNKNOWNS + 1
 """Unknowns of a pose alone: its touch and its stiffness."""
 EXACT = 1e-8
@@ -57,8 +61,8 @@ PINNED = 1e-6
 
 
 def columns(causes: int) -> int:
-    """Of the reduced rows: X, the error sources, the bias, and the right-hand side."""
-    return 3 + causes + BIAS + 1
+    """Of the reduced rows: X, the error sources, the common friction, the bias, and the right-hand side."""
+    return 3 + causes + FRICTION + BIAS + 1
 
 
 def rows_of(channels: int) -> int:
@@ -92,8 +96,8 @@ def _column_of(D, r, c, scatter, creep, ramp):
 
 
 @kernel
-def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, repeat, scatter, creep, ramp, block,
-                    local, reduced):  # fmt: skip
+def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, common, repeat, scatter, creep, ramp,
+                    block, local, reduced):  # fmt: skip
     """Rows of one pose with its own unknowns taken out.
 
     Args:
@@ -102,6 +106,7 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
         channels: what of a wrench at the base counts, (m, 6); whiten: of these, lower triangular, (m, m).
         bias: channels by the bias in steps, (m, 6).
         friction: prior standard deviation of the ratio; inf: none.
+        common: c², the share of its variance that all touches have in common, below 1.
         repeat: standard deviation of the base's place at this pose alone [m].
         scatter, creep: columns of D that scatter from touch to touch, and that grow by `ramp`; -1: none.
         block: scratch, (m + 6, LOCAL + columns).
@@ -109,8 +114,8 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
         reduced: filled, (m, columns).
     """
     m, J = channels.shape[0], D.shape[1]
-    width = LOCAL + 3 + J + BIAS + 1
-    rhs = width - 1
+    width = LOCAL + 3 + J + FRICTION + BIAS + 1
+    rhs, first_bias = width - 1, width - 1 - BIAS
     rows = m + 6
     for i in range(rows):
         for c in range(width):
@@ -130,11 +135,13 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
                     block[i, LOCAL + 3 + c] += share * _column_of(D, a, c, scatter, creep, ramp)
                 block[i, rhs] += share * (wrench[a] - lin[WRENCH + a, VALUE])
             for c in range(BIAS):
-                block[i, LOCAL + 3 + J + c] += w * bias[q, c]
+                block[i, first_bias + c] += w * bias[q, c]
     if friction < math.inf:
-        per = 1.0 / max(friction, MIN_FRICTION)
-        for a in range(2):
+        own = math.sqrt(1.0 - common)
+        per = 1.0 / (own * max(friction, MIN_FRICTION))
+        for a in range(FRICTION):
             block[m + a, AROUND + a] = per
+            block[m + a, LOCAL + 3 + J + a] = -math.sqrt(common) / own
             block[m + a, rhs] = -per * touch[AROUND + a]
     block[m + 2, UNKNOWNS] = 1.0
     place = 1.0 / max(repeat, EXACT)
@@ -170,7 +177,7 @@ def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
         The others as in `reduce_keyframe`.
     """
     m, J = channels.shape[0], D.shape[1]
-    rhs = 3 + J + BIAS
+    rhs = 3 + J + FRICTION + BIAS
     for i in range(m):
         for c in range(rhs + 1):
             reduced[i, c] = 0.0
@@ -182,15 +189,18 @@ def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
                     reduced[i, 3 + c] += share * D[a, c]
                 reduced[i, rhs] += share * (wrench[a] - free[a])
             for c in range(BIAS):
-                reduced[i, 3 + J + c] += w * bias[q, c]
+                reduced[i, 3 + J + FRICTION + c] += w * bias[q, c]
 
 
 @inner
-def _walk(A, eta, n, variance, M, L, inverse):
+def _walk(A, eta, n, variance, M, L, inverse, link):
     """Let the bias, the last six of the n unknowns, take a random step of such a variance on each.
 
-    With S the information of the old bias and T what ties it to the others, M = S + I/q:
-    Λ_oo - T M⁻¹ Tᵀ, Λ_ob = T M⁻¹/q, Λ_bb = (I - M⁻¹/q)/q. Returns what is taken off the misfit.
+    With S the information of the old bias, T what ties it to the others and q the inverse of the variance, M = S + q I:
+    Λ_oo - T M⁻¹ Tᵀ, Λ_ob = q T M⁻¹, Λ_bb = q (I - q M⁻¹). Returns what is taken off the misfit.
+
+    Args:
+        link: filled with what gives the old bias again, M⁻¹ (η - Tᵀ o + q β): M⁻¹, M⁻¹ Tᵀ and M⁻¹ η, (BIAS, n + 1).
     """
     o = n - BIAS
     q = 1.0 / variance
@@ -206,6 +216,7 @@ def _walk(A, eta, n, variance, M, L, inverse):
             for k in range(max(i, j), BIAS):
                 total += L[k, i] * L[k, j]
             inverse[i, j] = total
+            link[i, j] = total
     taken = 0.0
     for i in range(BIAS):
         for j in range(BIAS):
@@ -217,6 +228,7 @@ def _walk(A, eta, n, variance, M, L, inverse):
             for j in range(BIAS):
                 total += A[r, o + j] * inverse[j, i]
             M[0, i] = total
+            link[i, BIAS + r] = total
         for i in range(BIAS):
             eta[r] -= M[0, i] * eta[o + i]
         for c in range(r + 1):
@@ -236,6 +248,7 @@ def _walk(A, eta, n, variance, M, L, inverse):
         total = 0.0
         for j in range(BIAS):
             total += inverse[i, j] * eta[o + j]
+        link[i, n] = total
         M[2, i] = q * total
         for j in range(BIAS):
             A[o + i, o + j] = q * ((1.0 if i == j else 0.0) - q * inverse[i, j])
@@ -246,28 +259,29 @@ def _walk(A, eta, n, variance, M, L, inverse):
 
 def solve_work(causes: int) -> int:
     """Numbers that `solve_reduced` works in."""
-    n = 3 + causes + BIAS
+    n = columns(causes) - 1
     return n * n + 2 * n + 3 * BIAS * BIAS + 6 * n
 
 
 @kernel
-def solve_reduced(reduced, order, walk, start, causes, work, x, cov):
+def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
     """The common unknowns from the rows of all poses in the order of time.
 
     Args:
         reduced: (poses, m, columns).
-        order: which of them count, in the order of time.
-        walk: variance of the bias's step before each of those, in steps² (the first is not used).
+        order: which of them count, in the order of time, (p,).
+        walk: variance of the bias's step before each of those, in steps² (the first is not used), (p,).
         start: standard deviation of the bias at the first pose, in steps.
         causes: J.
+        chain: filled with what gives the bias before each step again, (len(order), BIAS, n + 1).
         work: scratch, (solve_work(J),); the factor of the information and its scale stay at its front.
-        x: filled: X, m, β of the last pose, (n,).
+        x: filled: X, m, f, β of the last pose, (n,).
         cov: of X, filled, (3, 3).
 
     Returns:
         The least misfit squared, priors counted; NaN where there is none.
     """
-    n = 3 + causes + BIAS
+    n = reduced.shape[2] - 1
     A = work[: n * n].reshape((n, n))
     o = n * n
     scale, eta = work[o : o + n], work[o + n : o + 2 * n]
@@ -281,15 +295,15 @@ def solve_reduced(reduced, order, walk, start, causes, work, x, cov):
         eta[i] = 0.0
         for j in range(n):
             A[i, j] = 0.0
-    for i in range(causes):
-        A[3 + i, 3 + i] = 1.0
-    for i in range(BIAS):
-        A[3 + causes + i, 3 + causes + i] = 1.0 / max(start, PINNED) ** 2
+    for i in range(3, n - BIAS):
+        A[i, i] = 1.0
+    for i in range(n - BIAS, n):
+        A[i, i] = 1.0 / max(start, PINNED) ** 2
     chi2 = 0.0
     for at in range(order.shape[0]):
         k = order[at]
         if at > 0 and walk[at] > 0.0:
-            chi2 -= _walk(A, eta, n, walk[at], M, L, inverse)
+            chi2 -= _walk(A, eta, n, walk[at], M, L, inverse, chain[at])
         for r in range(reduced.shape[1]):
             b = reduced[k, r, n]
             chi2 += b * b
@@ -317,6 +331,32 @@ def solve_reduced(reduced, order, walk, start, causes, work, x, cov):
             rows[a, i] = 1.0 if i == a else 0.0
     covariance_of(A, n, scale, rows, 3, solved, cov)
     return chi2
+
+
+@kernel
+def smooth_bias(chain, order, walk, x, xs):
+    """Common unknowns as each pose has them: they differ in the bias.
+
+    Args:
+        chain, order, walk, x: of `solve_reduced`.
+        xs: filled where `order` points to, (poses, n).
+    """
+    n, o = x.shape[0], x.shape[0] - BIAS
+    after = x
+    for at in range(order.shape[0] - 1, -1, -1):
+        here = xs[order[at]]
+        for i in range(n):
+            here[i] = after[i]
+        if at + 1 < order.shape[0] and walk[at + 1] > 0.0:
+            link, q = chain[at + 1], 1.0 / walk[at + 1]
+            for i in range(BIAS):
+                total = link[i, n]
+                for r in range(o):
+                    total -= link[i, BIAS + r] * x[r]
+                for j in range(BIAS):
+                    total += q * link[i, j] * after[o + j]
+                here[o + i] = total
+        after = here
 
 
 @inner
@@ -373,18 +413,56 @@ def step_keyframe(touch, lin, local, x, share, max_step, end, work):
     return math.sqrt(size)
 
 
-@kernel
-def mean_centre(lins, Ds, locals_, poses, order, x, scatter, creep, ramps, work, solve_memory, mean, cov):
-    """The centreline points of the touches, their mean over the poses in the world, and its covariance.
+@inner
+def _pass_on(rows, g, link, q, half, scattered):
+    """Rows by the common unknowns and the bias before its step into rows by those and the bias after it.
 
     Args:
-        lins, Ds, locals_, poses: of all poses; order: which of them are touched, in the order of time.
-        x: the common unknowns, (n,).
-        work: scratch, (3 n + 3 (n + LOCAL + 12),); solve_memory: as `solve_reduced` left its work.
+        rows: (3, n), the last six columns g; scattered: what the step itself contributes is added, (3, 3).
+        half: scratch, (BIAS,).
+    """
+    o = rows.shape[1] - BIAS
+    for i in range(3):
+        for a in range(BIAS):
+            half[a] = 0.0
+            for b in range(BIAS):
+                half[a] += g[i, b] * link[b, a]
+        for j in range(i, 3):
+            share = 0.0
+            for a in range(BIAS):
+                share += half[a] * g[j, a]
+            scattered[i, j] += share
+            if j > i:
+                scattered[j, i] += share
+        for r in range(o):
+            for a in range(BIAS):
+                rows[i, r] -= g[i, a] * link[a, BIAS + r]
+    for i in range(3):
+        for a in range(BIAS):
+            half[a] = 0.0
+            for b in range(BIAS):
+                half[a] += g[i, b] * link[b, a]
+        for a in range(BIAS):
+            g[i, a] = q * half[a]
+
+
+@kernel
+def mean_centre(lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatter, creep, ramps, work, solve_memory,
+                mean, cov):  # fmt: skip
+    """The centreline points of the touches, their mean over the poses in the world, and its covariance.
+
+    The bias at a pose is a linear function of what is common and of the bias after it, and an error independent of
+    both: `g`, the derivative by the bias at hand, is carried from the first pose to the last.
+
+    Args:
+        lins, Ds, locals_, poses, touched: of all poses.
+        order, walk, chain: as in `solve_reduced`; xs: of `smooth_bias`.
+        ramps: how far creep has gone at each pose.
+        work: scratch, (6 n + 100,); solve_memory: as `solve_reduced` left its work.
         mean: filled [m], (3,); cov: filled [m²], (3, 3).
     """
-    n = x.shape[0]
-    J = n - 3 - BIAS
+    n = xs.shape[1]
+    o, J = n - BIAS, n - BIAS - FRICTION - 3
     A = solve_memory[: n * n].reshape((n, n))
     scale = solve_memory[n * n : n * n + n]
     rows = work[: 3 * n].reshape((3, n))
@@ -393,6 +471,8 @@ def mean_centre(lins, Ds, locals_, poses, order, x, scatter, creep, ramps, work,
     own = work[6 * n + 3 * LOCAL : 6 * n + 6 * LOCAL].reshape((3, LOCAL))
     step = work[6 * n + 6 * LOCAL : 6 * n + 7 * LOCAL]
     scattered = work[6 * n + 7 * LOCAL : 6 * n + 7 * LOCAL + 9].reshape((3, 3))
+    half = work[6 * n + 7 * LOCAL + 9 : 6 * n + 7 * LOCAL + 9 + BIAS]
+    g = rows[:, o:]
     total_touched = 0.0
     for i in range(3):
         mean[i] = 0.0
@@ -401,9 +481,13 @@ def mean_centre(lins, Ds, locals_, poses, order, x, scatter, creep, ramps, work,
         for j in range(3):
             scattered[i, j] = 0.0
     for at_k in range(order.shape[0]):
+        if at_k > 0 and walk[at_k] > 0.0:
+            _pass_on(rows, g, chain[at_k], 1.0 / walk[at_k], half, scattered)
         k = order[at_k]
+        if not touched[k]:
+            continue
         total_touched += 1.0
-        lin, D, local = lins[k], Ds[k], locals_[k]
+        lin, D, local, x = lins[k], Ds[k], locals_[k], xs[k]
         _own_unknowns(local, x, n, LOCAL + n, step)
         for i in range(3):
             at = poses[k, i, 3]
@@ -417,7 +501,7 @@ def mean_centre(lins, Ds, locals_, poses, order, x, scatter, creep, ramps, work,
                 if scatter >= 0:
                     G[i, UNKNOWNS] += turn * D[CENTRE + q, scatter]
                 for c in range(J):
-                    by = turn * _column_of(D, CENTRE + q, c, scatter, creep, ramps[at_k])
+                    by = turn * _column_of(D, CENTRE + q, c, scatter, creep, ramps[k])
                     rows[i, 3 + c] += by
                     at += by * x[3 + c]
             for u in range(LOCAL):

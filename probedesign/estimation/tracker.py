@@ -8,11 +8,10 @@ the batch over the keyframes' means.
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from probedesign.errors import InputError
 from probedesign.estimation import fusion_kernel as kernel
@@ -24,9 +23,9 @@ from probedesign.estimation.estimator import SETTLED, Estimator
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.fusion import (
     BETTER_THAN_NOTHING,
+    COMMON_FRICTION,
     Fusion,
     Reading,
-    add_single_pose_curvature,
     channels_of,
     pulls,
 )
@@ -64,6 +63,9 @@ contact test takes a seventh of a second at most."""
 _ANCHOR_SECONDS = 1.0
 """How long free readings count in the free probe's mean [s]: before, the bias was another."""
 _MAX_COUNT = 1e9
+DAMPED = 0.5
+"""Share of its step that an older keyframe goes: whole steps, one keyframe at a time, may go to and fro about the least
+misfit."""
 MAX_STEP = 0.1
 """Of arclength over length, in one step."""
 
@@ -82,6 +84,7 @@ class _Keyframe:
     D: Array
     local: Array
     reduced: Array
+    x: Array
     count: float = 1.0
     known: bool = False
 
@@ -142,11 +145,9 @@ class Tracker:
         """The arrays that the kernels work in."""
         free = self.estimator.free(self.estimator.model.gravity_base)
         sources = ErrorSources.of(self.estimator.model, self._priors, self.estimator.model.gravity_base, free)
-        names = sources.names
-        self._causes, self._width = len(names), kernel.columns(len(names))
-        self._scatter = names.index("stiffness scatter") if "stiffness scatter" in names else -1
-        self._creep = names.index("creep") if "creep" in names else -1
-        self._E = 3 + names.index("E") if "E" in names else -1
+        self._causes, self._width = len(sources.names), kernel.columns(len(sources.names))
+        self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
+        self._E = sources.column("E")
         m, parameters = len(self._channels), OWN + len(self.estimator.model.rod.s)
         self._columns = 1 + UNKNOWNS + parameters
         self._sweep_work = np.empty(work_size(parameters))
@@ -154,6 +155,8 @@ class Tracker:
         self._work = np.empty(kernel.solve_work(self._causes))
         room = self.keyframes + 2  # the first for the free probe's mean, the last for one keyframe too many
         self._all = np.empty((room, m, self._width))
+        self._chain, self._xs = np.empty((room, kernel.BIAS, self._width)), np.empty((room, self._width - 1))
+        self._touched, self._ramp = np.arange(room) > 0, np.ones(room)
         self._lins, self._Ds = np.empty((room, ROWS, self._columns)), np.empty((room, 12, self._causes))
         self._locals = np.empty((room, kernel.LOCAL, kernel.LOCAL + self._width))
         self._poses, self._touches = np.empty((room, 4, 4)), np.empty((room, TOUCH))
@@ -170,7 +173,7 @@ class Tracker:
         self._kept.clear()
         self._x: Array | None = None
         self._turn, self._idle, self._wait = 0, 0, 1
-        self._curved_at, self._curvature = 0.0, (0.0, np.zeros((3, 3)), np.zeros((3, 3)))
+        self._readings, self._curved_at, self._curvature = 0, 0, (0.0, np.zeros((3, 3)), np.zeros((3, 3)))
         self._last = FusedEstimate("unobservable")
 
     @property
@@ -253,7 +256,7 @@ class Tracker:
         self._poses[slot], self._touches[slot] = T, touch
         self._kept.append(_Keyframe(
             slot, wrench.copy(), self._poses[slot], self._time, self._sources_at(T), self._touches[slot],
-            self._lins[slot], self._Ds[slot], self._locals[slot], self._all[slot],
+            self._lins[slot], self._Ds[slot], self._locals[slot], self._all[slot], self._xs[slot],
         ))  # fmt: skip
         if len(self._kept) > self.keyframes:
             self._join()
@@ -281,7 +284,7 @@ class Tracker:
         self._turn += 1
         older = self._turn // IN_TURN % len(self._kept)
         for k in (i, older) if self._turn % IN_TURN == 0 and older != i else (i,):
-            if not self._linearise(k):
+            if not self._linearise(k, 1.0 if k == i else DAMPED):
                 return self._remember(FusedEstimate("not_converged"))
         return self._remember(self._step())
 
@@ -292,11 +295,11 @@ class Tracker:
         self._last = result
         return result
 
-    def _linearise(self, k: int) -> bool:
-        """A keyframe, its touch first moved to where the unknowns put it; whether the probe holds it."""
+    def _linearise(self, k: int, share: float = 1.0) -> bool:
+        """A keyframe, its touch first moved by a share of its step; whether the probe holds it."""
         frame, model = self._kept[k], self.estimator.model
         if frame.known and self._x is not None:
-            kernel.step_keyframe(frame.touch, frame.lin, frame.local, self._x, 1.0,
+            kernel.step_keyframe(frame.touch, frame.lin, frame.local, frame.x, share,
                                  MAX_STEP * model.rod.length, model.rod.flank_end, self._step_work)  # fmt: skip
         if not kernel.linearise_keyframe(
             model.rod.body, frame.sources.gravity, model.mass, FINE, frame.touch, *frame.sources.arguments(),
@@ -308,14 +311,15 @@ class Tracker:
         return True
 
     def _reduce(self, frame: _Keyframe, k: int) -> None:
-        ramp = float(self._ramps(len(self._kept))[k])
+        self._ramp[frame.slot] = k / (len(self._kept) - 1) if len(self._kept) > 1 else 1.0
         kernel.reduce_keyframe(
             frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
             math.sqrt(frame.count) * self._whiten, self._bias, self.estimator.model.friction,
-            self._priors.robot_mm * MM, self._scatter, self._creep, ramp, self._block, frame.local, frame.reduced,
+            COMMON_FRICTION, self._priors.robot_mm * MM, self._scatter, self._creep, self._ramp[frame.slot],
+            self._block, frame.local, frame.reduced,
         )  # fmt: skip
 
-    def _gather(self) -> tuple[Array, Array]:
+    def _gather(self) -> tuple[NDArray[np.int64], Array]:
         """Which rows count, the free probe's mean first, and the variance of the bias's step before each."""
         order, walk, drift = [], [], self._priors.walk_steps**2 / SETTLED
         if self._priors.drift_steps > 0.0 and self._anchored > 0.0:
@@ -331,21 +335,30 @@ class Tracker:
                 order.append(frame.slot)
                 walk.append(drift * max(frame.time - last, 0.0) + (drift if frame is self._kept[0] else 0.0))
                 last = frame.time
-        return np.array(order), np.array(walk)
+        return np.array(order, dtype=np.int64), np.array(walk)
 
     def _step(self) -> FusedEstimate:
         """Solve all keyframes as they are linearised."""
         order, walk = self._gather()
         x = np.empty(self._width - 1)
         chi2 = kernel.solve_reduced(
-            self._all, order, walk, self._priors.drift_steps, self._causes, self._work, x, self._cov
+            self._all,
+            order,
+            walk,
+            self._priors.drift_steps,
+            self._causes,
+            self._chain,
+            self._work,
+            x,
+            self._cov,
         )
         if not math.isfinite(chi2):
             return FusedEstimate("not_converged")
+        kernel.smooth_bias(self._chain, order, walk, x, self._xs)
         self._x = x
-        return self._result(x, float(chi2))
+        return self._result(x, float(chi2), order, walk)
 
-    def _result(self, x: Array, chi2: float) -> FusedEstimate:
+    def _result(self, x: Array, chi2: float, order: NDArray[np.int64], walk: Array) -> FusedEstimate:
         model, frames = self.estimator.model, [frame for frame in self._kept if frame.known]
         free = 0 if math.isfinite(model.friction) else 2
         dof = max(len(frames) * (len(self._channels) - free) - 3, 1)
@@ -354,18 +367,17 @@ class Tracker:
         if self._E >= 0:
             scale = self._priors.youngs_modulus
             stiffness, std = (
-                math.exp(scale * float(x[self._E])),
-                scale * kernel.standard_deviation(self._work, len(x), self._E, self._mean_work),
+                math.exp(scale * float(x[3 + self._E])),
+                scale * kernel.standard_deviation(self._work, len(x), 3 + self._E, self._mean_work),
             )
-        order = np.array([frame.slot for frame in frames])
-        touches = self._touches[order]
+        touches = self._touches[[frame.slot for frame in frames]]
         code = self._code(chi2, dof, rms, touches, np.array([frame.count for frame in frames]))
         if code != "ok":
             return FusedEstimate(code, stiffness=stiffness, std_stiffness=stiffness * std, chi2=chi2, dof=dof, rms=rms,
                                  iterations=1)  # fmt: skip
         kernel.mean_centre(
-            self._lins, self._Ds, self._locals, self._poses, order, x, self._scatter, self._creep,
-            self._ramps(len(frames)), self._mean_work, self._work, self._mean, self._cov_mean,
+            self._lins, self._Ds, self._locals, self._poses, order, self._touched, walk, self._chain, self._xs,
+            self._scatter, self._creep, self._ramp, self._mean_work, self._work, self._mean, self._cov_mean,
         )  # fmt: skip
         s = np.empty(len(frames))
         multistart.contact_arclengths(model.rod.body, touches, s)
@@ -387,34 +399,28 @@ class Tracker:
             iterations=1,
             candidates_world=x[None, :3].copy(),
         )
-        return self._curved(result) if len(self._kept) == 1 and not self.moments_only else result
-
-    @staticmethod
-    @cache
-    def _ramps(k: int) -> Array:
-        """How far creep has gone at each of k keyframes."""
-        return np.linspace(0.0, 1.0, k) if k > 1 else np.ones(1)
+        return self._curved(result) if len(frames) == len(self._kept) else result
 
     def _curved(self, result: FusedEstimate) -> FusedEstimate:
-        """The result of one pose with the curvature of the probe added, evaluated as its readings double."""
-        frame = self._kept[0]
-        if frame.count >= 2.0 * self._curved_at or self._curved_at == 0.0:
-            self._curved_at = frame.count
-            wide = add_single_pose_curvature(
-                result, self.estimator.model, [self._reading(frame)], frame.sources
-            )
-            self._curvature = (
-                float(np.trace(result.cov_surface_world)),
-                wide.cov_surface_world - result.cov_surface_world,
-                wide.cov_contact_world - result.cov_contact_world,
-            )
-        before, surface, contact = self._curvature
-        share = (float(np.trace(result.cov_surface_world)) / before) ** 2 if before > 0.0 else 0.0
-        cov = result.cov_surface_world + share * surface
+        """The result with what the curve of the likely points adds, evaluated anew as the readings double.
+
+        Between, it goes with the square of the covariance.
+        """
+        self._readings += 1
+        size = float(np.trace(result.cov_surface_world))
+        if self._readings >= 2 * self._curved_at:
+            self._curved_at = self._readings
+            fusion, start = self._batch()
+            best = fusion.refine(start)
+            none = np.zeros((3, 3))
+            self._curvature = (size, *((none, none) if best is None else fusion.curvature(best)))
+        before, added, added_contact = self._curvature
+        share = (size / before) ** 2 if before > 0.0 else 0.0
+        cov = result.cov_surface_world + share * added
         return replace(
             result,
             cov_surface_world=cov,
-            cov_contact_world=result.cov_contact_world + share * contact,
+            cov_contact_world=result.cov_contact_world + share * added_contact,
             rms=math.sqrt(max(float(np.trace(cov)), 0.0)),
         )
 
@@ -468,14 +474,28 @@ class Tracker:
     def _reading(self, frame: _Keyframe) -> Reading:
         return Reading(frame.wrench.copy(), self._sample / frame.count, frame.T, frame.sources.gravity, True)
 
+    def _batch(self) -> tuple[Fusion, Array]:
+        """The keyframes as one batch, the free probe's mean before them, and their touches, (k, TOUCH)."""
+        readings = [self._reading(frame) for frame in self._kept]
+        touches = [frame.touch for frame in self._kept]
+        if self._priors.drift_steps > 0.0 and self._anchored > 0.0:
+            first = self._kept[0]
+            free = self.estimator.free(first.sources.gravity).wrench_base
+            readings.insert(0, Reading(free + self._anchor, self._sample / self._anchored, first.T,
+                                       first.sources.gravity, False))  # fmt: skip
+            touches.insert(0, np.zeros(TOUCH))
+        fusion = Fusion(
+            self.estimator.model, tuple(readings), self._priors, self._channels, self._gravity_world
+        )
+        return fusion, np.array(touches)
+
     def _from_batch(self) -> FusedEstimate:
         """Start from the whole batch."""
-        readings = tuple(self._reading(frame) for frame in self._kept)
-        fusion = Fusion(self.estimator.model, readings, self._priors, self._channels, self._gravity_world)
+        fusion, _touches = self._batch()
         found = fusion.solutions()
         if isinstance(found, FusedEstimate):
             return found
         result = fusion.answer(found, brief=True)
         if not result.ok:
             return result
-        return self._settled(list(found[0].touches))
+        return self._settled(list(found[0].touches[fusion.touched]))

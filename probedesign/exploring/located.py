@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.estimation.fusion import FusionState
+from probedesign.estimation.fusion_state import FusionState
 from probedesign.frames import Array
 
 CLEAR = 1e-9

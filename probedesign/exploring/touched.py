@@ -7,7 +7,8 @@ import numpy as np
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
-from probedesign.estimation.fusion import Fusion, FusionState, Reading, channels_of
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
+from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.dwell import Dwell

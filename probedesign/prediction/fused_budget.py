@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probedesign.estimation.error_sources import CAUSES as SOURCES
-from probedesign.estimation.fusion import Fusion, FusionState, Reading, channels_of
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
+from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE

@@ -59,8 +59,8 @@ def test_it_agrees_with_the_batch(priors, moments_only, large, gravity, pressed,
     assert {c.result for c in results} == {"no_contact"}
     for wrench, T in zip(wrenches, Ts, strict=True):
         feed(wrench, T, SAMPLES)
-    # At rest, until the older keyframes have been linearised anew a few times each.
-    results, _ = feed(wrenches[-1], Ts[-1], 300)
+    # At rest, until the last keyframe's mean has settled and the older ones have followed it.
+    results, _ = feed(wrenches[-1], Ts[-1], 1000)
     c, tracker = results[-1], feed.tracker
     assert tracker.kept == 5
     readings = tuple(tracker._reading(frame) for frame in tracker._kept)
@@ -69,7 +69,8 @@ def test_it_agrees_with_the_batch(priors, moments_only, large, gravity, pressed,
     # Both end within a few hundredths of a standard deviation.
     assert np.linalg.norm(c.p_surface_world - batch.p_surface_world) <= 0.05 * batch.rms
     assert np.linalg.norm(c.p_contact_world - batch.p_contact_world) <= 0.05 * batch.rms
-    assert c.rms == pytest.approx(batch.rms, rel=1e-2)
+    # The tracker evaluates what curvature adds as its readings double and scales it between.
+    assert c.rms == pytest.approx(batch.rms, rel=2e-2)
     assert c.chi2 == pytest.approx(batch.chi2, abs=0.1)
     np.testing.assert_allclose(c.force_normal, batch.force_normal, atol=0.1 * large.model.noise.force)
 

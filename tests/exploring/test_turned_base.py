@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.estimation.fusion import Fusion, FusionState, Reading, channels_of
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
+from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.base import Base
 from probedesign.exploring.card_house import spots

@@ -1,10 +1,12 @@
 """Touches of one fixed point by one dense least-squares problem in numpy: the oracle of `fusion_kernel.py`.
 
-Unknown are the touched point X (3), the error sources m (J, unit priors), the first value of the bias and its steps in
-units of their standard deviations (6 a reading), and of every touch its own unknowns y (5) and stiffness e.
+Unknown are the touched point X (3), the error sources m (J, unit priors), the friction that all touches share (2, unit
+priors), the first value of the bias and its steps in units of their standard deviations (6 a reading), and of every
+touch its own unknowns y (5) and stiffness e.
 Nothing is eliminated: all rows of all poses stand in one matrix.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -46,6 +48,7 @@ class Priors(NamedTuple):
     Attributes:
         channels: (m, 6); bias: channels by the bias in steps, (m, 6).
         friction: standard deviation of the ratio; inf: none.
+        common_friction: share of its variance that is common to all touches.
         robot: of the base's place at each pose [m].
         start, walk: of the bias at the first reading and of its step to the next, in steps.
         scatter, creep: columns of D that are each touch's own, and that grow by the ramp; -1: none.
@@ -54,6 +57,7 @@ class Priors(NamedTuple):
     channels: Array
     bias: Array
     friction: float
+    common_friction: float
     robot: float
     start: float
     walk: float
@@ -65,7 +69,7 @@ class DenseSolution(NamedTuple):
     """Least squares of all rows.
 
     Attributes:
-        x: X, m and the bias of the last reading, (3 + J + 6,), as `solve_reduced` has them.
+        x: X, m, common friction and the bias of the last reading, (3 + J + 2 + 6,), as `solve_reduced` has them.
         cov: of X, (3, 3).
         chi2: least misfit squared, priors included.
         own: step of the touch and stiffness at each pose, (k, 6); NaN where free.
@@ -93,8 +97,8 @@ def common(D: Array, pose: LinearPose, priors: Priors) -> Array:
 def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
     """The least-squares solution by a QR factorisation of the scaled matrix."""
     k, J = len(poses), poses[0].D.shape[1]
-    n = 3 + J + 12 * k
-    first_bias, first_own = 3 + J, 3 + J + 6 * k
+    first_friction, first_bias = 3 + J, 3 + J + 2
+    first_own, n = first_bias + 6 * k, first_bias + 12 * k
     rows: list[Array] = []
     right: list[float] = []
 
@@ -108,7 +112,7 @@ def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
         own = slice(first_own + 6 * i, first_own + 6 * i + 6)
         A = np.zeros((len(priors.channels), n))
         to = pose.whiten @ priors.channels
-        A[:, 3:first_bias] = to @ common(pose.D[WRENCH], pose, priors)
+        A[:, 3:first_friction] = to @ common(pose.D[WRENCH], pose, priors)
         for j in range(i + 1):
             A[:, first_bias + 6 * j : first_bias + 6 * j + 6] = stds[j] * pose.whiten @ priors.bias
         if pose.touched:
@@ -121,13 +125,19 @@ def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
             add(np.eye(n)[own.start : own.start + 5], np.zeros(5))
             continue
         if np.isfinite(priors.friction):
-            per = 1.0 / max(priors.friction, 1e-4)
-            add(per * np.eye(n)[own.start + 3 : own.start + 5], -per * pose.ratios)
+            mu = max(priors.friction, 1e-4)
+            own_ratio, common_ratio = (
+                np.eye(n)[own.start + 3 : own.start + 5],
+                np.eye(n)[first_friction:first_bias],
+            )
+            per = 1.0 / (math.sqrt(1.0 - priors.common_friction) * mu)
+            shared = mu * math.sqrt(priors.common_friction)
+            add(per * (own_ratio - shared * common_ratio), -per * pose.ratios)
         A = np.zeros((3, n))
         per = 1.0 / max(priors.robot, 1e-8)
         R = pose.T[:3, :3]
         A[:, :3] = -np.eye(3)
-        A[:, 3:first_bias] = R @ common(pose.D[POINT], pose, priors)
+        A[:, 3:first_friction] = R @ common(pose.D[POINT], pose, priors)
         A[:, own] = R @ _own(pose, POINT, priors)
         add(per * A, -per * (pose.T[:3, 3] + R @ pose.lin[POINT, 0]))
     A, b = np.array(rows), np.array(right)
@@ -145,7 +155,7 @@ def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
         pose, own = poses[i], slice(first_own + 6 * i, first_own + 6 * i + 6)
         R = pose.T[:3, :3]
         row = np.zeros((3, n))
-        row[:, 3:first_bias] = R @ common(pose.D[CENTRE], pose, priors)
+        row[:, 3:first_friction] = R @ common(pose.D[CENTRE], pose, priors)
         row[:, own] = R @ _own(pose, CENTRE, priors)
         centre += (pose.T[:3, 3] + R @ pose.lin[CENTRE, 0] + row @ z) / touched.sum()
         by += row / touched.sum()

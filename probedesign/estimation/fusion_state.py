@@ -1,0 +1,271 @@
+"""The touches of a fusion as they are linearised, and what the kernels of `fusion_kernel.py` make of them."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from probedesign.estimation import fusion_kernel as kernel
+from probedesign.estimation import multistart
+from probedesign.estimation.error_sources import FINE
+from probedesign.estimation.surface_contact_kernel import (
+    ALONG,
+    AROUND,
+    DEAD,
+    NORMAL,
+    OWN,
+    PHI,
+    POINT,
+    ROWS,
+    TIP,
+    UNKNOWNS,
+    VALUE,
+    work_size,
+)
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
+from probedesign.units import MM
+
+if TYPE_CHECKING:
+    from probedesign.estimation.fusion import Fusion, Reading
+
+
+class Pin(NamedTuple):
+    """A condition on the touched point X: axis · X = at, up to a standard deviation.
+
+    Attributes:
+        axis: unit vector, (3,).
+        at, std: [m].
+    """
+
+    axis: Array
+    at: float
+    std: float
+
+
+class Forces(NamedTuple):
+    """Touches pose by pose; NaN where free, but for the force, which is zero there.
+
+    Attributes:
+        s_contact: arclength of the contact [m], (k,).
+        force_base: on the probe [N], (k, 3).
+        force_normal, force_tangential: of it [N], (k,).
+    """
+
+    s_contact: Array
+    force_base: Array
+    force_normal: Array
+    force_tangential: Array
+
+
+GROUPS = ("stiffness", "bias", "robot")
+"""Groups of error sources whose absence `rms_without` reports."""
+
+
+def without(priors: Tolerances, group: str) -> Tolerances:
+    """The same priors with one group of error sources gone."""
+    if group == "stiffness":
+        return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
+    if group == "bias":
+        return replace(priors, drift_steps=0.0, walk_steps=0.0)
+    return replace(priors, base_mm=0.0, robot_mm=0.0)
+
+
+_SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiffness scatter": "stiffness_scatter",
+           "base place": "base_mm"}  # fmt: skip
+"""Priors that `FusionState.rms` may change, by the error source whose columns go with them."""
+
+
+class FusionState:
+    """The touches of a fusion as they are linearised, and the memory that the kernels work in."""
+
+    def __init__(self, fusion: "Fusion", touches: Array, pin: Pin | None = None) -> None:
+        """Args:
+        fusion: of the readings.
+        touches: at every pose, (k, TOUCH), moved in place.
+        pin: a condition on the touched point; None: none.
+        """
+        self.fusion, self.touches = fusion, touches
+        k, m = len(fusion.readings), len(fusion.channels)
+        parameters = OWN + len(fusion.model.rod.s)
+        self.causes = len(fusion.sources[0].names)
+        width = kernel.columns(self.causes)
+        self.lin = np.empty((k, ROWS, 1 + UNKNOWNS + parameters))
+        self.D = np.empty((k, 12, self.causes))
+        # A pin counts as one more reading before the first.
+        self.reduced = np.zeros((k + 1, m, width))
+        self._order = np.arange(k) if pin is None else np.concatenate([[k], np.arange(k)])
+        if pin is not None:
+            self.reduced[k, 0, :3], self.reduced[k, 0, -1] = pin.axis / pin.std, pin.at / pin.std
+        self._touched = np.append(fusion.touched, False)
+        self._walk = np.empty(len(self._order))
+        self._chain = np.empty((len(self._order), kernel.BIAS, width))
+        self._xs = np.empty((k + 1, width - 1))
+        self.local = np.empty((k, kernel.LOCAL, kernel.LOCAL + width))
+        self._sweep_work = np.empty(work_size(parameters))
+        self._block = np.empty((kernel.rows_of(m), kernel.LOCAL + width))
+        self._work = np.empty(max(kernel.solve_work(self.causes), 100))
+        self._x, self._cov = np.empty(width - 1), np.empty((3, 3))
+
+    def linearise(self) -> bool:
+        """All touches where they are; whether the probe holds them all."""
+        fusion = self.fusion
+        for k, sources in enumerate(fusion.sources):
+            if fusion.touched[k] and not kernel.linearise_keyframe(
+                fusion.model.rod.body, sources.gravity, fusion.model.mass, FINE, self.touches[k],
+                *sources.arguments(), self._sweep_work, self.lin[k], self.D[k],
+            ):  # fmt: skip
+                return False
+        return True
+
+    def _reduce(self, priors: Tolerances, D: Array, friction: float | None) -> None:
+        fusion = self.fusion
+        ratio = fusion.model.friction if friction is None else friction
+        scatter, creep = fusion.own_columns
+        for k, reading in enumerate(fusion.readings):
+            whiten = fusion.whitening[k]
+            if not reading.touched:
+                free, columns = fusion.free[k]
+                kernel.reduce_free(
+                    columns, free, reading.wrench, fusion.channels, whiten, fusion.bias, self.reduced[k]
+                )
+                continue
+            kernel.reduce_keyframe(
+                self.touches[k], self.lin[k], D[k], reading.wrench, reading.T_world_base, fusion.channels, whiten,
+                fusion.bias, ratio, fusion.common_friction, priors.robot_mm * MM, scatter, creep,
+                float(fusion.ramps[k]), self._block, self.local[k], self.reduced[k],
+            )  # fmt: skip
+
+    def solved(
+        self,
+        priors: Tolerances,
+        D: Array | None = None,
+        friction: float | None = None,
+    ) -> tuple[float, Array, Array]:
+        """Least misfit, common unknowns and covariance of the touched point, of the touches as linearised.
+
+        Args:
+            priors: standard deviations that the columns do not hold: bias and base at each pose.
+            D: error columns, (k, 12, J); those of the touches if None.
+            friction: prior standard deviation of the friction ratio; that of the model if None.
+        """
+        self._reduce(priors, self.D if D is None else D, friction)
+        self._walk[:] = priors.walk_steps**2
+        self._walk[: 1 + len(self._order) - len(self.fusion.readings)] = 0.0
+        chi2 = kernel.solve_reduced(
+            self.reduced, self._order, self._walk, priors.drift_steps, self.causes, self._chain, self._work, self._x,
+            self._cov,
+        )  # fmt: skip
+        kernel.smooth_bias(self._chain, self._order, self._walk, self._x, self._xs)
+        return float(chi2), self._x.copy(), self._cov.copy()
+
+    def step(self, share: float, max_step: float) -> float:
+        """Carry every touch towards where the common unknowns put it, after `solved`.
+
+        Args:
+            share: of the step to go; max_step: of arclength [m].
+
+        Returns:
+            The largest step in standard deviations.
+        """
+        work, end = np.empty(60), self.fusion.model.rod.flank_end
+        sizes = [
+            kernel.step_keyframe(self.touches[k], self.lin[k], self.local[k], x, share, max_step, end, work)
+            for k, x in enumerate(self._xs)
+            if self._touched[k]
+        ]
+        return float(max(sizes))
+
+    def information(self) -> tuple[Array, Array]:
+        """Information matrix (n, n) and vector (n,) of touched point [m] and error sources, after `solved`.
+
+        Bias and common friction are marginalised; the unit priors of the error sources are part of the matrix.
+
+        Returns:
+            Both of n = 3 + J unknowns.
+        """
+        n, o = len(self._x), 3 + self.causes
+        L, scale = np.tril(self._work[: n * n].reshape(n, n)), self._work[n * n : n * n + n]
+        root = scale[:, None] * L
+        A = root @ root.T
+        reduced = A[:o, :o] - A[:o, o:] @ np.linalg.solve(A[o:, o:], A[o:, :o])
+        return reduced, reduced @ self._x[:o]
+
+    def std_of(self, j: int) -> float:
+        """Standard deviation of a common unknown, after `solved`."""
+        n = len(self._x)
+        return float(kernel.standard_deviation(self._work, n, j, np.empty(n)))
+
+    def cov_with_sources(self) -> Array:
+        """Covariance of the touched point [m] with the error sources (unit priors), after `solved`, (3, J)."""
+        n = len(self._x)
+        L, scale = self._work[: n * n].reshape(n, n), self._work[n * n : n * n + n]
+        half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
+        return np.asarray(half[:, :3].T @ half[:, 3 : 3 + self.causes])
+
+    def rms(self, priors: Tolerances) -> float:
+        """Of the touched point [m] under other priors, by the bound."""
+        D, now = self.D.copy(), self.fusion.priors
+        for c, name in enumerate(self.fusion.sources[0].names):
+            if name in _SCALED:
+                before = getattr(now, _SCALED[name])
+                D[:, :, c] *= getattr(priors, _SCALED[name]) / before if before > 0.0 else 0.0
+        return math.sqrt(max(float(np.trace(self.solved(priors, D)[2])), 0.0))
+
+    def mean_centre(self) -> tuple[Array, Array]:
+        """Mean of the centreline points in the world [m], (3,), and its covariance [m²], after `solved`."""
+        fusion, n = self.fusion, len(self._x)
+        poses = np.array([reading.T_world_base for reading in fusion.readings])
+        mean, cov = np.empty(3), np.empty((3, 3))
+        kernel.mean_centre(
+            self.lin, self.D, self.local, poses, self._order, self._touched, self._walk, self._chain, self._xs,
+            *fusion.own_columns, np.append(fusion.ramps, 1.0), np.empty(6 * n + 100), self._work, mean, cov,
+        )  # fmt: skip
+        return mean, cov
+
+    def forces(self) -> Forces:
+        """Arclength, force and friction at every pose."""
+        touches, free = self.touches, ~self.fusion.touched
+        s = np.empty(len(touches))
+        multistart.contact_arclengths(self.fusion.model.rod.body, touches, s)
+        force = touches[:, DEAD : DEAD + 3].copy()
+        normal = touches[:, NORMAL].copy()
+        tangential = normal * np.hypot(touches[:, AROUND], touches[:, ALONG])
+        force[free] = 0.0
+        for of in (s, normal, tangential):
+            of[free] = np.nan
+        return Forces(s, force, normal, tangential)
+
+    def gains(self) -> dict[str, float]:
+        """The error with one more touch like the last, a further press as far again, or a stiffness known to half."""
+        fusion = self.fusion
+        halved = replace(fusion.priors, youngs_modulus=0.5 * fusion.priors.youngs_modulus)
+        gains = {"stiffness": self.rms(halved)}
+        at = np.flatnonzero(fusion.touched)
+        last = fusion.readings[at[-1]]
+        gains["one more touch"] = self._with(last, self.touches[at[-1]])
+        if len(at) > 1:
+            further = 2.0 * self.touches[at[-1]] - self.touches[at[-2]]
+            further[TIP:] = self.touches[at[-1], TIP:]
+            further[PHI] = self.touches[at[-1], PHI]
+            gain = self._with(last, further)
+            if math.isfinite(gain):
+                gains["further press"] = gain
+        return gains
+
+    def _with(self, reading: "Reading", touch: Array) -> float:
+        """The error with one reading more, from the pose that puts its touched point where that of `reading` is [m]."""
+        fusion = self.fusion
+        more = replace(fusion, readings=(*fusion.readings, reading))
+        state = FusionState(more, np.vstack([self.touches, touch]))
+        if not state.linearise():
+            return math.nan
+        T = reading.T_world_base.copy()
+        i = int(np.flatnonzero(fusion.touched)[-1])
+        T[:3, 3] += T[:3, :3] @ (
+            self.lin[i][POINT : POINT + 3, VALUE] - state.lin[-1][POINT : POINT + 3, VALUE]
+        )
+        state.fusion = replace(more, readings=(*fusion.readings, replace(reading, T_world_base=T)))
+        return math.sqrt(max(float(np.trace(state.solved(fusion.priors)[2])), 0.0))
