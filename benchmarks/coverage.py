@@ -138,6 +138,7 @@ class Case:
         place, newtons: of fused touches: over the length, and largest normal force [N]; 0 for single touches.
         kind: "estimate", "moments", "all six" or "tracker".
         sticks: whether the material point stays where it is through a press.
+        anew: whether the direction of the friction is drawn anew at each touch of a press.
         youngs_modulus: stated for E and G of fused touches; None as the design has it.
         wrong: what no single contact of the stated priors explains: "" or one of `WRONG`.
     """
@@ -152,6 +153,7 @@ class Case:
     newtons: float = 0.0
     kind: str = "estimate"
     sticks: bool = False
+    anew: bool = False
     youngs_modulus: float | None = None
     wrong: str = ""
 
@@ -186,6 +188,8 @@ def fused_cases() -> list[Case]:
                 cases += [of(name=name + ("prior" if mu is None else f"{mu:g}"), friction=mu, place=place,
                              newtons=newtons, kind=kind) for mu in (0.0, 0.3, 0.6)]  # fmt: skip
     at = partial(replace, of(name="", place=0.8, newtons=5e-3, kind="all six"))
+    cases += [at(name=f"0.8 L, up to 5 mN, all six, friction {mu:g}, anew at each touch", friction=mu, anew=True)
+              for mu in (0.3, 0.6)]  # fmt: skip
     cases.append(
         at(name="0.8 L, up to 5 mN, all six, friction 0.6, E to 0.5 %", friction=0.6, youngs_modulus=0.005)
     )
@@ -338,7 +342,10 @@ def _touches(
 
 
 def _ratios(case: Case, model: ProbeModel, n: int, rng: np.random.Generator) -> Array:
-    """Tangential over normal force, around and along, (n, 2)."""
+    """Tangential over normal force, around and along, (n, 2), or (TOUCHES, n, 2) if drawn anew at each touch."""
+    if case.anew:
+        once = replace(case, anew=False)
+        return np.array([_ratios(once, model, n, rng) for _ in range(TOUCHES)])
     drawn, way = rng.normal(size=(n, 2)), rng.uniform(-np.pi, np.pi, n)
     if case.friction is None:
         return friction_of(model) * drawn

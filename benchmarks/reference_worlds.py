@@ -422,7 +422,7 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
             slide: Array, aside: Array | None = None, columns: bool = False) -> Presses:  # fmt: skip
     """Press probes on against a fixed point, about evenly from a fifth of a normal force up to all of it.
 
-    A touch that slides has the same friction ratios throughout, and the object drags its place along the probe in the
+    A touch that slides has the given friction ratios, and the object drags its place along the probe in the mean
     direction of the tangential force; the base moves as that needs. If it sticks, the material point stays, the base
     moves a little aside of that, and the force is what that needs.
 
@@ -431,7 +431,7 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
         z: their normals.
         fraction: of the length, where the first touch is.
         phi: angle about the section there [rad], (n,).
-        ratios: tangential over normal force, (n, 2); if it sticks, at the first touch.
+        ratios: tangential over normal force, (n, 2); if it sticks, at the first touch; (k, n, 2) where they differ.
         newtons: largest normal force [N].
         slide: way along the surface from the first to the last touch [m], (n,); of no account if it sticks.
         aside: None for a touch that slides; else it sticks, and the base moves sideways by this share of its way,
@@ -440,8 +440,10 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
     """
     n, k = len(z), worlds.sources.touches
     s, free = fraction * worlds.probes.length, worlds.free()
-    push = np.column_stack([np.ones(n), ratios])
-    way = slide[:, None] * ratios / np.maximum(np.linalg.norm(ratios, axis=1), 1e-9)[:, None]
+    each = np.broadcast_to(ratios, (k, n, 2))
+    push = np.concatenate([np.ones((k, n, 1)), each], axis=2).reshape(k * n, 3)
+    mean = each.mean(axis=0)
+    way = slide[:, None] * mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)[:, None]
     if aside is not None:
         way = np.zeros((n, 2))
 
@@ -451,7 +453,7 @@ def presses(worlds: Worlds, z: Array, fraction: float, phi: Array, ratios: Array
     rods, g = Probes.joined([worlds.at_touch(i) for i in range(k)]), every(worlds.gravity)
     shares, passed = (np.repeat(row, n) for row in (np.arange(1, k + 1) / k, np.arange(k) / (k - 1)))
     around = every(phi) + passed * every(way[:, 0] / worlds.probes.radius_at(s))
-    found = solve(rods, g, every(s) + passed * every(way[:, 1]), around, newtons * shares[:, None] * every(push),
+    found = solve(rods, g, every(s) + passed * every(way[:, 1]), around, newtons * shares[:, None] * push,
                   axes="surface", loads=3)  # fmt: skip
     if aside is not None:
         way_long = np.linalg.norm(found.p_surface[-n:] - found.p_surface[:n], axis=1)

@@ -50,8 +50,8 @@ COMMON_FRICTION = 0.5
 two materials and slip to the same side, but differ in how far each has slipped."""
 PINNED = 1e-3
 """Standard deviation, over that of the free point, to which `Fusion.curvature` keeps the point aside."""
-MAX_LONGER = 4.0
-"""Largest factor by which a flat misfit may stretch the variance along its valley; beyond it is not normal at all."""
+MAX_FURTHER = 3
+"""Times that the point is kept aside, further each time by up to twice, until the misfit has risen by about three."""
 BETTER_THAN_NOTHING = 1.0 / math.sqrt(12.0)
 """Standard deviation of a place somewhere along the probe, over its length."""
 
@@ -335,9 +335,8 @@ class Fusion:
 
         The points that explain the readings lie on a curve x + a δ + b δ² + c δ³, far narrower than it is bowed. Its
         mean square about x, for a standard normal δ, is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ. The fusion is solved
-        again with the point kept √3 standard deviations aside; where its misfit rises by less than three, δ spreads
-        further than a standard normal. One pose leaves the point as uncertain as a single reading does, and its curve
-        is that of the single estimate.
+        again with the point kept aside, at δ = ±√3, where the misfit has risen by about three. One pose leaves the
+        point as uncertain as a single reading does, and its curve is that of the single estimate.
         """
         if self.one_pose:
             return self._single_curvature()
@@ -348,13 +347,11 @@ class Fusion:
             if not std > 0.0:
                 continue
             a = best.cov @ axis / std
-            aside, rises = [], []
-            for side in (-ASIDE, ASIDE):
-                at = float(axis @ best.x[:3]) + side * std
-                place = self.refine(best.touches, Pin(axis, at, PINNED * std))
-                if place is not None:
-                    aside.append((side, place.x[:3] - best.x[:3] - side * a))
-                    rises.append(max(place.chi2 - best.chi2, 0.0))
+            aside = [
+                (side, place.x[:3] - best.x[:3] - side * a)
+                for side in (-ASIDE, ASIDE)
+                if (place := self._aside(best, axis, side * std)) is not None
+            ]
             if not aside:
                 continue
             # With one side alone the cubic term is taken for zero.
@@ -364,11 +361,26 @@ class Fusion:
                 if len(aside) == 2
                 else np.zeros(3)
             )
-            longer = min(max(ASIDE**2 / max(float(np.mean(rises)), 1e-9), 1.0), MAX_LONGER)
             both = np.outer(a, c)
-            added += (longer - 1.0) * np.outer(a, a) + 3.0 * (both + both.T)
-            added += 3.0 * TAIL * longer**2 * np.outer(b, b) + 15.0 * np.outer(c, c)
+            added += 3.0 * (both + both.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
         return added, added
+
+    def _aside(self, best: Solution, axis: Array, way: float) -> Solution | None:
+        """The solution with the point kept aside along an axis: by `way` [m], or further until the misfit rises."""
+        found, touches, pinned = None, best.touches, PINNED * abs(way)
+        for _ in range(MAX_FURTHER):
+            place = self.refine(touches, Pin(axis, float(axis @ best.x[:3]) + way, pinned))
+            if place is None:
+                break
+            found, touches = place, place.touches
+            rise = max(place.chi2 - best.chi2, 0.25 * ASIDE**2)
+            further = ASIDE / math.sqrt(rise)
+            if (
+                further < 1.02
+            ):  # below, the step is too small to make the stated error jump between neighbouring places
+                break
+            way *= further
+        return found
 
     def _single_curvature(self) -> tuple[Array, Array]:
         """What the estimate of the mean reading of one pose adds to its linear covariances [m²], (3, 3) each."""
