@@ -37,7 +37,7 @@ from benchmarks.reference_worlds import (
 )
 from benchmarks.timing import print_table
 from probedesign.design import load_design
-from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.estimator import SETTLED, Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, inverse, pose, wrench_map
 from probedesign.probe import build_probe
@@ -108,7 +108,7 @@ def tracked(estimator: Estimator, samples: Array, Ts: Array) -> tuple[str, Array
         for wrench in readings:
             clock += 1.0 / 7000.0
             f = tracker.update(wrench, T, clock, touching="contact")
-        clock += 0.5
+        clock += SETTLED  # the time in which the tracker lets the bias walk as far as `fuse` from reading to reading
     assert f is not None
     return f.result, f.p_surface_world, _cov_world(f)
 

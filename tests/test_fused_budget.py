@@ -71,7 +71,8 @@ def test_it_is_the_covariance_that_the_fusion_states(large, schedule):
                        moments_about=schedule.moments_about or "base")  # fmt: skip
     assert c.ok and np.linalg.norm(c.p_surface_world) < 0.05 * c.rms
     found = of(large, large.tolerances, schedule=schedule)
-    assert found.predicted_error_mm == pytest.approx(1e3 * c.rms, rel=0.01)  # linearised where it stopped
+    # Linearised where it stopped; the curve of the likely points adds up to 2 % here, and the prediction leaves it out.
+    assert 0.99 * found.predicted_error_mm <= 1e3 * c.rms <= 1.03 * found.predicted_error_mm
 
 
 def test_the_causes_add_up_and_none_exceeds_the_total(prediction):

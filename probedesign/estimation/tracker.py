@@ -1,9 +1,9 @@
 """The fusion of `fusion.py` as readings come: bounded time and memory, forgetting when the touch is lost.
 
 Readings from nearly one pose are kept as their mean, a keyframe; no more than so many are kept, and the two that lie
-closest become one where there is one too many. Each update puts its reading into a keyframe, linearises that one anew,
-now and then one of the others in turn, and solves all of them as they were linearised last. So the result is that of
-the batch over the keyframes' means.
+closest become one where there is one too many. Each update puts its reading into the last keyframe and solves all of
+them as they were linearised last; now and then, and where a keyframe is new, all are linearised anew. So the result is
+that of the batch over the keyframes' means.
 """
 
 import math
@@ -47,7 +47,13 @@ from probedesign.units import MM
 
 MAX_KEYFRAMES = 8
 IN_TURN = 4
-"""Readings after which one of the older keyframes is linearised anew too."""
+"""Readings, times the number of keyframes, after which all of them are linearised anew."""
+SWEEPS = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""Readings of the last keyframe at which that is done sooner: they move the point most."""
+FIRST_CURVATURE = 16.0
+"""Readings of a keyframe after which the curvature is evaluated; then after four times as many."""
+CURVATURE_SECONDS = (0.1, 1.0)
+"""Least time from one evaluation to the next, and the longest where the base moves on all the time."""
 MAX_WAIT = 256
 """Readings from one start to the next, which come after 1, 2, 4 ... of them: a start may take a tenth of a second, and
 a touch that fits no single point must not hold up the readings."""
@@ -63,9 +69,6 @@ contact test takes a seventh of a second at most."""
 _ANCHOR_SECONDS = 1.0
 """How long free readings count in the free probe's mean [s]: before, the bias was another."""
 _MAX_COUNT = 1e9
-DAMPED = 0.5
-"""Share of its step that an older keyframe goes: whole steps, one keyframe at a time, may go to and fro about the least
-misfit."""
 MAX_STEP = 0.1
 """Of arclength over length, in one step."""
 
@@ -86,6 +89,7 @@ class _Keyframe:
     reduced: Array
     x: Array
     count: float = 1.0
+    due: float = FIRST_CURVATURE
     known: bool = False
 
     def take_in(self, wrench: Array) -> None:
@@ -173,7 +177,7 @@ class Tracker:
         self._kept.clear()
         self._x: Array | None = None
         self._turn, self._idle, self._wait = 0, 0, 1
-        self._readings, self._curved_at, self._curvature = 0, 0, (0.0, np.zeros((3, 3)), np.zeros((3, 3)))
+        self._evaluated, self._curvature = -math.inf, (0.0, np.zeros((3, 3)), np.zeros((3, 3)))
         self._last = FusedEstimate("unobservable")
 
     @property
@@ -211,8 +215,8 @@ class Tracker:
         if state != "contact":
             self._release(wrench - free.wrench_base, lost=state == "lost")
             return FusedEstimate("no_contact")
-        i = self._place(wrench, T)
-        return self._solve(i) if self._x is not None else self._begin()
+        self._place(wrench, T)
+        return self._solve() if self._x is not None else self._begin()
 
     # Readings into keyframes -----------------------------------------------------------------------------------------
 
@@ -245,12 +249,12 @@ class Tracker:
             self._last_sources = {key: found}
         return found
 
-    def _place(self, wrench: Array, T: Array) -> int:
-        """Put a reading into the keyframe that it belongs to; which of the touch's keyframes that is."""
+    def _place(self, wrench: Array, T: Array) -> None:
+        """Put a reading into the last keyframe, or into a new one where the base has moved."""
         self._held[:] = 0.0
         if self._kept and tracker_kernel.apart(self._kept[-1].T, T) <= _APART:
             self._kept[-1].take_in(wrench)
-            return len(self._kept) - 1
+            return
         touch = self._kept[-1].touch.copy() if self._kept else np.zeros(TOUCH)
         slot = next(i for i in range(1, self.keyframes + 2) if all(frame.slot != i for frame in self._kept))
         self._poses[slot], self._touches[slot] = T, touch
@@ -260,7 +264,6 @@ class Tracker:
         ))  # fmt: skip
         if len(self._kept) > self.keyframes:
             self._join()
-        return len(self._kept) - 1
 
     def _join(self) -> None:
         """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""
@@ -279,27 +282,38 @@ class Tracker:
 
     # One step over all keyframes -------------------------------------------------------------------------------------
 
-    def _solve(self, i: int) -> FusedEstimate:
-        """The result after a reading came into keyframe i: linearised there, and all keyframes solved."""
+    def _solve(self) -> FusedEstimate:
+        """The result after a reading came into the last keyframe.
+
+        All keyframes are linearised anew together: one at a time, their mixed linearisations would claim more than is
+        known where the point is hardly known. Between, only the mean of the last one changes.
+        """
+        last, before = self._kept[-1], self._kept[-1].known
         self._turn += 1
-        older = self._turn // IN_TURN % len(self._kept)
-        for k in (i, older) if self._turn % IN_TURN == 0 and older != i else (i,):
-            if not self._linearise(k, 1.0 if k == i else DAMPED):
+        if before and last.count not in SWEEPS and self._turn < IN_TURN * len(self._kept):
+            self._reduce(last, len(self._kept) - 1)
+            return self._remember(self._step())
+        self._turn, result = 0, FusedEstimate("not_converged")
+        for _ in range(1 if before else 2):
+            if not all(self._linearise(k) for k in range(len(self._kept))):
                 return self._remember(FusedEstimate("not_converged"))
-        return self._remember(self._step())
+            result = self._step()
+        return self._remember(result)
 
     def _remember(self, result: FusedEstimate) -> FusedEstimate:
-        """A fit that fits no more may have run away, so it begins again; what cannot fit stays so."""
+        """The result with its curvature; a fit that fits no more may have run away, so it begins again."""
+        if result.ok:
+            result = self._curved(result)
         if result.result in ("inconsistent", "not_converged"):
             self._x = None
         self._last = result
         return result
 
-    def _linearise(self, k: int, share: float = 1.0) -> bool:
-        """A keyframe, its touch first moved by a share of its step; whether the probe holds it."""
+    def _linearise(self, k: int) -> bool:
+        """A keyframe, its touch first moved to where the unknowns put it; whether the probe holds it."""
         frame, model = self._kept[k], self.estimator.model
         if frame.known and self._x is not None:
-            kernel.step_keyframe(frame.touch, frame.lin, frame.local, frame.x, share,
+            kernel.step_keyframe(frame.touch, frame.lin, frame.local, frame.x, 1.0,
                                  MAX_STEP * model.rod.length, model.rod.flank_end, self._step_work)  # fmt: skip
         if not kernel.linearise_keyframe(
             model.rod.body, frame.sources.gravity, model.mass, FINE, frame.touch, *frame.sources.arguments(),
@@ -381,7 +395,7 @@ class Tracker:
         )  # fmt: skip
         s = np.empty(len(frames))
         multistart.contact_arclengths(model.rod.body, touches, s)
-        result = FusedEstimate(
+        return FusedEstimate(
             "ok",
             p_surface_world=x[:3].copy(),
             cov_surface_world=self._cov.copy(),
@@ -399,23 +413,37 @@ class Tracker:
             iterations=1,
             candidates_world=x[None, :3].copy(),
         )
-        return self._curved(result) if len(frames) == len(self._kept) else result
+
+    def _is_due(self, size: float) -> bool:
+        """Whether the curvature is to be evaluated again, which takes some milliseconds."""
+        before, since, last = self._curvature[0], self._time - self._evaluated, self._kept[-1]
+        if before == 0.0 or since < CURVATURE_SECONDS[0]:
+            return before == 0.0
+        return (
+            last.count >= last.due or since > CURVATURE_SECONDS[1] or not 0.5 * before < size < 2.0 * before
+        )
+
+    def _evaluate_curvature(self, size: float) -> None:
+        """What the curve of the likely points adds, by the batch of the keyframes."""
+        fusion, start = self._batch()
+        best, last = fusion.refine(start), self._kept[-1]
+        self._evaluated, last.due = self._time, 4.0 * max(last.count, FIRST_CURVATURE)
+        surface = contact = np.zeros((3, 3))
+        if best is not None:
+            surface, contact = (_positive_part(of) for of in fusion.curvature(best))
+        self._curvature = size, surface, contact
 
     def _curved(self, result: FusedEstimate) -> FusedEstimate:
-        """The result with what the curve of the likely points adds, evaluated anew as the readings double.
+        """The result with what the curve of the likely points adds.
 
-        Between, it goes with the square of the covariance.
+        From one evaluation to the next it goes with the square of the covariance, and only where it adds: the
+        covariance has turned since.
         """
-        self._readings += 1
         size = float(np.trace(result.cov_surface_world))
-        if self._readings >= 2 * self._curved_at:
-            self._curved_at = self._readings
-            fusion, start = self._batch()
-            best = fusion.refine(start)
-            none = np.zeros((3, 3))
-            self._curvature = (size, *((none, none) if best is None else fusion.curvature(best)))
+        if self._is_due(size):
+            self._evaluate_curvature(size)
         before, added, added_contact = self._curvature
-        share = (size / before) ** 2 if before > 0.0 else 0.0
+        share = min(size / before, 1.0) ** 2 if before > 0.0 else 0.0
         cov = result.cov_surface_world + share * added
         return replace(
             result,
@@ -499,3 +527,9 @@ class Tracker:
         if not result.ok:
             return result
         return self._settled(list(found[0].touches[fusion.touched]))
+
+
+def _positive_part(A: Array) -> Array:
+    """The nearest matrix to a symmetric one that has no negative eigenvalue."""
+    values, vectors = np.linalg.eigh(A)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
