@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from probedesign.estimation.multistart import FIT
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 
@@ -52,15 +53,11 @@ class Candidate:
         force_normal: component of the force into the surface [N]; NaN where the method does not know the surface.
         force_tangential: magnitude of the rest, the friction [N].
         chi2: misfit, a χ² of `dof` degrees of freedom if it is the true touch.
-        chi2_friction: the part of it that the friction takes of its prior.
         dof: degrees of freedom.
         lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
         shape: the probe touched there.
         at_end: whether an end of the probe holds the place.
-        touch: unknowns, dead loads and tip, for a neighbouring reading to start from; None for the force–moment method.
-        cov_touch: covariance of the five unknowns, (5, 5).
-        whiten: whitening of the reading at this touch, (6, 6).
-        cov_linear_base, cov_linear_contact_base: the covariances to first order, without the curvature of the probe.
+        fit: row of the compiled fit, laid out as `multistart.FIT`; None for the force–moment method.
     """
 
     s_contact: float
@@ -76,13 +73,46 @@ class Candidate:
     dof: int
     lever: float
     shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
-    chi2_friction: float = 0.0
     at_end: bool = False
-    touch: Array | None = field(default=None, repr=False)
-    cov_touch: Array = field(default_factory=lambda: _nan(5, 5), repr=False)
-    whiten: Array = field(default_factory=lambda: _nan(6, 6), repr=False)
-    cov_linear_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
-    cov_linear_contact_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
+    fit: Array | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def touch(self) -> Array | None:
+        """Unknowns, dead loads and tip, from which a neighbouring reading can start; None without a fit."""
+        return None if self.fit is None else np.asarray(self._record["touch"])
+
+    @property
+    def whiten(self) -> Array:
+        """Whitening of the reading at this touch, (6, 6); NaN without a fit."""
+        return _nan(6, 6) if self.fit is None else np.asarray(self._record["whiten"])
+
+    @property
+    def chi2_friction(self) -> float:
+        """Part of `chi2` due to the prior on friction; 0 without a fit."""
+        return 0.0 if self.fit is None else float(self._record["posterior"]["chi2_friction"])
+
+    @property
+    def cov_touch(self) -> Array:
+        """Covariance of the five unknowns of the touch, (5, 5); NaN without a fit."""
+        return self._covariance("cov_touch", 5)
+
+    @property
+    def cov_linear_base(self) -> Array:
+        """Covariance of p_surface_base to first order, without the curvature of the probe [m²], (3, 3)."""
+        return self._covariance("cov_linear_surface", 3)
+
+    @property
+    def cov_linear_contact_base(self) -> Array:
+        """Covariance of p_contact_base to first order, without the curvature of the probe [m²], (3, 3)."""
+        return self._covariance("cov_linear_centre", 3)
+
+    def _covariance(self, name: str, size: int) -> Array:
+        return _nan(size, size) if self.fit is None else np.asarray(self._record["posterior"][name])
+
+    @property
+    def _record(self) -> Any:
+        assert self.fit is not None
+        return self.fit.view(FIT)[0]
 
     @property
     def rms(self) -> float:

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from probedesign.errors import InputError
 from probedesign.estimation import force_moment, likelihood
-from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, Result
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
@@ -34,9 +33,6 @@ normal where F is known to less than a fifth (tests/estimation/test_statistics.p
 SETTLED = 16.0
 """Age of a tare [s] for which the tolerance of drift is meant. Assumed: the detector's walk of 0.05 steps a root of a
 second makes the default 0.2 steps of it."""
-MAX_ZERO = 7.0
-"""Standard deviations of a force beyond which a sensor does not read zero: more than the limit of the test over all six
-channels allows any one of them."""
 MIN_LEVER = 0.1
 """Change of the base moment with s, over the force, below which the place of a force is not observable."""
 
@@ -58,9 +54,7 @@ class Estimator:
     model: ProbeModel
     tolerances: Tolerances | None = None
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
-    _last_sources: dict[bytes, tuple[ErrorSources, Array]] = field(
-        default_factory=dict, compare=False, repr=False
-    )
+    _last_sources: dict[bytes, ErrorSources] = field(default_factory=dict, compare=False, repr=False)
     _last_aged: dict[int, "Estimator"] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
@@ -148,46 +142,32 @@ class Estimator:
         chi2 = seen.chi2 / self._scatter(readings)
         if not self._exceeds(chi2):
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
-        sources, drift = self._sources(gravity)
-        if self._reads_nothing(seen, readings):
+        if not self._exceeds(seen.sensor_chi2 / self._scatter(readings)):
+            # The sensor itself reads zero: it was tared with the probe mounted, and that zero was not taken into
+            # account. A contact that balances all six channels is not a coincidence to believe in.
             return Estimate("inconsistent", detection_chi2=chi2)
-        noise = covariance(self.model, seen.wrench, readings) + drift
+        sources = self._sources(gravity)
+        noise = covariance(self.model, seen.wrench, readings) + sources.drift
         problem = Problem(sources, seen, self.model.friction, noise)
-        scan = Scan.of(self.model.rod, seen)
         if method != "ml":
-            return self._decide(force_moment.locate(problem, scan), chi2, readings, problem)
+            return self._decide(force_moment.locate(problem), chi2, readings, problem)
         start = near.candidates[0] if near is not None and near.candidates else None
-        found = likelihood.locate(problem, start, scan)
+        found = likelihood.locate(problem, start)
         if not found:
             # Why there is none, the force–moment method may show, but its place is not the one that was asked for.
-            why = self._decide(force_moment.locate(problem, scan), chi2, readings)
+            why = self._decide(force_moment.locate(problem), chi2, readings)
             return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
         return self._decide(found, chi2, readings, problem)
 
-    def _reads_nothing(self, seen: Observation, readings: int) -> bool:
-        """Whether the sensor itself reads zero: the sensor was tared with the probe mounted, and that zero was not
-        taken into account. A contact that balances all six channels is not a coincidence to believe in."""
-        noise = self.model.noise
-        far = MAX_ZERO * noise.force * math.sqrt(self._scatter(readings) / readings)
-        weight = self._hanging_weight(seen.gravity)
-        if any(abs(float(f) + w) > far for f, w in zip(seen.wrench[:3], weight, strict=True)):
-            return False
-        read = self.model.to_sensor(seen.wrench, seen.gravity)
-        std = np.repeat([noise.force, noise.moment], 3) * math.sqrt(self._scatter(readings) / readings)
-        return bool(((read / std) ** 2).sum() < ALARM_CHI2)
+    def sources(self, gravity_base: ArrayLike | None = None) -> ErrorSources:
+        """Return the error sources under gravity [m/s²], (3,); the design's mount if None. The last ones are kept."""
+        return self._sources(self._gravity(gravity_base))
 
-    def _hanging_weight(self, gravity: Array) -> tuple[float, float, float]:
-        """Weight of what hangs between sensor and base, in base axes [N]."""
-        mass = self.model.hanging.mass
-        return mass * float(gravity[0]), mass * float(gravity[1]), mass * float(gravity[2])
-
-    def _sources(self, gravity: Array) -> tuple[ErrorSources, Array]:
-        """The error sources under a gravity and the covariance of the drift; the last ones are kept."""
+    def _sources(self, gravity: Array) -> ErrorSources:
         key = gravity.tobytes()
         found = self._last_sources.get(key)
         if found is None:
-            sources = ErrorSources.of(self.model, self.priors, gravity, self._free(gravity))
-            found = sources, sources.drift
+            found = ErrorSources.of(self.model, self.priors, gravity, self._free(gravity))
             self._last_sources.clear()
             self._last_sources[key] = found
         return found

@@ -12,6 +12,19 @@ UNSEEN = 1e-13
 
 
 @inner
+def take3(A, row, j):
+    """Return three rows of column j."""
+    return (A[row, j], A[row + 1, j], A[row + 2, j])
+
+
+@inner
+def put3(A, row, j, x):
+    """Set three rows of column j to x."""
+    for q in range(3):
+        A[row + q, j] = x[q]
+
+
+@inner
 def factor(A, n):
     """A = L Lᵀ; L in the lower triangle of A, zeros above. Returns whether A is positive definite."""
     for j in range(n):

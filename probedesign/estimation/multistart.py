@@ -7,6 +7,8 @@ where it is touched, so the weights are then taken at the place found, and the f
 import math
 from pathlib import Path
 
+import numpy as np
+
 from probedesign.estimation import candidates
 from probedesign.estimation.contact_fit import (
     AT_END,
@@ -14,7 +16,7 @@ from probedesign.estimation.contact_fit import (
     LOST,
     MAX_ITERATIONS,
     STALLED,
-    _solve,
+    bounded_step,
     fit_touch,
     normal_equations,
     residuals,
@@ -49,10 +51,11 @@ from probedesign.estimation.surface_contact_kernel import (
 from probedesign.estimation.uncertainty_kernel import (
     CHI2,
     CHI2_FRICTION,
-    RESULT,
+    POSTERIOR,
     add_curvature,
     error_columns,
     measurement_covariance,
+    offsets_of,
     posterior,
     whitening,
 )
@@ -64,14 +67,17 @@ drop_stale(Path(__file__).parent)
 
 MAX_STARTS = 8
 """Places that one reading is fitted from at most, the likeliest ones."""
-STATUS, FOUND, KNOWN = 0, 1, 1 + TOUCH
-POINTS = KNOWN + RESULT
-"""Where in a row stand what became of the fit, the touch (TOUCH), what it is known to (RESULT), force, touched
-point and centreline point (3 each), s_contact, the reading's whitening, and how many sweeps the fit took under the
-weights of noise and drift and under all."""
-FORCE_AT, SURFACE_AT, CENTRE_AT, S_AT = POINTS, POINTS + 3, POINTS + 6, POINTS + 9
-WHITEN_AT, SWEEPS_AT = POINTS + 10, POINTS + 46
-ROW = SWEEPS_AT + 2
+FIT = np.dtype([
+    ("status", "f8"), ("touch", "f8", TOUCH), ("posterior", POSTERIOR), ("force", "f8", 3), ("surface", "f8", 3),
+    ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
+])  # fmt: skip
+"""One fit: what became of it (FITTED, ...), the touch, what is known of it, force [N], touched point and centreline
+point [m], s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift
+and under all."""
+STATUS, TOUCH_AT, POSTERIOR_AT, FORCE_AT, SURFACE_AT, CENTRE_AT, S_AT, WHITEN_AT, SWEEPS_AT, ROW = offsets_of(
+    FIT
+)
+"""Offsets of the fields of `FIT` in a row of floats, and its size."""
 LIKELY, SHARE = 8.0, 0.05
 """Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F, which
@@ -131,8 +137,8 @@ def _settle(body, end, gravity, mass, wrench, noise, friction, own, turns, root,
             return LOST
         chi2 = residuals(lin, touch, wrench, white, friction, J, r)
         normal_equations(J, r, H, b)
-        held = _solve(H, b, scale, 0.0, end, touch, step, full)
-        if held < 0 or not math.isfinite(chi2):
+        bounded = bounded_step(H, b, scale, 0.0, end, touch, step, full)
+        if bounded < 0 or not math.isfinite(chi2):
             return LOST
         gain_of = 0.0
         for u in range(UNKNOWNS):
@@ -143,10 +149,10 @@ def _settle(body, end, gravity, mass, wrench, noise, friction, own, turns, root,
             before[q] = touch[q]
         advance(touch, before, share, step, move)
         small = share == 1.0 and lack <= CLAMPED and gain_of <= SETTLED * (1.0 + chi2)
-        status = (AT_END if held else FITTED) if small else STALLED
+        status = (AT_END if bounded else FITTED) if small else STALLED
         if small or rounds == ROUNDS - 1:
-            row[KNOWN + CHI2] = chi2 - gain_of if small and not held else chi2
-            row[KNOWN + CHI2_FRICTION] = r[6] * r[6] + r[7] * r[7]
+            row[POSTERIOR_AT + CHI2] = chi2 - gain_of if small and not bounded else chi2
+            row[POSTERIOR_AT + CHI2_FRICTION] = r[6] * r[6] + r[7] * r[7]
             for q in range(3):
                 F, x, p = lin[q, VALUE], lin[POINT + q, VALUE], lin[CENTRE + q, VALUE]
                 for u in range(UNKNOWNS):
@@ -161,13 +167,13 @@ def _settle(body, end, gravity, mass, wrench, noise, friction, own, turns, root,
             row[S_AT] = touch[S] + shift
             by_s[S], by_s[1], by_s[NORMAL] = 1.0 - tan * per_r, 0.0, 0.0
             by_s[AROUND], by_s[ALONG] = by_1, by_2
-            if not posterior(lin, touch, J, white, D, by_s, rest, row[KNOWN:POINTS]):
+            if not posterior(lin, touch, J, white, D, by_s, rest, row[POSTERIOR_AT:FORCE_AT]):
                 return LOST
             if status == FITTED:
                 # Linearised at `before`; the last step is a thirtieth of a standard deviation.
                 add_curvature(
                     body, end, gravity, mass, wrench, white, friction, tol, before, lin, sweep_work, brief, rest,
-                    row[KNOWN:POINTS],
+                    row[POSTERIOR_AT:FORCE_AT],
                 )  # fmt: skip
             return status
         least = min(least, chi2)
@@ -215,11 +221,11 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, 
         places = _places(body, end, wrench, narrow, force, friction, room, reached, rows)
     known_twist = math.sqrt(noise[5, 5])
     for k in range(places):
-        s, likely = rows[k, FOUND], rows[k, KNOWN] > 0.0
+        s, likely = rows[k, TOUCH_AT], rows[k, POSTERIOR_AT] > 0.0
         if k > 0 and not likely:
             continue
         status, row, sweeps = LOST, rows[fitted], 0
-        touch = row[FOUND:KNOWN]
+        touch = row[TOUCH_AT:POSTERIOR_AT]
         for back in BACK:
             if near:
                 status = FITTED
@@ -269,9 +275,9 @@ def _ranked(rows, places, s, score, likely):
     if at >= rows.shape[0]:
         return places
     for k in range(min(places, rows.shape[0] - 1), at, -1):
-        for q in (STATUS, FOUND, KNOWN):
+        for q in (STATUS, TOUCH_AT, POSTERIOR_AT):
             rows[k, q] = rows[k - 1, q]
-    rows[at, STATUS], rows[at, FOUND], rows[at, KNOWN] = score, s, 1.0 if likely else 0.0
+    rows[at, STATUS], rows[at, TOUCH_AT], rows[at, POSTERIOR_AT] = score, s, 1.0 if likely else 0.0
     return min(places + 1, rows.shape[0])
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation_kernel import CHI2, SEEN, SIZE, WEIGHT, WHITEN, observe
+from probedesign.estimation.observation_kernel import CHI2, SEEN, SENSOR, SIZE, WEIGHT, WHITEN, observe
 from probedesign.frames import Array
 
 NUMERICAL = 1e-6
@@ -18,7 +18,8 @@ NEGLIGIBLE = 1e-2
 def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
     """Of the mean of so many independent readings, near such a wrench (6,), with the solver's own error, (6, 6)."""
     cov = model._noise_base / readings
-    numerical = NUMERICAL**2 * float(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2)
+    moment = wrench[3:]
+    numerical = NUMERICAL**2 * float(moment @ moment)
     if numerical > (NEGLIGIBLE * model.noise.moment) ** 2 / readings:
         cov[[3, 4, 5], [3, 4, 5]] += numerical
     return cov
@@ -34,6 +35,7 @@ class Observation:
         gravity: base axes [m/s²], (3,).
         weight: of the flexible part [N], (3,).
         chi2: how far it is from the free probe's, six degrees of freedom.
+        sensor_chi2: how far the sensor's own reading is from zero, six degrees of freedom.
     """
 
     wrench: Array
@@ -41,6 +43,7 @@ class Observation:
     gravity: Array
     weight: Array
     chi2: float
+    sensor_chi2: float = math.inf
 
     @classmethod
     def of(cls, model: ProbeModel, window: Array, gravity: Array, free: Array) -> "Observation | None":
@@ -53,13 +56,15 @@ class Observation:
             free: the free probe's wrench under it, (6,).
         """
         seen = np.empty(SEEN)
-        if not observe(window, gravity, free, model.mass, *model.sight, seen):
+        if not observe(
+            window, gravity, free, model.mass, *model.sight, model.noise.force, model.noise.moment, seen
+        ):
             return None
         whiten, readings = seen[WHITEN:].reshape(6, 6), len(window)
         numerical, chi2 = NUMERICAL * float(seen[SIZE]), float(seen[CHI2])
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
             whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, seen[:WEIGHT], readings)))
-        return cls(seen[:WEIGHT], whiten, gravity, seen[WEIGHT:CHI2], chi2)
+        return cls(seen[:WEIGHT], whiten, gravity, seen[WEIGHT:CHI2], chi2, float(seen[SENSOR]))
 
     def known_to(self, cov: Array) -> "Observation":
         """The same, its wrench known to another covariance, (6, 6)."""

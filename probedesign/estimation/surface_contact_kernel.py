@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from probedesign.estimation.linalg_kernel import put3, take3
 from probedesign.rod.kernels.body import (
     ALL_COLUMNS,
     BEND_X,
@@ -116,21 +117,10 @@ def radius_and_slope(body, s):
 
 
 @inner
-def _row3(columns, row, j):
-    return (columns[row, j], columns[row + 1, j], columns[row + 2, j])
-
-
-@inner
-def _put3(columns, row, j, x):
-    for q in range(3):
-        columns[row + q, j] = x[q]
-
-
-@inner
 def _turned(columns, j, in_frame):
     """What a vector that is fixed in the section changes by a column, from its parts along X, Y and t."""
-    by_xy = add(times(in_frame[0], _row3(columns, R_X, j)), in_frame[1], _row3(columns, R_Y, j))
-    return add(by_xy, in_frame[2], _row3(columns, R_TANGENT, j))
+    by_xy = add(times(in_frame[0], take3(columns, R_X, j)), in_frame[1], take3(columns, R_Y, j))
+    return add(by_xy, in_frame[2], take3(columns, R_TANGENT, j))
 
 
 @inner
@@ -265,7 +255,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
     change = (lacking[0], lacking[1], lacking[2])  # A shares its memory
     beyond = minus(take(contact, M), take(load, COUPLE))
     on_base_side = take(contact, M)
-    t, x_axis, y_axis = _row3(columns, R_TANGENT, k), _row3(columns, R_X, k), _row3(columns, R_Y, k)
+    t, x_axis, y_axis = take3(columns, R_TANGENT, k), take3(columns, R_X, k), take3(columns, R_Y, k)
     r, tan = radius_and_slope(body, s)
     cos = 1.0 / math.sqrt(1.0 + tan * tan)
     sin = tan * cos
@@ -289,26 +279,26 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
         for i in range(3):
             A[i, q], A[3 + i, q] = -by_F[i], -by_C[i]
         A[q, q] += 1.0
-    _put3(B, 0, VALUE, minus(force, take(load, FORCE)))
-    _put3(B, 3, VALUE, minus(couple, take(load, COUPLE)))
-    _put3(B, 0, BY_TOUCH + S, _turned(columns, ROD_S, f_frame))
-    _put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -tan, cross(e, force)))
+    put3(B, 0, VALUE, minus(force, take(load, FORCE)))
+    put3(B, 3, VALUE, minus(couple, take(load, COUPLE)))
+    put3(B, 0, BY_TOUCH + S, _turned(columns, ROD_S, f_frame))
+    put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -tan, cross(e, force)))
     by_angle = times(fn, add(times(-cos - a2 * sin, around), -a1, e))
-    _put3(B, 0, BY_TOUCH + PHI, by_angle)
-    _put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r, around), force), cross(arm, by_angle)))
+    put3(B, 0, BY_TOUCH + PHI, by_angle)
+    put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r, around), force), cross(arm, by_angle)))
     for j in range(3):
         way = way if j == 0 else times(fn, around) if j == 1 else times(fn, along)
-        _put3(B, 0, BY_TOUCH + NORMAL + j, way)
-        _put3(B, 3, BY_TOUCH + NORMAL + j, cross(arm, way))
+        put3(B, 0, BY_TOUCH + NORMAL + j, way)
+        put3(B, 3, BY_TOUCH + NORMAL + j, cross(arm, way))
     i = frustum_at(body, s)
     by_lean = times(fn, add(times(-1.0, along), -a2, normal))
     for j in range(parameters):
         r_by, tan_by = _section_by(body, s, i, j)
         leaning = times(cos * cos * tan_by, by_lean)
         column = ROD_GRAVITY + j
-        _put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
+        put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
         turned = add(_turned(columns, column, c_frame), r_by, cross(e, force))
-        _put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
+        put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
     if not _solve_6(A, B):
         return status, math.inf, -1.0, size
     for row in range(15):
@@ -342,7 +332,7 @@ def _tips(touch, turns, change, B, lin):
             turn = add(turn, by, axes[a])
         for q in range(6):
             lin[LOADS + q, j] = B[q, j]
-        _put3(lin, TURN, j, turn)
+        put3(lin, TURN, j, turn)
 
 
 @inner
@@ -355,8 +345,8 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
         for j in range(1, n_cols):
             lin[q, j], lin[3 + q, j] = B[q, j], total[q, j]
     shift, by_1, by_2, per_r, by_slope = offset_along(r, sin, cos, touch)
-    t = _row3(total, R_TANGENT, VALUE)
-    x_axis, y_axis = _row3(total, R_X, VALUE), _row3(total, R_Y, VALUE)
+    t = take3(total, R_TANGENT, VALUE)
+    x_axis, y_axis = take3(total, R_X, VALUE), take3(total, R_Y, VALUE)
     e = add(times(co, x_axis), si, y_axis)
     # The centreline curves on its way from the touched section to where the line of action comes nearest.
     moment = on_base_side if shift < 0.0 else beyond
@@ -364,12 +354,12 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
     bend = times(thin * thin * body.constants[BEND_X], add(moment, -dot(moment, t), t))
     curve = cross(bend, t)
     for j in range(n_cols):
-        p, dt = _row3(total, R_P, j), _row3(total, R_TANGENT, j)
-        de = add(times(co, _row3(total, R_X, j)), si, _row3(total, R_Y, j))
+        p, dt = take3(total, R_P, j), take3(total, R_TANGENT, j)
+        de = add(times(co, take3(total, R_X, j)), si, take3(total, R_Y, j))
         by_r, by_shift = 0.0, 0.0
         if j == VALUE:
-            _put3(lin, POINT, j, add(p, r, e))
-            _put3(lin, CENTRE, j, add(add(p, shift, t), 0.5 * shift * shift, curve))
+            put3(lin, POINT, j, add(p, r, e))
+            put3(lin, CENTRE, j, add(add(p, shift, t), 0.5 * shift * shift, curve))
             continue
         if j == BY_TOUCH + S:
             by_r = -tan
@@ -388,8 +378,8 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
             weight = _weight_by(body, gravity, j - BY_PARAMETER)
             for q in range(3):
                 lin[q, j] += weight[q]
-        _put3(lin, POINT, j, add(add(p, r, de), by_r, e))
-        _put3(lin, CENTRE, j, add(add(p, shift, dt), by_shift, t))
+        put3(lin, POINT, j, add(add(p, r, de), by_r, e))
+        put3(lin, CENTRE, j, add(add(p, shift, dt), by_shift, t))
 
 
 @inner
