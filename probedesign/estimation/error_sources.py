@@ -144,11 +144,10 @@ class ErrorSources:
         return replace(sources, still=sources.free_columns(free))
 
     @cached_property
-    def _arguments(self) -> tuple[Array | float, ...]:
-        """What `error_columns` takes, from `own` on."""
+    def _arguments(self) -> uncertainty_kernel.SourceArrays:
         model, t = self.model, self.tolerances
         base_from_sensor = np.ascontiguousarray(wrench_map(inverse(model.T_sensor_base)))
-        return (
+        return uncertainty_kernel.SourceArrays(
             self.own,
             self.turns,
             float(t.root_radii * model.rod.radius[0]),
@@ -160,8 +159,8 @@ class ErrorSources:
             np.ascontiguousarray(self.still),
         )
 
-    def arguments(self) -> tuple[Array | float, ...]:
-        """Those of the compiled estimate, from `own` on."""
+    def arguments(self) -> uncertainty_kernel.SourceArrays:
+        """Return the sources as the compiled estimate takes them."""
         return self._arguments
 
     @cached_property
@@ -183,7 +182,7 @@ class ErrorSources:
         D = np.empty((12, len(self.names)))
         work = np.empty(surface_contact_kernel.work_size(parameters))
         if not uncertainty_kernel.columns_of(
-            rod.body, self.gravity, self.model.mass, FINE, touch, *self._arguments, work, lin, D
+            rod.body, self.gravity, self.model.mass, FINE, touch, self._arguments, work, lin, D
         ):
             lin[:], D[:] = np.nan, np.nan
         return lin, D

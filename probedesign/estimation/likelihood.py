@@ -100,7 +100,7 @@ def _fit(problem: Problem, near: Array | None) -> Array:
         rows[0, TOUCH_AT:POSTERIOR_AT] = near
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        *problem.sources.arguments(), near is not None, np.empty(problem.sources.room), rows,
+        problem.sources.arguments(), near is not None, np.empty(problem.sources.room), rows,
     )  # fmt: skip
     found: Array = rows[:count]
     return found

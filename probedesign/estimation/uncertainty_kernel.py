@@ -11,6 +11,7 @@ with H and X the derivatives of wrench and point by the touch. `tests/reference/
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,7 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
 )
+from probedesign.frames import Array
 from probedesign.rod.kernels.body import BEND_X, BEND_Y, OK
 from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
 from probedesign.rod.kernels.vectors import add, cross, plus, take, times
@@ -81,22 +83,40 @@ def _moved(lin, gravity, shift, turn, change, D, c):
     put3(D, CENTRE, c, p)
 
 
-@inner
-def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
-                  still, D):  # fmt: skip
-    """One standard deviation of each error source, as it moves base wrench, touched point and centreline point.
+class SourceArrays(NamedTuple):
+    """Error sources as `error_columns` takes them, one standard deviation each.
 
-    Args:
-        body: of the rod; gravity: [m/s²], (3,).
-        lin: linearisation with all parameters, see `surface_contact_kernel`.
-        own: one standard deviation a row, of log E and what follows it, (a, 4 + K).
-        turns: one standard deviation a row, of the base's shift and turn and of gravity [m, rad, m/s²], (b, 9).
+    Attributes:
+        own: of log E and what follows it, a source a row, (a, 4 + K).
+        turns: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9).
         root: of the length of rigid rod at the root [m].
         gain: of the sensor's channels, relative, (6,).
         hanging: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
         sensor_from_base, base_from_sensor: carry wrenches, (6, 6).
         reference: wrench at the base at which the sensor reads zero, (6,).
         still: columns of the free probe's reading, which a tare has taken away, (6, J).
+    """
+
+    own: Array
+    turns: Array
+    root: float
+    gain: Array
+    hanging: Array
+    sensor_from_base: Array
+    base_from_sensor: Array
+    reference: Array
+    still: Array
+
+
+@inner
+def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
+                  still, D):  # fmt: skip
+    """Fill D with what one standard deviation of each error source does to base wrench, touched and centreline point.
+
+    Args:
+        body: of the rod; gravity: [m/s²], (3,).
+        lin: linearisation with all parameters, see `surface_contact_kernel`.
+        own, ... still: see `SourceArrays`.
         D: filled, (12, J), J = a + b + 7.
     """
     a, b = own.shape[0], turns.shape[0]
@@ -484,16 +504,17 @@ CURVE_WORK = 154
 
 
 @kernel
-def columns_of(body, gravity, mass, tol, touch, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor,
-               reference, still, work, lin, D):  # fmt: skip
-    """A touch settled and linearised with its error columns, see `linearise_touch` and `error_columns`.
+def columns_of(body, gravity, mass, tol, touch, sources, work, lin, D):
+    """Settle and linearise a touch and fill its error columns, see `linearise_touch` and `error_columns`.
 
     Returns:
         Whether the probe holds the touch.
     """
-    parameters = own.shape[1] + 3
+    parameters = sources.own.shape[1] + 3
     if not linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
         return False
-    error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
-                  still, D)  # fmt: skip
+    error_columns(
+        body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,
+        sources.sensor_from_base, sources.base_from_sensor, sources.reference, sources.still, D,
+    )  # fmt: skip
     return True
