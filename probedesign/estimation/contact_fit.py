@@ -66,14 +66,14 @@ WORK = TOUCH + 113 + MOVE
 
 @inner
 def sweep_tolerance(wrench, whiten):
-    """Error of a sweep's step [rad] that such a reading does not feel."""
+    """Return the error of a sweep's step [rad] that is negligible beside the noise of such a reading."""
     size = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2)
     return min(max(OF_NOISE / max(whiten[3, 3] * size, 1e-300), FINEST), COARSEST)
 
 
 @inner
 def residuals(lin, touch, wrench, whiten, friction, J, r):
-    """Whitened misfit and friction over its prior, r (8,), with derivatives by the touch, J (8, 5).
+    """Fill in the whitened misfit and the friction over its prior, r (8,), with derivatives by the touch, J (8, 5).
 
     Args:
         friction: standard deviation of the ratio; inf leaves the direction of the force free.
@@ -104,7 +104,7 @@ def residuals(lin, touch, wrench, whiten, friction, J, r):
 
 @inner
 def normal_equations(J, r, H, b):
-    """H = Jᵀ J (5, 5) and b = -Jᵀ r (5,)."""
+    """Fill in H = Jᵀ J (5, 5) and b = -Jᵀ r (5,)."""
     for u in range(UNKNOWNS):
         total = 0.0
         for i in range(RESIDUALS):
@@ -179,7 +179,7 @@ def fit_touch(
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
         friction: standard deviation of the friction ratio.
         max_iterations: after which the fit is given up.
-        touch: the guess and then the answer, (TOUCH,).
+        touch: the guess, then the fit, (TOUCH,).
         sweep_work: scratch, (work_size(0),); lin: at the last linearisation but for the last step,
             (ROWS, 1 + UNKNOWNS).
         work: scratch, (WORK,).

@@ -1,4 +1,4 @@
-"""One answer of an estimator. Numbers never come without their result code."""
+"""Estimate of one contact. Numbers never come without their result code."""
 
 import math
 from collections.abc import Callable
@@ -56,7 +56,7 @@ class Candidate:
         dof: degrees of freedom.
         lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
         shape: the probe touched there.
-        at_end: whether an end of the probe holds the place.
+        at_end: whether an end of the probe bounds the place.
         fit: row of the compiled fit, laid out as `multistart.FIT`; None for the force–moment method.
     """
 
@@ -78,32 +78,32 @@ class Candidate:
 
     @property
     def touch(self) -> Array | None:
-        """Unknowns, dead loads and tip, from which a neighbouring reading can start; None without a fit."""
+        """Return unknowns, dead loads and tip, from which a neighbouring reading can start; None without a fit."""
         return None if self.fit is None else np.asarray(self._record["touch"])
 
     @property
     def whiten(self) -> Array:
-        """Whitening of the reading at this touch, (6, 6); NaN without a fit."""
+        """Return the whitening of the reading at this touch, (6, 6); NaN without a fit."""
         return _nan(6, 6) if self.fit is None else np.asarray(self._record["whiten"])
 
     @property
     def chi2_friction(self) -> float:
-        """Part of `chi2` due to the prior on friction; 0 without a fit."""
+        """Return the part of `chi2` due to the prior on friction; 0 without a fit."""
         return 0.0 if self.fit is None else float(self._record["posterior"]["chi2_friction"])
 
     @property
     def cov_touch(self) -> Array:
-        """Covariance of the five unknowns of the touch, (5, 5); NaN without a fit."""
+        """Return the covariance of the five unknowns of the touch, (5, 5); NaN without a fit."""
         return self._covariance("cov_touch", 5)
 
     @property
     def cov_linear_base(self) -> Array:
-        """Covariance of p_surface_base to first order, without the curvature of the probe [m²], (3, 3)."""
+        """Return the covariance of p_surface_base to first order, without the curvature of the probe [m²], (3, 3)."""
         return self._covariance("cov_linear_surface", 3)
 
     @property
     def cov_linear_contact_base(self) -> Array:
-        """Covariance of p_contact_base to first order, without the curvature of the probe [m²], (3, 3)."""
+        """Return the covariance of p_contact_base to first order, without the curvature of the probe [m²], (3, 3)."""
         return self._covariance("cov_linear_centre", 3)
 
     def _covariance(self, name: str, size: int) -> Array:
@@ -116,12 +116,12 @@ class Candidate:
 
     @property
     def rms(self) -> float:
-        """Root of the trace of the touched point's covariance [m]."""
+        """Return the root of the trace of the touched point's covariance [m]."""
         return math.sqrt(max(float(np.trace(self.cov_surface_base)), 0.0))
 
     @property
     def friction_ratio(self) -> float:
-        """Tangential over normal force."""
+        """Return tangential over normal force."""
         return self.force_tangential / self.force_normal if self.force_normal > 0.0 else math.nan
 
 
@@ -166,18 +166,20 @@ class Estimate:
 
     @cached_property
     def s_interval_95(self) -> tuple[float, float]:
-        """Arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN if not located.
+        """Return the arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN if none
+        was located.
 
-        It is found when first asked for, and holds where the posterior is not normal: near the tip, for light touches.
+        Computed on first access, by the profile of the misfit, which is valid where the posterior is not normal: near
+        the tip and for light touches.
         """
         return self.solve_interval() if self.solve_interval is not None else (math.nan, math.nan)
 
     @property
     def ok(self) -> bool:
-        """Whether a contact was located."""
+        """Return whether a contact was located."""
         return self.result == "ok"
 
     @cached_property
     def shape(self) -> Equilibrium | None:
-        """The reconstructed probe, solved when it is first asked for; None if there is none."""
+        """Return the reconstructed probe, solved on first access; None if there is none."""
         return self.solve_shape() if self.solve_shape is not None else None

@@ -49,13 +49,16 @@ _ALIKE = 0.05
 
 
 def dof_of(friction: float) -> int:
-    """Degrees of freedom left to test a contact by: six channels and the prior's two components, less five unknowns;
-    one where the direction of the force is free."""
+    """Return the degrees of freedom left to test a contact by.
+
+    Six channels and the two components of the prior on friction, less five unknowns; one where the direction of the
+    force is free.
+    """
     return 3 if math.isfinite(friction) else 1
 
 
 def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
-    """Touches of greatest posterior probability, each with its covariance.
+    """Locate the touches of greatest posterior probability, each with its covariance.
 
     Args:
         problem: the reading and what it is known to.
@@ -75,7 +78,7 @@ def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
 
 
 def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate]:
-    """The touch of a round end, if it explains the reading where no touch of the flank close to it does."""
+    """Return the touch of a round end if it explains the reading where no touch of the flank close to it does."""
     end = rounded_tip.locate(problem)
     if end is None or not explains(end):
         return []
@@ -88,7 +91,7 @@ def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate
 
 
 def explains(place: Candidate) -> bool:
-    """Whether a contact there may well have made the reading."""
+    """Return whether a contact there is consistent with the reading (χ² test)."""
     return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
 
 
@@ -100,7 +103,7 @@ def _fit(problem: Problem, near: Array | None) -> Array:
         rows[0, TOUCH_AT:POSTERIOR_AT] = near
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        problem.sources.arguments(), near is not None, np.empty(problem.sources.room), rows,
+        *problem.sources.arguments(), near is not None, np.empty(problem.sources.room), rows,
     )  # fmt: skip
     found: Array = rows[:count]
     return found
@@ -135,11 +138,13 @@ _PULLED = 1e-3
 
 
 def _candidate(problem: Problem, row: Array) -> Candidate:
+    """Return a fit, a row of `FIT`, as a candidate."""
     model, k = problem.sources.model, POSTERIOR_AT
     touch = row[TOUCH_AT:k]
     normal = float(touch[NORMAL])
 
     def shape() -> Equilibrium:
+        """Solve for the probe under the fitted touch."""
         return model.rod.solve(
             problem.seen.gravity, touch[DEAD : DEAD + 3], float(touch[S]), couple=touch[DEAD + 3 : TIP],
             guess=touch[TIP:],
@@ -165,7 +170,7 @@ def _candidate(problem: Problem, row: Array) -> Candidate:
 
 
 def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
-    """Arclengths s_contact [m] between which the contact lies with a probability of 95 %.
+    """Return the arclengths s_contact [m] between which the contact lies with a probability of 95 %.
 
     The bounds are where the misfit, least over everything but the touched section, has grown by the 95 % quantile of a
     χ² with one degree of freedom; an end of the probe bounds the interval where the misfit grows by less. Where the
@@ -184,7 +189,7 @@ def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
 
 
 def _bound(problem: Problem, place: Candidate, way: float) -> float:
-    """One end of `profile_interval`, by steps of a standard deviation and bisection."""
+    """Return one end of `profile_interval`, by steps of a standard deviation and bisection."""
     assert place.touch is not None
     model, end = problem.sources.model, problem.sources.model.rod.flank_end
     touch, s = place.touch.copy(), float(place.touch[S])
@@ -192,6 +197,7 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
     sweep_work, work = np.empty(work_size(0)), np.empty(FIT_WORK)
 
     def misfit(at: float) -> float:
+        """Return the least misfit squared with the touched section at an arclength [m]."""
         return float(multistart.profile_misfit(
             model.rod.body, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten, problem.friction, at,
             touch, sweep_work, lin, work,
@@ -221,7 +227,7 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
 
 
 MAX_PROFILE_STEPS = 12
-"""Steps of 0.7 standard deviations in which a bound of the interval is looked for."""
+"""Steps of 0.7 standard deviations within which a bound of the interval is searched."""
 
 
 def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:

@@ -1,4 +1,4 @@
-"""Every touch that may explain a reading, fitted from wherever one may lie, with what it is known to (compiled).
+"""Fits of every touch that may explain a reading, from all candidates, with their posteriors (compiled).
 
 Each fit starts with the reading weighted by noise and drift alone; what the error sources do to a reading depends on
 where it is touched, so the weights are then taken at the place found, and the fit is carried on with them.
@@ -53,6 +53,7 @@ from probedesign.estimation.uncertainty_kernel import (
     CHI2,
     CHI2_FRICTION,
     POSTERIOR,
+    SourceArrays,
     add_curvature,
     error_columns,
     measurement_covariance,
@@ -87,7 +88,7 @@ BACK = (0.0, 0.08)
 """Of the length: how far before the likeliest place a second fit starts where the first one leads nowhere, as where
 the trace has run out of the thin tip."""
 FEW = 10
-"""Iterations that a place other than the likeliest is worth: a rival that explains the reading is near its guess."""
+"""Iterations for a place other than the likeliest: a rival that explains the reading is near its guess."""
 ROUNDS = 6
 """How often the weights are taken anew at most."""
 SETTLED = 1e-3
@@ -98,7 +99,7 @@ MAX_FRICTION = 3.0
 
 
 def room_for(knots: int, causes: int) -> int:
-    """Numbers that `fit_contacts` works in, of a rod with so many knots and so many columns of error sources."""
+    """Return how many numbers `fit_contacts` works in, by knots of the rod and columns of error sources."""
     parameters = OWN + knots
     return (
         max(work_size(0), work_size(parameters)) + ROWS * (2 + 2 * UNKNOWNS + parameters) + 36 + FIT_WORK
@@ -204,7 +205,10 @@ def _settle(
 
 
 @kernel
-def fit_contacts(body, end, gravity, mass, wrench, noise, friction, sources, near, work, rows):
+def fit_contacts(
+    body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
+    base_from_sensor, reference, still, near, work, rows,
+):  # fmt: skip
     """Fit touches from one guess, or from every candidate of the trace, the likeliest first.
 
     Args:
@@ -213,7 +217,7 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, sources, nea
         wrench: read at the base, (6,).
         noise: its covariance by noise and drift, (6, 6).
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
-        sources: the error sources, a `SourceArrays`.
+        own, ... still: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
         near: whether the first row's touch holds a guess; nothing is traced then.
         work: scratch, (room_for(knots, J),).
         rows: filled, (MAX_STARTS, ROW).
@@ -221,7 +225,10 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, sources, nea
     Returns:
         How many rows.
     """
-    parameters, J = sources.own.shape[1] + 3, sources.still.shape[1]
+    sources = SourceArrays(
+        own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference, still
+    )
+    parameters, J = own.shape[1] + 3, still.shape[1]
     a = max(sweep_work_size(0), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)
     c = b + 12 * J
@@ -275,7 +282,7 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, sources, nea
 
 @inner
 def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
-    """Candidates of the trace into rows, best first: score, arclength, whether it is likely; returns how many."""
+    """Rank the candidates of the trace into rows: score, arclength, whether it is likely; return how many."""
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for j in range(reached):
@@ -290,7 +297,7 @@ def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
 
 @inner
 def _ranked(rows, places, s, score, likely):
-    """Put a place where its score belongs among the rows, least first; how many there are then."""
+    """Insert a place among the rows by its score, least first; return how many there are then."""
     at = places
     while at > 0 and rows[at - 1, STATUS] > score:
         at -= 1
@@ -305,27 +312,27 @@ def _ranked(rows, places, s, score, likely):
 
 @kernel
 def placed(body, end, s, force, t, x_axis, touch):
-    """`candidates.place_touch` for callers in Python."""
+    """Run `candidates.place_touch` for callers in Python."""
     candidates.place_touch(body, end, s, take(force, 0), take(t, 0), take(x_axis, 0), 0.0, 1.0, touch)
 
 
 @kernel
 def contact_arclengths(body, touches, s):
-    """Arclengths of the centreline's points where the lines of action of forces come nearest [m], filled, (k,)."""
+    """Fill in the arclengths of the centreline's points where the lines of action of forces come nearest [m], (k,)."""
     for k in range(touches.shape[0]):
         s[k] = s_contact(body, touches[k])
 
 
 @kernel
 def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, sweep_work, lin, work):
-    """Least misfit of touches whose section is held at s [m], from a touch close by, which is moved there.
+    """Minimise the misfit over touches whose section is fixed at s [m], from a touch close by, which is moved there.
 
     Args:
         sweep_work: scratch, (work_size(0),); lin: scratch, (ROWS, 1 + UNKNOWNS); work: scratch, (contact_fit.WORK,).
         The others as in `fit_touch`.
 
     Returns:
-        The misfit squared; inf where the probe holds no such touch.
+        The misfit squared; inf where there is no such equilibrium.
     """
     touch[S] = s
     status, chi2, _n = fit_touch(body, s, s, gravity, mass, wrench, whiten, friction, MAX_ITERATIONS, touch,

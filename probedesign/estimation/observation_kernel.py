@@ -1,4 +1,4 @@
-"""A window of readings looked at, compiled: whether the sensor can have read them, and what they amount to."""
+"""Mean of a window of readings with its tests: within range, free probe, sensor at zero (compiled)."""
 
 import math
 from pathlib import Path
@@ -16,7 +16,7 @@ the misfit of a sensor that reads zero, and the mean's whitening (6, 6); and the
 def observe(
     window, gravity, free, mass, sensor_from_base, hanging, most, whiten, force_noise, moment_noise, seen
 ):
-    """Look at a window of readings.
+    """Evaluate a window of readings.
 
     Args:
         window: base wrenches, (n, 6).

@@ -27,5 +27,5 @@ class Problem:
 
     @cached_property
     def scan(self) -> Scan:
-        """The reading's scan along the probe, made when it is first needed."""
+        """Return the reading's scan along the probe, made when it is first needed."""
         return Scan.of(self.sources.model.rod, self.seen)

@@ -66,13 +66,13 @@ ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_E, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 10, 
 """Columns of the rod; the first three are by the force."""
 
 MAX_LACK = 0.5
-"""Misfit at the clamp [rad] up to which a linear answer is of any use."""
+"""Misfit at the clamp [rad] up to which a linear solution is useful."""
 CLAMPED = 1e-4
 """Misfit at the clamp [rad] up to which it is exact: an error of its square."""
 
 
 def work_size(parameters: int) -> int:
-    """Numbers that `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
+    """Return how many numbers `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
     return int(_parts(parameters)[-1])
 
 
@@ -95,13 +95,13 @@ _parts_kernel = inner(_parts)
 
 @inner
 def sweep_work_size(parameters):
-    """The same for kernels."""
+    """Return `work_size` to kernels."""
     return _parts_kernel(parameters)[9]
 
 
 @inner
 def frustum_at(body, s):
-    """The frustum that s lies in, the lower one at a knot."""
+    """Return the frustum that s lies in, the lower one at a knot."""
     i = 0
     while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
         i += 1
@@ -110,7 +110,7 @@ def frustum_at(body, s):
 
 @inner
 def radius_and_slope(body, s):
-    """r(s) [m] and tan α = -dr/ds."""
+    """Return r(s) [m] and tan α = -dr/ds."""
     i = frustum_at(body, s)
     tan = (body.radii[i] - body.radii[i + 1]) / (body.knots[i + 1] - body.knots[i])
     return body.radii[i] - tan * (s - body.knots[i]), tan
@@ -118,7 +118,7 @@ def radius_and_slope(body, s):
 
 @inner
 def _turned(columns, j, in_frame):
-    """What a vector that is fixed in the section changes by a column, from its parts along X, Y and t."""
+    """Return the derivative by a column of a vector fixed in the section, from its parts along X, Y and t."""
     by_xy = add(times(in_frame[0], take3(columns, R_X, j)), in_frame[1], take3(columns, R_Y, j))
     return add(by_xy, in_frame[2], take3(columns, R_TANGENT, j))
 
@@ -141,7 +141,7 @@ def _grow_at_rest(columns, force, couple):
 
 @inner
 def _solve_6(A, B):
-    """B becomes A⁻¹ B for A (6, 6), by elimination with pivots; whether A has an inverse."""
+    """Replace B by A⁻¹ B for A (6, 6), by elimination with pivots; return whether A has an inverse."""
     columns = B.shape[1]
     for j in range(6):
         at = j
@@ -172,7 +172,7 @@ def _solve_6(A, B):
 
 @inner
 def _weight_by(body, gravity, parameter):
-    """Of the flexible part's weight [N] by a parameter, counted from gravity on."""
+    """Return the derivative of the flexible part's weight [N] by a parameter, counted from gravity on."""
     rho = body.constants[DENSITY]
     whole = rho * body.volume_beyond[0]
     if parameter < 3:
@@ -190,7 +190,7 @@ def _weight_by(body, gravity, parameter):
 
 @inner
 def _section_by(body, s, i, parameter):
-    """Of the radius at s [m] and of tan α there by a parameter, counted from gravity on."""
+    """Return the derivatives of the radius at s [m] and of tan α there by a parameter, counted from gravity on."""
     apart = body.knots[i + 1] - body.knots[i]
     share = (s - body.knots[i]) / apart
     if parameter == 6:
@@ -204,8 +204,9 @@ def _section_by(body, s, i, parameter):
 
 @inner
 def offset_along(r, sin, cos, touch):
-    """How far beyond the touched section the force's line of action comes nearest to the centreline [m], δ, and its
-    derivatives by a_1, a_2, r and α: δ = -(ρ·F)(F·t)/|t × F|² = -r a b/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n."""
+    """Return how far beyond the touched section the force's line of action comes nearest to the centreline [m], δ, and
+    its derivatives by a_1, a_2, r and α: δ = -(ρ·F)(F·t)/|t × F|² = -r a b/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n.
+    """
     a1, a2 = touch[AROUND], touch[ALONG]
     b, a = -cos - a2 * sin, -sin + a2 * cos
     square = max(b * b + a1 * a1, 1e-300)
@@ -318,7 +319,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
 
 @inner
 def _tips(touch, turns, change, B, lin):
-    """What carries the dead loads and the tip along: their first rows are what the equilibrium still lacks."""
+    """Fill in the rows that carry dead loads and tip along: their first column is the residual of the equilibrium."""
     t, d = take(touch, TIP), take(touch, TIP + 3)
     axes = (d, cross(t, d), t)
     for j in range(lin.shape[1]):
@@ -337,7 +338,7 @@ def _tips(touch, turns, change, B, lin):
 
 @inner
 def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_side, beyond, B, total, lin):
-    """Base wrench, touched point and centreline point from force, couple, frame and position at the contact."""
+    """Fill in base wrench, touched point and centreline point from force, couple, frame and position at the contact."""
     s, n_cols = touch[S], lin.shape[1]
     for q in range(3):
         lin[q, VALUE] = touch[DEAD + q] + B[q, VALUE] + mass * gravity[q]
@@ -384,7 +385,7 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
 
 @inner
 def s_contact(body, touch):
-    """Arclength of the centreline's point where the force's line of action comes nearest [m]."""
+    """Return the arclength of the centreline's point where the force's line of action comes nearest [m]."""
     r, tan = radius_and_slope(body, touch[S])
     cos = 1.0 / math.sqrt(1.0 + tan * tan)
     return touch[S] + offset_along(r, tan * cos, cos, touch)[0]
@@ -396,7 +397,7 @@ MOVE = 18
 
 @inner
 def plan_move(lin, step, move):
-    """What carries a touch from where it was linearised along a step of its unknowns, filled, (MOVE,)."""
+    """Fill in what carries a touch from where it was linearised along a step of its unknowns, (MOVE,)."""
     for q in range(9):
         total = 0.0
         for j in range(UNKNOWNS):
@@ -421,7 +422,7 @@ def advance(touch, before, share, step, move):
 
 @kernel
 def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
-    """`linearise` for callers in Python, the touch first settled: its dead loads and its tip made consistent.
+    """Run `linearise` for callers in Python, after dead loads and tip of the touch have been made consistent.
 
     Returns:
         Whether there is a stable equilibrium.
@@ -445,7 +446,7 @@ def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
 
 @kernel
 def move_touch(touch, lin, step):
-    """`advance` for callers in Python: carry a touch along a step of its unknowns from where it was linearised.
+    """Run `advance` for callers in Python: carry a touch along a step of its unknowns from where it was linearised.
 
     Args:
         touch: moved in place, (TOUCH,); lin: its linearisation; step: of the unknowns, (UNKNOWNS,).

@@ -1,7 +1,7 @@
 """How error sources and noise propagate to a located contact (compiled).
 
 A source of one standard deviation moves the true reading of a touch by a column of D and its true point by one of Q.
-A reading is then known to Σ = noise + drift + D Dᵀ, the nearest touch answers it by the gain K = C Hᵀ Σ⁻¹ with
+A reading then has the covariance Σ = noise + drift + D Dᵀ, the fitted touch follows it by the gain K = C Hᵀ Σ⁻¹ with
 C = (Hᵀ Σ⁻¹ H + prior)⁻¹, and the point is known to
 
     X C Xᵀ + Q Qᵀ - X K D Qᵀ - (X K D Qᵀ)ᵀ,
@@ -63,7 +63,7 @@ FORCE, MOMENT = np.arange(0, 6, 3)
 
 @inner
 def _moved(lin, gravity, shift, turn, change, D, c):
-    """The column of a base that is shifted and turned and of gravity that changes, as seen in the modelled base frame.
+    """Fill in the column of a base that is shifted and turned and of gravity that changes, in the modelled base frame.
 
     A turn of the base turns what it reads, and gravity the other way as seen from it.
     """
@@ -159,7 +159,7 @@ def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_fr
 
 @inner
 def measurement_covariance(noise, D, cov):
-    """Σ = noise + D Dᵀ of a reading, (6, 6); noise holds the drift as well."""
+    """Fill in Σ = noise + D Dᵀ of a reading, (6, 6); noise includes the drift."""
     for i in range(6):
         for j in range(i + 1):
             total = noise[i, j]
@@ -171,7 +171,7 @@ def measurement_covariance(noise, D, cov):
 
 @inner
 def whitening(cov, work, whiten):
-    """Lower triangular, with whitenᵀ whiten the inverse of a covariance (6, 6), which stays; whether it is positive."""
+    """Fill in lower triangular W with Wᵀ W the inverse of a covariance (6, 6); return whether that is positive."""
     for i in range(6):
         for j in range(6):
             work[i, j] = cov[i, j]
@@ -201,14 +201,14 @@ CHI2, CHI2_FRICTION, LEVER, VAR_S, COV_TOUCH, COV_POINT, COV_CENTRE, LINEAR, _, 
 
 
 @inner
-def _point_covariance(row, lin, whiten, D, C, W6, out):
-    """cov of a point whose rows in lin and D begin at `row`, (3, 3) into out (9,).
+def _point_covariance(row, lin, J, whiten, D, C, W6, out):
+    """Fill in the covariance of a point whose rows in lin and D begin at `row`, (9,).
 
     Args:
-        C: covariance of the touch, (5, 5); W6: scratch, (3, 6 + J).
+        J: residuals' derivatives by the touch, (8, 5); C: covariance of the touch, (5, 5); W6: scratch, (3, 6 + J).
     """
-    J = D.shape[1]
-    # share = X C (W H)ᵀ W, the gain of the point on the reading.
+    sources = D.shape[1]
+    # W6 = X C (W H)ᵀ W, the gain of the point on the reading; the first rows of J are W H.
     for i in range(3):
         for q in range(6):
             W6[i, q] = 0.0
@@ -217,13 +217,9 @@ def _point_covariance(row, lin, whiten, D, C, W6, out):
             for v in range(UNKNOWNS):
                 xc += lin[row + i, BY_TOUCH + v] * C[v, u]
             for q in range(6):
-                # (W H) column u, then back through Wᵀ
-                wh = 0.0
                 for m in range(q + 1):
-                    wh += whiten[q, m] * lin[WRENCH + m, BY_TOUCH + u]
-                for m in range(q + 1):
-                    W6[i, m] += xc * wh * whiten[q, m]
-        for c in range(J):
+                    W6[i, m] += xc * J[q, u] * whiten[q, m]
+        for c in range(sources):
             total = 0.0
             for q in range(6):
                 total += W6[i, q] * D[q, c]
@@ -234,7 +230,7 @@ def _point_covariance(row, lin, whiten, D, C, W6, out):
             for u in range(UNKNOWNS):
                 for v in range(UNKNOWNS):
                     total += lin[row + i, BY_TOUCH + u] * C[u, v] * lin[row + k, BY_TOUCH + v]
-            for c in range(J):
+            for c in range(sources):
                 total += D[row + i, c] * D[row + k, c]
                 total -= W6[i, 6 + c] * D[row + k, c] + W6[k, 6 + c] * D[row + i, c]
             out[3 * i + k] = total
@@ -242,7 +238,7 @@ def _point_covariance(row, lin, whiten, D, C, W6, out):
 
 @inner
 def posterior(lin, touch, J, whiten, D, by_s, work, result):
-    """Covariances of a fitted touch, to first order, into the result; whether it is known at all.
+    """Fill in the covariances of a fitted touch to first order; return whether they exist.
 
     Args:
         J: residuals' derivatives by the touch, (8, 5).
@@ -274,15 +270,15 @@ def posterior(lin, touch, J, whiten, D, by_s, work, result):
         for v in range(UNKNOWNS):
             total += by_s[u] * C[u, v] * by_s[v]
     result[VAR_S] = total
-    _point_covariance(POINT, lin, whiten, D, C, W6, result[COV_POINT:COV_CENTRE])
-    _point_covariance(CENTRE, lin, whiten, D, C, W6, result[COV_CENTRE:LINEAR])
+    _point_covariance(POINT, lin, J, whiten, D, C, W6, result[COV_POINT:COV_CENTRE])
+    _point_covariance(CENTRE, lin, J, whiten, D, C, W6, result[COV_CENTRE:LINEAR])
     for i in range(18):
         result[LINEAR + i] = result[COV_POINT + i]
     return True
 
 
 ASIDE = math.sqrt(3.0)
-"""Standard deviations to either side at which the valley is looked at: places of Gauss and Hermite's quadrature."""
+"""Standard deviations to either side at which the valley is evaluated: nodes of Gauss-Hermite quadrature."""
 FLAT_ENOUGH = 0.2
 """Sagitta of the valley, over the smallest standard deviation of the point, that a linear covariance may neglect."""
 TAIL = 2.0
@@ -300,7 +296,7 @@ BESIDE = 1e4
 
 @inner
 def principal_axis(cov, u):
-    """Direction of the largest variance of a covariance (9,), into u (3,); returns that variance."""
+    """Fill in the direction of the largest variance of a covariance (9,), u (3,); return that variance."""
     u[0], u[1], u[2] = 1.0, 1.0, 1.0
     for j in range(3):
         if cov[4 * j] >= cov[0] and cov[4 * j] >= cov[4] and cov[4 * j] >= cov[8]:
@@ -320,7 +316,7 @@ def principal_axis(cov, u):
 
 @inner
 def smallest_variance(cov):
-    """det over the product of the other two, from the invariants of a covariance (9,): a lower estimate is enough."""
+    """Return det over the product of the other two, from the invariants of a covariance (9,): a lower bound."""
     trace = cov[0] + cov[4] + cov[8]
     minors = (
         cov[0] * cov[4]
@@ -508,7 +504,7 @@ def columns_of(body, gravity, mass, tol, touch, sources, work, lin, D):
     """Settle and linearise a touch and fill its error columns, see `linearise_touch` and `error_columns`.
 
     Returns:
-        Whether the probe holds the touch.
+        Whether there is a stable equilibrium.
     """
     parameters = sources.own.shape[1] + 3
     if not linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
