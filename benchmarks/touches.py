@@ -16,7 +16,7 @@ from probedesign.estimation.multistart import placed
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.probe import build_probe
-from probedesign.rod.friction import SurfaceForce, solve_surface_force
+from probedesign.rod.surface_force import SurfaceForce, solve_surface_force
 
 ROOT = Path(__file__).parents[1]
 TABLE_I = ROOT / "tests/data/table1.csv"

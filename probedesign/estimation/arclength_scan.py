@@ -35,13 +35,13 @@ FLAT = 1e-10
 """Share of the squared misfit that a last step may still take off: a hundred-thousandth of what is left unexplained,
 which the rod's own digits hide."""
 CURVED = 10.0
-"""So many times more or less than a linear moment has, a secant's curvature is taken for that of the misfit."""
+"""A secant is used as the curvature of the misfit within this factor of the curvature of a linear moment."""
 _MAX_ITERATIONS = 60
 _CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
 
 
 def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, Array, Array]:
-    """Misfit of the base moment as the force acts at each of many arclengths.
+    """Return the misfit of the base moment as the force acts at each of many arclengths.
 
     Args:
         rod: the rod.
@@ -72,7 +72,7 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
 
 
 def _stations(rod: Rod, force: Array) -> int:
-    """How many arclengths to scan."""
+    """Return how many arclengths to scan."""
     thinnest = float(rod.radius[rod.s <= rod.flank_end].min())
     stiffness = rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * thinnest
     bend = math.sqrt(force @ force) * rod.length**2 / stiffness
@@ -80,7 +80,7 @@ def _stations(rod: Rod, force: Array) -> int:
 
 
 def _pushed(force: Array, free: Array, tangents: Array) -> int:
-    """How many stations from the base on can be pushed so: where the force has bent the rod into its own
+    """Return how many stations from the base on can be pushed so: where the force has bent the rod into its own
     direction, no contact short of the tip can push along the surface it touches."""
     across = (_sines(force, free) > ACROSS).all() and _sines(force, np.array([[0.0, 0.0, 1.0]]))[0] > ACROSS
     along = _sines(force, tangents) <= ALONG
@@ -89,7 +89,7 @@ def _pushed(force: Array, free: Array, tangents: Array) -> int:
 
 
 def _sines(force: Array, tangents: Array) -> Array:
-    """Sine of the angle between a force and each tangent (j, 3); 0 without a force."""
+    """Return the sine of the angle between a force and each tangent (j, 3); 0 without a force."""
     along = tangents @ (force / (math.sqrt(force @ force) or 1.0))
     whole = (tangents * tangents).sum(axis=1) if force.any() else along**2
     sines: Array = np.sqrt(np.maximum(whole - along**2, 0.0))
@@ -99,11 +99,12 @@ def _sines(force: Array, tangents: Array) -> Array:
 def refine(
     rod: Rod, gravity: Array, force: Array, moment: Array, s: float, low: float, high: float, guess: Array
 ) -> Equilibrium | None:
-    """The equilibrium at the nearest least misfit in [low, high], by Gauss-Newton with exact sensitivities and, from
-    the second step on, secants of its slope: where no place explains the moment, Gauss and Newton's steps alone come
-    near by the same share of the way each.
+    """Return the equilibrium at the nearest minimum of the misfit in [low, high].
 
-    A step that overshoots, or that leads where there is no equilibrium (the probe gives way there), is halved.
+    Gauss-Newton with exact sensitivities and, from the second step on, secants of the slope: where no place explains
+    the moment, Gauss-Newton steps alone converge linearly.
+
+    A step that overshoots, or that leads where there is no equilibrium (the probe is unstable there), is halved.
 
     Returns:
         The equilibrium with its load columns; None if none was found, or if the search ended at a bound short
@@ -131,16 +132,16 @@ def refine(
 
 
 def _curvature(linear: float, slope: float, last: float, way: float) -> float:
-    """Of half the squared misfit by arclength: by the secant from the last place, where there is one and it says that
-    a minimum is near, else as of a linear moment."""
+    """Return the second derivative of half the squared misfit by arclength: the secant from the last place where it
+    indicates a minimum, else that of a linear moment."""
     secant = (slope - last) / way if way != 0.0 else np.nan
     return secant if linear / CURVED < secant < CURVED * linear else max(linear, 1e-300)
 
 
 @dataclass(frozen=True)
 class Scan:
-    """One reading's scan along the probe, made when it is first asked for: what it says does not depend on how well
-    the reading is known.
+    """Scan of one reading along the probe, made when it is first needed; it does not depend on the reading's
+    covariance.
 
     Attributes:
         rod: of the probe.
@@ -156,12 +157,12 @@ class Scan:
 
     @classmethod
     def of(cls, rod: Rod, seen: Observation) -> "Scan":
-        """Of a reading."""
+        """Return the scan of a reading."""
         return cls(rod, seen.gravity, seen.force, seen.wrench[3:6])
 
     @cached_property
     def starts(self) -> list[tuple[float, Array]]:
-        """Arclength [m] and tip (6,) of every local minimum of the scanned misfit."""
+        """Return arclength [m] and tip (6,) of every local minimum of the scanned misfit."""
         stations, misfit, tips = self._scanned
         before, after = np.append(np.inf, misfit[:-1]), np.append(misfit[1:], np.inf)
         least = np.flatnonzero((misfit <= before) & (misfit <= after))
@@ -169,7 +170,7 @@ class Scan:
 
     @property
     def likeliest(self) -> tuple[float, Array] | None:
-        """The one of them whose misfit is least; None if there is no equilibrium at all."""
+        """Return the start of least misfit; None if there is no equilibrium at all."""
         stations, misfit, tips = self._scanned
         return (float(stations[misfit.argmin()]), tips[misfit.argmin()]) if len(misfit) else None
 
@@ -179,7 +180,7 @@ class Scan:
 
     @cached_property
     def candidates(self) -> list[Equilibrium]:
-        """Equilibria at the local minima of the misfit along the probe, best first."""
+        """Return the equilibria at the local minima of the misfit along the probe, best first."""
         found: list[Equilibrium] = []
         for s, tip in self.starts:
             eq = self._refined(s, tip)

@@ -3,7 +3,7 @@
 Up to the contact such a rod is the touched probe itself. Beyond it hangs the free part, whose weight alone makes a
 moment; where the moment carried along equals that, the contact may lie. Nothing is iterated, so this costs less than
 one equilibrium. It errs with the reading, the more the thinner the probe gets, and takes the free part for straight:
-good for a start, not for an answer.
+good for a start, not for an estimate.
 """
 
 import math
@@ -31,7 +31,7 @@ from probedesign.rod.kernels.vectors import add, cross, dot, put, take, times
 drop_stale(Path(__file__).parent)
 
 STATIONS = 33
-"""Places looked at, even along the probe: as many as the scan of `locate.py` has where the probe bends most."""
+"""Stations evaluated at equal distances along the probe, as many as `arclength_scan.py` has at most."""
 ROOM = STATIONS * (WIDTH + 3)
 """Numbers that a trace works in, and one more for each knot: states, misfits, first moments at the knots."""
 ROUGH = 1e-3
@@ -50,7 +50,7 @@ MIN_PUSH = 0.2
 
 @inner
 def _hanging(body, s, knot_moments):
-    """First moment of the weightless mass beyond s about s [kg m], were it straight."""
+    """Return the first moment of the mass beyond s about s [kg m], taken as straight."""
     i = 0
     while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
         i += 1
@@ -63,7 +63,7 @@ def _hanging(body, s, knot_moments):
 
 @inner
 def _moments_at_knots(body, knot_moments):
-    """First moments of the volume beyond each knot [m⁴]."""
+    """Fill in the first moments of the volume beyond each knot [m⁴]."""
     last = body.knots.shape[0] - 1
     knot_moments[last] = 0.0
     for i in range(last - 1, -1, -1):
@@ -102,7 +102,7 @@ def _carry(body, s, end, work, force, gravity, on):
 
 @inner
 def trace(body, end, gravity, force, moment, work, room):
-    """Draw the probe from its clamp.
+    """Integrate the probe from its clamp with the measured wrench.
 
     Args:
         body: of the rod; end: the furthest arclength at which a touch acts [m], where the last station lies.
@@ -135,21 +135,21 @@ def trace(body, end, gravity, force, moment, work, room):
 
 @inner
 def _misfit(room, j):
-    """Of station j, squared."""
+    """Return the squared misfit of station j."""
     off = take(room, STATIONS * WIDTH + 3 * j)
     return dot(off, off)
 
 
 @inner
 def is_least(room, j, reached):
-    """Whether the misfit at station j is no greater than beside it."""
+    """Return whether the misfit at station j is a local minimum."""
     at = _misfit(room, j)
     return (j == 0 or at <= _misfit(room, j - 1)) and (j + 1 >= reached or at <= _misfit(room, j + 1))
 
 
 @inner
 def least(end, room, j, reached):
-    """The least misfit about station j, taken as linear between stations [N·m], and its arclength [m]."""
+    """Return the least misfit about station j [N·m], linear between stations, and its arclength [m]."""
     at, best, square = take(room, STATIONS * WIDTH + 3 * j), 0.0, _misfit(room, j)
     for way in (-1, 1):
         if 0 <= j + way < reached:
@@ -180,7 +180,7 @@ def _droop(body, s, gravity, knot_moments, state):
 
 @inner
 def _hang(body, s, t, d, gravity, knot_moments):
-    """How the free part turns with s where the section is t, d."""
+    """Return the rate of turn of the free part by s where the section is t, d."""
     i = 0
     while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
         i += 1
@@ -191,7 +191,7 @@ def _hang(body, s, t, d, gravity, knot_moments):
 
 @inner
 def guess(body, end, gravity, force, known_twist, work, room, s, reached, touch):
-    """The contact whose line of action crosses the centreline at s as a guess to fit from, (TOUCH,); whether there is
+    """Fill in a guess (TOUCH,) of the contact whose line of action crosses the centreline at s; return whether there is
     one. known_twist: standard deviation of the twist moment [N·m]."""
     start = min(max(math.floor(s / end * (STATIONS - 1)), 0), reached - 1)
     for q in range(WIDTH):

@@ -66,14 +66,14 @@ WORK = TOUCH + 113 + MOVE
 
 @inner
 def sweep_tolerance(wrench, whiten):
-    """Error of a sweep's step [rad] that such a reading does not feel."""
+    """Return the error of a sweep's step [rad] that is negligible beside the noise of such a reading."""
     size = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2)
     return min(max(OF_NOISE / max(whiten[3, 3] * size, 1e-300), FINEST), COARSEST)
 
 
 @inner
 def residuals(lin, touch, wrench, whiten, friction, J, r):
-    """Whitened misfit and friction over its prior, r (8,), with derivatives by the touch, J (8, 5).
+    """Fill in the whitened misfit and the friction over its prior, r (8,), with derivatives by the touch, J (8, 5).
 
     Args:
         friction: standard deviation of the ratio; inf leaves the direction of the force free.
@@ -104,7 +104,7 @@ def residuals(lin, touch, wrench, whiten, friction, J, r):
 
 @inner
 def normal_equations(J, r, H, b):
-    """H = Jᵀ J (5, 5) and b = -Jᵀ r (5,)."""
+    """Fill in H = Jᵀ J (5, 5) and b = -Jᵀ r (5,)."""
     for u in range(UNKNOWNS):
         total = 0.0
         for i in range(RESIDUALS):
@@ -119,8 +119,15 @@ def normal_equations(J, r, H, b):
 
 
 @inner
-def _solve(H, b, scale, low, high, touch, step, full):
-    """The step that the normal equations ask for within the ends; 1 where an end holds it, 0 where none, -1 if none."""
+def bounded_step(H, b, scale, low, high, touch, step, full):
+    """Solve the normal equations H step = b, with the arclength kept between low and high [m].
+
+    Args:
+        step: filled, (5,); scale, full: scratch, (5,) and (5, 5).
+
+    Returns:
+        1 where a bound limits the step, 0 where none does, -1 if there is no solution.
+    """
     for u in range(UNKNOWNS):
         step[u] = b[u]
         for v in range(UNKNOWNS):
@@ -128,10 +135,10 @@ def _solve(H, b, scale, low, high, touch, step, full):
     if not scale_and_factor(full, UNKNOWNS, scale):
         return -1
     solve_scaled(full, UNKNOWNS, scale, step)
-    held = 0
+    bounded = 0
     way = min(max(step[S], low - touch[S]), high - touch[S])
     if way != step[S]:
-        held = 1
+        bounded = 1
         for u in range(UNKNOWNS):
             step[u] = way if u == S else b[u] - H[u, S] * way
             for v in range(UNKNOWNS):
@@ -143,12 +150,12 @@ def _solve(H, b, scale, low, high, touch, step, full):
     for u in range(UNKNOWNS):
         if not math.isfinite(step[u]):
             return -1
-    return held
+    return bounded
 
 
 @inner
 def step_share(step, touch, move, length):
-    """The share of a step that neither goes too far, nor turns the tip too much, nor pulls."""
+    """Return the share of a step that neither goes too far, nor turns the tip too much, nor pulls."""
     turn = 0.0
     for q in range(3):
         turn += abs(move[6 + q]) + abs(move[15 + q])
@@ -161,9 +168,9 @@ def step_share(step, touch, move, length):
 
 @inner
 def fit_touch(
-    body, low, end, gravity, mass, wrench, whiten, friction, most, touch, sweep_work, lin, work
+    body, low, end, gravity, mass, wrench, whiten, friction, max_iterations, touch, sweep_work, lin, work
 ):  # fmt: skip
-    """Least misfit over touches of the surface, from a guess.
+    """Minimise the misfit over touches of the surface, from a guess.
 
     Args:
         body: of the rod; low, end: arclengths between which the touch may lie [m].
@@ -171,8 +178,8 @@ def fit_touch(
         wrench: read, at the base, (6,).
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
         friction: standard deviation of the friction ratio.
-        most: iterations.
-        touch: the guess and then the answer, (TOUCH,).
+        max_iterations: after which the fit is given up.
+        touch: the guess, then the fit, (TOUCH,).
         sweep_work: scratch, (work_size(0),); lin: at the last linearisation but for the last step,
             (ROWS, 1 + UNKNOWNS).
         work: scratch, (WORK,).
@@ -188,7 +195,7 @@ def fit_touch(
     length, tol = body.knots[-1], sweep_tolerance(wrench, whiten)
     least, share, size, failed = math.inf, 1.0, 1.0, 0
     full, move = work[a + 88 : a + 113].reshape((UNKNOWNS, UNKNOWNS)), work[a + 113 : a + 131]
-    for iteration in range(most):
+    for iteration in range(max_iterations):
         status, lack, margin, size = linearise(
             body, gravity, mass, tol, max(size, 1e-6), touch, 0, sweep_work, lin
         )
@@ -204,8 +211,8 @@ def fit_touch(
             continue
         least = merit
         normal_equations(J, r, H, b)
-        held = _solve(H, b, scale, low, end, touch, step, full)
-        if held < 0:
+        bounded = bounded_step(H, b, scale, low, end, touch, step, full)
+        if bounded < 0:
             return LOST, merit, iteration
         gain = 0.0
         for u in range(UNKNOWNS):
@@ -214,8 +221,8 @@ def fit_touch(
             before[q] = touch[q]
         plan_move(lin, step, move)
         share = step_share(step, touch, move, length)
-        small = gain <= FLAT * (1.0 + merit) or (held == 0 and abs(step[S]) <= CLOSE * length)
+        small = gain <= FLAT * (1.0 + merit) or (bounded == 0 and abs(step[S]) <= CLOSE * length)
         advance(touch, before, share, step, move)
         if share == 1.0 and small and lack <= CLAMPED:
-            return (LOST if not margin > 0.0 else AT_END if held else FITTED), merit, iteration
-    return (STALLED if math.isfinite(least) else LOST), least, most
+            return (LOST if not margin > 0.0 else AT_END if bounded else FITTED), merit, iteration
+    return (STALLED if math.isfinite(least) else LOST), least, max_iterations

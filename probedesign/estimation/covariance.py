@@ -8,12 +8,12 @@ from probedesign.frames import Array
 from probedesign.rod.equilibrium import Sensitivity
 
 NO_CAUSES = np.zeros((6, 0)), np.zeros((3, 0))
-"""Of a probe that is all as the model says."""
+"""Error sources of a probe without model errors: none."""
 
 
 @dataclass(frozen=True)
 class ContactCovariance:
-    """How noise of the base wrench, and what the probe is not as modelled, show in the answer.
+    """Propagation of wrench noise and model errors to the estimate.
 
     Attributes:
         s_by_wrench: ds_contact/dwrench, (6,).
@@ -33,17 +33,17 @@ class ContactCovariance:
 
     @property
     def cov_wrench(self) -> Array:
-        """Of the reading, (6, 6)."""
+        """Return the covariance of the reading, (6, 6)."""
         return np.asarray(self.noise + self.wrench @ self.wrench.T)
 
     @property
     def std_s(self) -> float:
-        """Standard deviation of s_contact [m]."""
+        """Return the standard deviation of s_contact [m]."""
         return float(np.sqrt(self.s_by_wrench @ self.cov_wrench @ self.s_by_wrench))
 
     @property
     def cov_p(self) -> Array:
-        """Covariance of the contact point [m²], (3, 3)."""
+        """Return the covariance of the contact point [m²], (3, 3)."""
         off = self.p_by_wrench @ self.wrench - self.point
         return np.asarray(self.p_by_wrench @ self.noise @ self.p_by_wrench.T + off @ off.T)
 
@@ -51,7 +51,7 @@ class ContactCovariance:
 def propagate(
     sensitivity: Sensitivity, noise: Array, causes: tuple[Array, Array] = NO_CAUSES
 ) -> ContactCovariance:
-    """Covariance of the paper's estimate: force by equation 5, then s by least squares on the moment.
+    """Propagate covariances to the published estimate: force by equation 5, then s by least squares on the moment.
 
     With a = ∂M/∂s and B = ∂M/∂F along the equilibria, a reading off by (ε_F, ε_M) moves
     s by aᵀ(ε_M - B ε_F)/(aᵀa) and the contact point by p_s δs + p_F ε_F.

@@ -34,13 +34,13 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 
 Touching = Literal["free", "contact", "lost", "out_of_range"]
-"""`lost` is said once, of the first reading after a touch."""
+"""`lost` is reported once, for the first reading after a touch."""
 _SAID: dict[int, Touching] = {FREE: "free", CONTACT: "contact", LOST: "lost", INVALID: "out_of_range"}
 TRUSTED = 400.0
 """Weight of the sensor's own noise beside what the free probe is seen to do, in means; and how many of those are
 remembered."""
 RELEASED = 1e-4
-"""Chance that the mean of a free probe looks touched still."""
+"""Chance that the mean of a free probe still counts as touched."""
 DRIFT_STEPS = 0.05
 """How far the bias walks in a second, in steps of the sensor's resolution. Assumed; 0.2 steps from touch to touch."""
 
@@ -74,11 +74,11 @@ class Detector:
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """How many samples the means are over."""
+        """Return over how many samples the means are."""
         return LENGTHS
 
     def _thresholds(self) -> Array:
-        """Of T² for each length."""
+        """Return the threshold of T² for each length."""
         tests_an_hour = 3600.0 * self.rate / np.array(LENGTHS)
         chance = 1.0 / self.hours_between_alarms / tests_an_hour / len(LENGTHS)
         nu = TRUSTED
@@ -86,14 +86,14 @@ class Detector:
         return np.asarray(found, dtype=float)
 
     def _gain(self) -> float:
-        """Share of the longest mean's misfit that the bias follows: Kalman's, in the steady state of a walk."""
+        """Return the share of the longest mean's misfit that the bias follows: Kalman's steady state for a walk."""
         seconds = LENGTHS[-1] / self.rate
         walk, seen = DRIFT_STEPS**2 * seconds, 1.0 / LENGTHS[-1]
         ahead = 0.5 * (walk + math.sqrt(walk * walk + 4.0 * walk * seen))
         return ahead / (ahead + seen)
 
     def update(self, wrench: ArrayLike) -> Touching:
-        """What the next sample says.
+        """Process the next sample.
 
         Args:
             wrench: at the base, less the free probe's under the same gravity [N, N·m], (6,).
@@ -104,7 +104,7 @@ class Detector:
         return _SAID[int(advance(sample[None], *self._memory, np.empty(1, dtype=np.int64)))]
 
     def run(self, wrenches: ArrayLike) -> list[Touching]:
-        """What each of many samples says, (n, 6)."""
+        """Process many samples, (n, 6)."""
         samples = np.ascontiguousarray(wrenches, dtype=float)
         if samples.ndim != 2 or samples.shape[1] != 6:
             raise InputError(f"wrenches have shape {samples.shape}; they must be (n, 6)")
@@ -116,7 +116,7 @@ class Detector:
     def calibrate(self, wrenches: ArrayLike) -> None:
         """Learn how a probe sways that is known to be free, as while the robot moves it, (n, 6).
 
-        A sway that the test has never seen looks like touches.
+        A sway that was not calibrated is reported as touches.
         """
         thresholds = self._memory.thresholds.copy()
         self._memory.thresholds[:] = np.inf
@@ -126,16 +126,16 @@ class Detector:
             self._memory.thresholds[:] = thresholds
 
     def rest(self, seconds: float) -> None:
-        """No sample came for so long [s]: the bias may have walked."""
+        """Account for a gap without samples [s], in which the bias may have walked."""
         self._memory.state[DOUBT] += DRIFT_STEPS**2 * seconds
 
     @property
     def bias(self) -> Array:
-        """That the free probe is followed by, at the base [N, N·m], (6,)."""
+        """Return the tracked bias of the free probe, at the base [N, N·m], (6,)."""
         return np.asarray(np.linalg.solve(self._memory.whiten, self._memory.bias), dtype=float)
 
     def detectable(self, wrench_by_force: Array, samples: int) -> float:
-        """Smallest force [N] that is told from none every other time within so many samples.
+        """Return the smallest force [N] that is detected with probability 0.5 within so many samples.
 
         Args:
             wrench_by_force: change of the base wrench per newton of contact, (6,).

@@ -2,7 +2,7 @@
 
 A source moves the reading h of a touch and the touched point while the touch itself stays: the same arclength (of the
 length, where that differs), angle and force in the section's axes. To first order it does not matter what of the touch
-is held.
+is fixed.
 """
 
 import math
@@ -25,7 +25,7 @@ CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter",
 
 
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
-    """One standard deviation of each source that is the rod's own: log E and what follows it, a row each.
+    """Return one standard deviation of each source of the rod itself: log E and what follows it, a row each.
 
     Where E was identified with the design's diameters, it goes with all of them together.
 
@@ -53,13 +53,13 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
 
 
 def across(gravity: Array) -> Array:
-    """Two unit vectors across gravity and each other, (2, 3); zeros without gravity."""
+    """Return two unit vectors across gravity and each other, (2, 3); zeros without gravity."""
     g = np.asarray(gravity, dtype=float)
     return np.asarray(np.linalg.svd(g[None])[2][1:] if g.any() else np.zeros((2, 3)))
 
 
 def turns_of(gravity: Array, tolerances: Tolerances, axes: Array | None = None) -> dict[str, Array]:
-    """One standard deviation of each source that turns or shifts things, a row each: shift and turn of the base
+    """Return one standard deviation of each source that turns or shifts things, a row each: shift and turn of the base
     [m, rad] and change of gravity [m/s²], (9,).
 
     Args:
@@ -78,7 +78,7 @@ def turns_of(gravity: Array, tolerances: Tolerances, axes: Array | None = None) 
 
 
 def _filtered(rows: dict[str, Array]) -> tuple[Array, tuple[str, ...]]:
-    """All rows that are not zero, one below the other, and the source of each."""
+    """Return all rows that are not zero, one below the other, and the source of each."""
     found = np.concatenate(list(rows.values()))
     names = [name for name, of in rows.items() for _ in of]
     kept = np.asarray(found.any(axis=1))
@@ -119,7 +119,7 @@ class ErrorSources:
         tared: "ErrorSources | None" = None,
         axes: Array | None = None,
     ) -> "ErrorSources":
-        """The sources of a probe that hangs free under a gravity.
+        """Return the sources of a probe that hangs free under a gravity.
 
         Args:
             model: of the probe.
@@ -148,11 +148,10 @@ class ErrorSources:
         return self.names.index(name) if name in self.names else -1
 
     @cached_property
-    def _arguments(self) -> tuple[Array | float, ...]:
-        """What `error_columns` takes, from `own` on."""
+    def _arguments(self) -> uncertainty_kernel.SourceArrays:
         model, t = self.model, self.tolerances
         base_from_sensor = np.ascontiguousarray(wrench_map(inverse(model.T_sensor_base)))
-        return (
+        return uncertainty_kernel.SourceArrays(
             self.own,
             self.turns,
             float(t.root_radii * model.rod.radius[0]),
@@ -164,19 +163,19 @@ class ErrorSources:
             np.ascontiguousarray(self.still),
         )
 
-    def arguments(self) -> tuple[Array | float, ...]:
-        """Those of the compiled estimate, from `own` on."""
+    def arguments(self) -> uncertainty_kernel.SourceArrays:
+        """Return the sources as the compiled estimate takes them."""
         return self._arguments
 
     @cached_property
     def drift(self) -> Array:
-        """Covariance of the bias since the tare, about the base, (6, 6)."""
+        """Return the covariance of the bias since the tare, about the base, (6, 6)."""
         steps = self.tolerances.drift_steps
         return np.asarray(steps**2 * self.model.averaging_samples * self.model.noise_base())
 
     def columns_at(self, touch: Array) -> tuple[Array, Array]:
-        """Of one touch: the linearisation (ROWS, 1 + 5 + 7 + K), and one standard deviation of each source, (12, J), as
-        it moves base wrench, touched point and centreline point; NaN where the probe does not hold the touch.
+        """Return the linearisation of a touch (ROWS, 1 + 5 + 7 + K), and what one standard deviation of each source
+        does to base wrench, touched point and centreline point, (12, J); NaN where there is no equilibrium.
 
         Args:
             touch: (TOUCH,); its dead loads and tip are made consistent in place.
@@ -187,13 +186,13 @@ class ErrorSources:
         D = np.empty((12, len(self.names)))
         work = np.empty(surface_contact_kernel.work_size(parameters))
         if not uncertainty_kernel.columns_of(
-            rod.body, self.gravity, self.model.mass, FINE, touch, *self._arguments, work, lin, D
+            rod.body, self.gravity, self.model.mass, FINE, touch, self._arguments, work, lin, D
         ):
             lin[:], D[:] = np.nan, np.nan
         return lin, D
 
     def free_columns(self, free: Equilibrium) -> Array:
-        """Of the free probe's reading, (6, J)."""
+        """Return the columns of the free probe's reading, (6, J)."""
         touch = np.zeros(surface_contact_kernel.TOUCH)
         touch[surface_contact_kernel.S] = self.model.rod.length
         touch[surface_contact_kernel.NORMAL] = NOTHING
@@ -202,7 +201,7 @@ class ErrorSources:
 
     @cached_property
     def room(self) -> int:
-        """Numbers that the compiled estimate works in."""
+        """Return how many numbers the compiled estimate works in."""
         return multistart.room_for(len(self.model.rod.s), len(self.names))
 
 

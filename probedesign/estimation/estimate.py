@@ -1,13 +1,14 @@
-"""One answer of an estimator. Numbers never come without their result code."""
+"""Estimate of one contact. Numbers never come without their result code."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from probedesign.estimation.multistart import FIT
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 
@@ -52,15 +53,11 @@ class Candidate:
         force_normal: component of the force into the surface [N]; NaN where the method does not know the surface.
         force_tangential: magnitude of the rest, the friction [N].
         chi2: misfit, a χ² of `dof` degrees of freedom if it is the true touch.
-        chi2_friction: the part of it that the friction takes of its prior.
         dof: degrees of freedom.
         lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
         shape: the probe touched there.
-        at_end: whether an end of the probe holds the place.
-        touch: unknowns, dead loads and tip, for a neighbouring reading to start from; None for the force–moment method.
-        cov_touch: covariance of the five unknowns, (5, 5).
-        whiten: whitening of the reading at this touch, (6, 6).
-        cov_linear_base, cov_linear_contact_base: the covariances to first order, without the curvature of the probe.
+        at_end: whether an end of the probe bounds the place.
+        fit: row of the compiled fit, laid out as `multistart.FIT`; None for the force–moment method.
     """
 
     s_contact: float
@@ -76,22 +73,55 @@ class Candidate:
     dof: int
     lever: float
     shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
-    chi2_friction: float = 0.0
     at_end: bool = False
-    touch: Array | None = field(default=None, repr=False)
-    cov_touch: Array = field(default_factory=lambda: _nan(5, 5), repr=False)
-    whiten: Array = field(default_factory=lambda: _nan(6, 6), repr=False)
-    cov_linear_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
-    cov_linear_contact_base: Array = field(default_factory=lambda: _nan(3, 3), repr=False)
+    fit: Array | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def touch(self) -> Array | None:
+        """Return unknowns, dead loads and tip, from which a neighbouring reading can start; None without a fit."""
+        return None if self.fit is None else np.asarray(self._record["touch"])
+
+    @property
+    def whiten(self) -> Array:
+        """Return the whitening of the reading at this touch, (6, 6); NaN without a fit."""
+        return _nan(6, 6) if self.fit is None else np.asarray(self._record["whiten"])
+
+    @property
+    def chi2_friction(self) -> float:
+        """Return the part of `chi2` due to the prior on friction; 0 without a fit."""
+        return 0.0 if self.fit is None else float(self._record["posterior"]["chi2_friction"])
+
+    @property
+    def cov_touch(self) -> Array:
+        """Return the covariance of the five unknowns of the touch, (5, 5); NaN without a fit."""
+        return self._covariance("cov_touch", 5)
+
+    @property
+    def cov_linear_base(self) -> Array:
+        """Return the covariance of p_surface_base to first order, without the curvature of the probe [m²], (3, 3)."""
+        return self._covariance("cov_linear_surface", 3)
+
+    @property
+    def cov_linear_contact_base(self) -> Array:
+        """Return the covariance of p_contact_base to first order, without the curvature of the probe [m²], (3, 3)."""
+        return self._covariance("cov_linear_centre", 3)
+
+    def _covariance(self, name: str, size: int) -> Array:
+        return _nan(size, size) if self.fit is None else np.asarray(self._record["posterior"][name])
+
+    @property
+    def _record(self) -> Any:
+        assert self.fit is not None
+        return self.fit.view(FIT)[0]
 
     @property
     def rms(self) -> float:
-        """Root of the trace of the touched point's covariance [m]."""
+        """Return the root of the trace of the touched point's covariance [m]."""
         return math.sqrt(max(float(np.trace(self.cov_surface_base)), 0.0))
 
     @property
     def friction_ratio(self) -> float:
-        """Tangential over normal force."""
+        """Return tangential over normal force."""
         return self.force_tangential / self.force_normal if self.force_normal > 0.0 else math.nan
 
 
@@ -136,18 +166,20 @@ class Estimate:
 
     @cached_property
     def s_interval_95(self) -> tuple[float, float]:
-        """Arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN if not located.
+        """Return the arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN if none
+        was located.
 
-        It is found when first asked for, and holds where the posterior is not normal: near the tip, for light touches.
+        Computed on first access, by the profile of the misfit, which is valid where the posterior is not normal: near
+        the tip and for light touches.
         """
         return self.solve_interval() if self.solve_interval is not None else (math.nan, math.nan)
 
     @property
     def ok(self) -> bool:
-        """Whether a contact was located."""
+        """Return whether a contact was located."""
         return self.result == "ok"
 
     @cached_property
     def shape(self) -> Equilibrium | None:
-        """The reconstructed probe, solved when it is first asked for; None if there is none."""
+        """Return the reconstructed probe, solved on first access; None if there is none."""
         return self.solve_shape() if self.solve_shape is not None else None

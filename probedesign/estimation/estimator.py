@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from probedesign.errors import InputError
 from probedesign.estimation import force_moment, likelihood
-from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, Result
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
@@ -34,9 +33,6 @@ normal where F is known to less than a fifth (tests/estimation/test_statistics.p
 SETTLED = 16.0
 """Age of a tare [s] for which the tolerance of drift is meant. Assumed: the detector's walk of 0.05 steps a root of a
 second makes the default 0.2 steps of it."""
-MAX_ZERO = 7.0
-"""Standard deviations of a force beyond which a sensor does not read zero: more than the limit of the test over all six
-channels allows any one of them."""
 MIN_LEVER = 0.1
 """Change of the base moment with s, over the force, below which the place of a force is not observable."""
 
@@ -58,18 +54,16 @@ class Estimator:
     model: ProbeModel
     tolerances: Tolerances | None = None
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
-    _last_sources: dict[bytes, tuple[ErrorSources, Array]] = field(
-        default_factory=dict, compare=False, repr=False
-    )
+    _last_sources: dict[bytes, ErrorSources] = field(default_factory=dict, compare=False, repr=False)
     _last_aged: dict[int, "Estimator"] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def priors(self) -> Tolerances:
-        """The tolerances that count."""
+        """Return the tolerances in use."""
         return Tolerances.of(self.model) if self.tolerances is None else self.tolerances
 
     def with_noise(self, force_N: float, moment_Nm: float) -> "Estimator":
-        """The same estimator for readings with these standard deviations of each channel.
+        """Return the estimator for readings with these standard deviations of each channel.
 
         Args:
             force_N: [N], positive.
@@ -84,7 +78,7 @@ class Estimator:
         return Estimator(self.model.with_noise(Noise(float(force_N), float(moment_Nm))), self.tolerances)
 
     def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
-        """The same estimator for a probe that is known only so well.
+        """Return the estimator with other tolerances.
 
         Args:
             tolerances: as `Tolerances.of` the model has them if None; `Tolerances.none()` is an exact probe.
@@ -92,7 +86,7 @@ class Estimator:
         return Estimator(self.model, tolerances)
 
     def with_friction(self, friction: float) -> "Estimator":
-        """The same estimator with another prior on friction.
+        """Return the estimator with another prior on friction.
 
         Args:
             friction: standard deviation of tangential over normal force in each direction; 0: the force is normal to
@@ -148,46 +142,32 @@ class Estimator:
         chi2 = seen.chi2 / self._scatter(readings)
         if not self._exceeds(chi2):
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
-        sources, drift = self._sources(gravity)
-        if self._reads_nothing(seen, readings):
+        if not self._exceeds(seen.sensor_chi2 / self._scatter(readings)):
+            # The sensor itself reads zero: it was tared with the probe mounted, and that zero was not taken into
+            # account. A contact that balances all six channels is not a coincidence to believe in.
             return Estimate("inconsistent", detection_chi2=chi2)
-        noise = covariance(self.model, seen.wrench, readings) + drift
+        sources = self._sources(gravity)
+        noise = covariance(self.model, seen.wrench, readings) + sources.drift
         problem = Problem(sources, seen, self.model.friction, noise)
-        scan = Scan.of(self.model.rod, seen)
         if method != "ml":
-            return self._decide(force_moment.locate(problem, scan), chi2, readings, problem)
+            return self._decide(force_moment.locate(problem), chi2, readings, problem)
         start = near.candidates[0] if near is not None and near.candidates else None
-        found = likelihood.locate(problem, start, scan)
+        found = likelihood.locate(problem, start)
         if not found:
-            # Why there is none, the force–moment method may show, but its place is not the one that was asked for.
-            why = self._decide(force_moment.locate(problem, scan), chi2, readings)
+            # The force–moment method may show why there is none, but its place is not that of the method "ml".
+            why = self._decide(force_moment.locate(problem), chi2, readings)
             return Estimate("not_converged", detection_chi2=chi2) if why.ok else why
         return self._decide(found, chi2, readings, problem)
 
-    def _reads_nothing(self, seen: Observation, readings: int) -> bool:
-        """Whether the sensor itself reads zero: the sensor was tared with the probe mounted, and that zero was not
-        taken into account. A contact that balances all six channels is not a coincidence to believe in."""
-        noise = self.model.noise
-        far = MAX_ZERO * noise.force * math.sqrt(self._scatter(readings) / readings)
-        weight = self._hanging_weight(seen.gravity)
-        if any(abs(float(f) + w) > far for f, w in zip(seen.wrench[:3], weight, strict=True)):
-            return False
-        read = self.model.to_sensor(seen.wrench, seen.gravity)
-        std = np.repeat([noise.force, noise.moment], 3) * math.sqrt(self._scatter(readings) / readings)
-        return bool(((read / std) ** 2).sum() < ALARM_CHI2)
+    def sources(self, gravity_base: ArrayLike | None = None) -> ErrorSources:
+        """Return the error sources under gravity [m/s²], (3,); the design's mount if None. The last ones are kept."""
+        return self._sources(self._gravity(gravity_base))
 
-    def _hanging_weight(self, gravity: Array) -> tuple[float, float, float]:
-        """Weight of what hangs between sensor and base, in base axes [N]."""
-        mass = self.model.hanging.mass
-        return mass * float(gravity[0]), mass * float(gravity[1]), mass * float(gravity[2])
-
-    def _sources(self, gravity: Array) -> tuple[ErrorSources, Array]:
-        """The error sources under a gravity and the covariance of the drift; the last ones are kept."""
+    def _sources(self, gravity: Array) -> ErrorSources:
         key = gravity.tobytes()
         found = self._last_sources.get(key)
         if found is None:
-            sources = ErrorSources.of(self.model, self.priors, gravity, self._free(gravity))
-            found = sources, sources.drift
+            found = ErrorSources.of(self.model, self.priors, gravity, self._free(gravity))
             self._last_sources.clear()
             self._last_sources[key] = found
         return found
@@ -228,7 +208,7 @@ class Estimator:
             unknowns: former form of the priors, kept for one release.
 
         Returns:
-            The answer with its bound; anything that goes wrong is its result code, never an exception.
+            The estimate with its covariance; anything that goes wrong is its result code, never an exception.
 
         Raises:
             InputError: an argument has the wrong shape.
@@ -243,7 +223,7 @@ class Estimator:
                     moments_about if moments_only else None)  # fmt: skip
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
-        """The untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
+        """Return the untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
         return self._free(self._gravity(gravity_base))
 
     def _free(self, gravity: Array) -> Equilibrium:
@@ -256,15 +236,15 @@ class Estimator:
         return free
 
     def detects(self, wrench_base: Array, gravity_base: ArrayLike | None = None) -> bool:
-        """Whether a reading (6,) is told from the free probe's (equation 4 with the sensor's noise and drift)."""
+        """Return whether a reading (6,) differs significantly from the free probe's (equation 4 with drift)."""
         free = self.free(gravity_base)
         return free.ok and self._exceeds(self._detection_chi2(wrench_base, free))
 
     def locates(self, std_s: float, force: Array, readings: int = 1) -> bool:
-        """Whether an estimate with that standard deviation [m] and force [N] (3,) says where.
+        """Return whether an estimate with that standard deviation [m] and force [N] (3,) locates the contact.
 
-        It does not if s is known no better than with no reading at all (uniform over the probe, L/√12), or
-        if the force is so uncertain that a covariance of first order no longer holds.
+        It does not if s is no better known than without a reading (uniform over the probe, L/√12), or if the force is
+        so uncertain that a first-order covariance is invalid.
         """
         return bool(
             std_s < self.model.rod.length / math.sqrt(12.0)
@@ -272,7 +252,7 @@ class Estimator:
         )
 
     def since_tare(self, seconds: float) -> "Estimator":
-        """The same estimator for readings so long after the tare [s]: a bias walks as the root of time.
+        """Return the estimator for readings so long after the tare [s]: a bias walks as the root of time.
 
         A tolerance `drift_steps` is taken for the bias after `SETTLED` seconds, which gives the detector's walk. The
         age is rounded up to that, or twice, four times, ... as long; the last such estimator is kept.
@@ -289,11 +269,11 @@ class Estimator:
         return aged
 
     def _std_force(self, readings: int) -> float:
-        """Of each axis of the force [N], by the noise of so many readings and by the drift they share."""
+        """Return the standard deviation of each axis of the force [N], by noise and drift of so many readings."""
         return self.model.noise.force * math.sqrt(self._scatter(readings) / readings)
 
     def _scatter(self, readings: int = 1) -> float:
-        """Variance of the mean of so many readings, over that of their noise alone: they share the drift."""
+        """Return the variance of the mean of so many readings over that of their noise alone: they share the drift."""
         return 1.0 + readings * self.priors.drift_steps**2 * self.model.averaging_samples
 
     @staticmethod
@@ -301,7 +281,7 @@ class Estimator:
         return chi2 >= ALARM_CHI2
 
     def detectable(self, wrench_by_force: Array) -> float:
-        """Smallest force [N] that is told from a free probe every other time.
+        """Return the smallest force [N] that is detected with probability 0.5.
 
         Args:
             wrench_by_force: change of the base wrench per newton of contact, (6,).
@@ -311,7 +291,7 @@ class Estimator:
 
     @cached_property
     def cov_wrench(self) -> Array:
-        """Covariance of a base wrench reading, (6, 6)."""
+        """Return the covariance of a base wrench reading, (6, 6)."""
         return self.model.noise_base()
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
@@ -321,7 +301,7 @@ class Estimator:
     def _decide(
         self, found: list[Candidate], detection_chi2: float, readings: int, problem: Problem | None = None
     ) -> Estimate:
-        """Turn the candidates into one answer with its code."""
+        """Return the estimate of the candidates with its result code."""
         if not found:
             return Estimate("not_converged", detection_chi2=detection_chi2)
         listed = tuple(sorted(found, key=_chi2)) if len(found) > 1 else tuple(found)
@@ -339,7 +319,7 @@ class Estimator:
         )  # fmt: skip
 
     def _result(self, listed: tuple[Candidate, ...], readings: int) -> Result:
-        """The code of the best candidate beside its rivals."""
+        """Return the result code of the best candidate among its rivals."""
         best = listed[0]
         if best.chi2 > max_chi2(best.dof, MISFIT_CHANCE) or best.force_normal <= 0.0:
             return "out_of_range" if best.at_end else "inconsistent"

@@ -8,7 +8,6 @@ Source: "Spatial Position Estimation of Lightweight and Delicate Objects using a
 import numpy as np
 
 from probedesign.estimation import multistart
-from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.covariance import propagate
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.problem import Problem
@@ -21,15 +20,13 @@ DOF = 2
 """Three moments, one unknown."""
 
 
-def locate(problem: Problem, scan: Scan | None = None) -> list[Candidate]:
-    """Places where the measured force makes the measured moment, or nearly.
+def locate(problem: Problem) -> list[Candidate]:
+    """Return the places where the measured force makes the measured moment, or nearly.
 
     Args:
         problem: the reading and what it is known to.
-        scan: of it, if there is one already.
     """
-    rod = problem.sources.model.rod
-    return [_candidate(problem, eq) for eq in (scan or Scan.of(rod, problem.seen)).candidates]
+    return [_candidate(problem, eq) for eq in problem.scan.candidates]
 
 
 def _candidate(problem: Problem, eq: Equilibrium) -> Candidate:

@@ -19,7 +19,7 @@ STATIONS = 24
 NEAREST = 0.04
 """Of the stations to the base, over the length."""
 MAX_BENT = 6.0
-"""F s² r(0)/(E I(0) r(s)) of a push beyond which no probe holds it; looking for its equilibrium would take long."""
+"""F s² r(0)/(E I(0) r(s)) beyond which a push has no equilibrium; to search for one would take long."""
 _ITERATIONS = 3
 X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)
 """Of the section at the contact, in `Batch.frame`."""
@@ -27,7 +27,7 @@ X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)
 
 @dataclass(frozen=True)
 class Curve:
-    """The places that one moment leaves open.
+    """Places that are consistent with one moment.
 
     Attributes:
         points: of the centreline, in the world [m], (j, 3); NaN where no force makes the moment.
@@ -39,7 +39,7 @@ class Curve:
 
 
 def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:
-    """For each station the force across the probe whose base moment comes nearest to the one read, all at once.
+    """Return for each station the force across the probe whose base moment comes nearest to the one read, all at once.
 
     Args:
         rod: of the probe.
@@ -67,14 +67,14 @@ def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve
 
 
 def _max_force(rod: Rod, s: Array) -> Array:
-    """Pushes beyond which no probe holds them [N], (j,)."""
+    """Return the pushes beyond which there is no equilibrium [N], (j,)."""
     radius = np.interp(s, rod.s, rod.radius)
     most: Array = MAX_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
     return most
 
 
 def _across(batch: Batch, force: Array, moment: Array) -> Array:
-    """The forces across the sections whose base moments come nearest to the one read, to first order, (j, 3)."""
+    """Return the forces across the sections whose base moments come nearest to the one read, to first order, (j, 3)."""
     across = np.stack([batch.frame[:, X_AXIS], batch.frame[:, Y_AXIS]], axis=2)
     by_force = batch.d_moment[:, :, :3]
     misfit = moment - batch.wrench_base[:, 3:6] + np.einsum("jik,jk->ji", by_force, force)
@@ -83,7 +83,7 @@ def _across(batch: Batch, force: Array, moment: Array) -> Array:
 
 
 def _touch(rod: Rod, s: float, force: Array, frame: Array, tip: Array) -> Array:
-    """The touch whose force crosses the centreline at s, (TOUCH,)."""
+    """Return the touch whose force crosses the centreline at s, (TOUCH,)."""
     touch = np.zeros(TOUCH)
     placed(rod.body, rod.flank_end, s, force, frame[:3].copy(), frame[X_AXIS].copy(), touch)
     touch[TIP:] = tip
@@ -91,7 +91,7 @@ def _touch(rod: Rod, s: float, force: Array, frame: Array, tip: Array) -> Array:
 
 
 def closest_approaches(curves: list[Curve]) -> list[tuple[int, ...]]:
-    """Where curves come nearest to each other: a station of each, for every local minimum, nearest first."""
+    """Return where curves come nearest to each other: a station of each, for every local minimum, nearest first."""
     if len(curves) < 2:
         return []
     first = curves[0].points
@@ -106,7 +106,7 @@ def closest_approaches(curves: list[Curve]) -> list[tuple[int, ...]]:
 
 
 def _nearest(points: Array, line: Array) -> tuple[NDArray[np.intp], Array]:
-    """The vertex of a line (j, 3) next to where each point (i, 3) comes nearest to it, and how near [m]."""
+    """Return the vertex of a line (j, 3) next to where each point (i, 3) comes nearest to it, and how near [m]."""
     start, way = line[:-1], np.diff(line, axis=0)
     off = points[:, None] - start[None]
     with np.errstate(invalid="ignore"):

@@ -6,28 +6,23 @@ the force–moment method (`arclength_scan.py`). The fit itself is compiled (`co
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from probedesign.estimation import multistart, rounded_tip
-from probedesign.estimation.arclength_scan import Scan
-from probedesign.estimation.contact_fit import AT_END, FITTED, STALLED
+from probedesign.estimation.contact_fit import AT_END, STALLED
 from probedesign.estimation.contact_fit import WORK as FIT_WORK
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.multistart import (
     CENTRE_AT,
     FORCE_AT,
-    FOUND,
-    KNOWN,
     MAX_STARTS,
-    POINTS,
+    POSTERIOR_AT,
     ROW,
     S_AT,
     STATUS,
     SURFACE_AT,
-    SWEEPS_AT,
-    WHITEN_AT,
+    TOUCH_AT,
 )
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import (
@@ -42,17 +37,7 @@ from probedesign.estimation.surface_contact_kernel import (
     S,
     work_size,
 )
-from probedesign.estimation.uncertainty_kernel import (
-    CHI2,
-    CHI2_FRICTION,
-    COV_CENTRE,
-    COV_POINT,
-    COV_TOUCH,
-    LEVER,
-    LINEAR,
-    RESULT,
-    VAR_S,
-)
+from probedesign.estimation.uncertainty_kernel import CHI2, COV_CENTRE, COV_POINT, LEVER, LINEAR, VAR_S
 from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.statistics import MISFIT_CHANCE, max_chi2
@@ -64,18 +49,20 @@ _ALIKE = 0.05
 
 
 def dof_of(friction: float) -> int:
-    """Degrees of freedom left to test a contact by: six channels and the prior's two components, less five unknowns;
-    one where the direction of the force is free."""
+    """Return the degrees of freedom left to test a contact by.
+
+    Six channels and the two components of the prior on friction, less five unknowns; one where the direction of the
+    force is free.
+    """
     return 3 if math.isfinite(friction) else 1
 
 
-def locate(problem: Problem, near: Candidate | None = None, scan: Scan | None = None) -> list[Candidate]:
-    """Touches of greatest posterior probability, each with its covariance.
+def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
+    """Locate the touches of greatest posterior probability, each with its covariance.
 
     Args:
         problem: the reading and what it is known to.
         near: a touch close by: only from there is then searched, everywhere only if nothing is there.
-        scan: of the reading, if there is one already.
     """
     if near is not None and near.touch is not None:
         found = _places(problem, _fit(problem, near.touch))
@@ -83,16 +70,15 @@ def locate(problem: Problem, near: Candidate | None = None, scan: Scan | None = 
             return found[:1]
     places = _places(problem, _fit(problem, None))
     if not any(explains(place) for place in places):
-        scan = scan or Scan.of(problem.sources.model.rod, problem.seen)
-        for s, tip in scan.starts:
-            places += _places(problem, _fit(problem, _started(problem, s, tip, scan.force)))
+        for s, tip in problem.scan.starts:
+            places += _places(problem, _fit(problem, _started(problem, s, tip)))
     if problem.sources.model.rod.rounded_from is not None:
         places += _at_rounded_tip(problem, places)
     return _distinct(problem, places)
 
 
 def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate]:
-    """The touch of a round end, if it explains the reading where no touch of the flank close to it does."""
+    """Return the touch of a round end if it explains the reading where no touch of the flank close to it does."""
     end = rounded_tip.locate(problem)
     if end is None or not explains(end):
         return []
@@ -105,36 +91,27 @@ def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate
 
 
 def explains(place: Candidate) -> bool:
-    """Whether a contact there may well have made the reading."""
+    """Return whether a contact there is consistent with the reading (χ² test)."""
     return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
 
 
 def _fit(problem: Problem, near: Array | None) -> Array:
-    """Rows of what was fitted, from a touch alone or from everywhere, (n, ROW)."""
+    """Return what was fitted from one touch, or from every candidate along the probe: rows of `FIT`, (n, ROW)."""
     model, seen = problem.sources.model, problem.seen
     rows = np.empty((MAX_STARTS, ROW))
     if near is not None:
-        rows[0, FOUND:KNOWN] = near
+        rows[0, TOUCH_AT:POSTERIOR_AT] = near
     count = multistart.fit_contacts(
-        model.rod.body,
-        model.rod.flank_end,
-        seen.gravity,
-        model.mass,
-        seen.wrench,
-        problem.noise,
-        problem.friction,
-        *problem.sources.arguments(),
-        near is not None,
-        np.empty(problem.sources.room),
-        rows,
-    )
+        model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
+        *problem.sources.arguments(), near is not None, np.empty(problem.sources.room), rows,
+    )  # fmt: skip
     found: Array = rows[:count]
     return found
 
 
-def _started(problem: Problem, s: float, tip: Array, force: Array) -> Array:
-    """A guess from a place of the scan, (TOUCH,)."""
-    touch = np.zeros(TOUCH)
+def _started(problem: Problem, s: float, tip: Array) -> Array:
+    """Return a guess from a place of the scan, (TOUCH,)."""
+    touch, force = np.zeros(TOUCH), problem.seen.force
     eq = problem.sources.model.rod.solve(problem.seen.gravity, force, s, guess=tip)
     R = eq.R_at(s) if eq.ok else np.eye(3)
     rod = problem.sources.model.rod
@@ -144,16 +121,15 @@ def _started(problem: Problem, s: float, tip: Array, force: Array) -> Array:
 
 
 def _places(problem: Problem, rows: Array) -> list[Candidate]:
-    """Candidates of the rows that are least misfits, or of those that end where nothing explains the reading."""
+    """Return candidates of the fits that are least misfits, or that end where nothing explains the reading."""
     places = []
     for row in rows:
-        status = row[STATUS]
-        if status in (FITTED, AT_END):
-            places.append(_candidate(problem, row))
-        elif status == STALLED:
-            place = _candidate(problem, row)
-            if not explains(place) or place.force_normal <= _PULLED * np.linalg.norm(place.force_base):
-                places.append(place)
+        place = _candidate(problem, row)
+        if row[STATUS] == STALLED and explains(place):
+            pushes = place.force_normal > _PULLED * float(np.linalg.norm(place.force_base))
+            if pushes:
+                continue
+        places.append(place)
     return places
 
 
@@ -162,46 +138,39 @@ _PULLED = 1e-3
 
 
 def _candidate(problem: Problem, row: Array) -> Candidate:
-    model = problem.sources.model
-    touch, known = row[FOUND:KNOWN], row[KNOWN:POINTS]
-    friction = float(touch[NORMAL]) * math.hypot(touch[AROUND], touch[ALONG])
+    """Return a fit, a row of `FIT`, as a candidate."""
+    model, k = problem.sources.model, POSTERIOR_AT
+    touch = row[TOUCH_AT:k]
+    normal = float(touch[NORMAL])
+
+    def shape() -> Equilibrium:
+        """Solve for the probe under the fitted touch."""
+        return model.rod.solve(
+            problem.seen.gravity, touch[DEAD : DEAD + 3], float(touch[S]), couple=touch[DEAD + 3 : TIP],
+            guess=touch[TIP:],
+        )  # fmt: skip
+
     return Candidate(
         s_contact=min(max(float(row[S_AT]), 0.0), model.rod.length),
-        std_s=math.sqrt(max(float(known[VAR_S]), 0.0)),
+        std_s=math.sqrt(max(float(row[k + VAR_S]), 0.0)),
         p_contact_base=row[CENTRE_AT:S_AT],
         p_surface_base=row[SURFACE_AT:CENTRE_AT],
         force_base=row[FORCE_AT:SURFACE_AT],
-        cov_contact_base=known[COV_CENTRE:LINEAR].reshape(3, 3),
-        cov_surface_base=known[COV_POINT:COV_CENTRE].reshape(3, 3),
-        force_normal=float(touch[NORMAL]),
-        force_tangential=friction,
-        cov_linear_base=known[LINEAR : LINEAR + 9].reshape(3, 3),
-        cov_linear_contact_base=known[LINEAR + 9 : RESULT].reshape(3, 3),
-        chi2=float(known[CHI2]),
-        chi2_friction=float(known[CHI2_FRICTION]),
+        cov_contact_base=row[k + COV_CENTRE : k + LINEAR].reshape(3, 3),
+        cov_surface_base=row[k + COV_POINT : k + COV_CENTRE].reshape(3, 3),
+        force_normal=normal,
+        force_tangential=normal * math.hypot(touch[AROUND], touch[ALONG]),
+        chi2=float(row[k + CHI2]),
         dof=dof_of(problem.friction),
-        lever=float(known[LEVER]),
+        lever=float(row[k + LEVER]),
         at_end=bool(row[STATUS] == AT_END),
-        shape=_shape_of(problem, touch),
-        touch=touch,
-        cov_touch=known[COV_TOUCH:COV_POINT].reshape(5, 5),
-        whiten=row[WHITEN_AT:SWEEPS_AT].reshape(6, 6),
+        shape=shape,
+        fit=row,
     )
 
 
-def _shape_of(problem: Problem, touch: Array) -> Callable[[], Equilibrium]:
-    rod, gravity = problem.sources.model.rod, problem.seen.gravity
-
-    def shape() -> Equilibrium:
-        return rod.solve(
-            gravity, touch[DEAD : DEAD + 3], float(touch[S]), couple=touch[DEAD + 3 : TIP], guess=touch[TIP:]
-        )
-
-    return shape
-
-
 def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
-    """Arclengths s_contact [m] between which the contact lies with a probability of 95 %.
+    """Return the arclengths s_contact [m] between which the contact lies with a probability of 95 %.
 
     The bounds are where the misfit, least over everything but the touched section, has grown by the 95 % quantile of a
     χ² with one degree of freedom; an end of the probe bounds the interval where the misfit grows by less. Where the
@@ -220,7 +189,7 @@ def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
 
 
 def _bound(problem: Problem, place: Candidate, way: float) -> float:
-    """One end of `profile_interval`, by steps of a standard deviation and bisection."""
+    """Return one end of `profile_interval`, by steps of a standard deviation and bisection."""
     assert place.touch is not None
     model, end = problem.sources.model, problem.sources.model.rod.flank_end
     touch, s = place.touch.copy(), float(place.touch[S])
@@ -228,6 +197,7 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
     sweep_work, work = np.empty(work_size(0)), np.empty(FIT_WORK)
 
     def misfit(at: float) -> float:
+        """Return the least misfit squared with the touched section at an arclength [m]."""
         return float(multistart.profile_misfit(
             model.rod.body, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten, problem.friction, at,
             touch, sweep_work, lin, work,
@@ -257,11 +227,13 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
 
 
 MAX_PROFILE_STEPS = 12
-"""Steps of 0.7 standard deviations in which a bound of the interval is looked for."""
+"""Steps of 0.7 standard deviations within which a bound of the interval is searched."""
 
 
 def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
-    """Each place once, best first."""
+    """Return each place once, best first."""
+    if len(places) < 2:
+        return places
     found: list[Candidate] = []
     length = problem.sources.model.rod.length
     for place in sorted(places, key=lambda of: of.chi2):

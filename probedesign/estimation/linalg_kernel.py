@@ -12,8 +12,21 @@ UNSEEN = 1e-13
 
 
 @inner
+def take3(A, row, j):
+    """Return three rows of column j."""
+    return (A[row, j], A[row + 1, j], A[row + 2, j])
+
+
+@inner
+def put3(A, row, j, x):
+    """Set three rows of column j to x."""
+    for q in range(3):
+        A[row + q, j] = x[q]
+
+
+@inner
 def factor(A, n):
-    """A = L Lᵀ; L in the lower triangle of A, zeros above. Returns whether A is positive definite."""
+    """Factor A = L Lᵀ, L in the lower triangle of A, zeros above; return whether A is positive definite."""
     for j in range(n):
         total = A[j, j]
         for q in range(j):
@@ -35,7 +48,7 @@ def factor(A, n):
 
 @inner
 def invert_lower(L, n, inverse):
-    """The inverse of a lower triangle."""
+    """Fill in the inverse of a lower triangle."""
     for j in range(n):
         for i in range(n):
             total = 1.0 if i == j else 0.0
@@ -46,7 +59,7 @@ def invert_lower(L, n, inverse):
 
 @inner
 def forward(L, n, b):
-    """b becomes L⁻¹ b."""
+    """Replace b by L⁻¹ b."""
     for i in range(n):
         total = b[i]
         for q in range(i):
@@ -56,7 +69,7 @@ def forward(L, n, b):
 
 @inner
 def backward(L, n, b):
-    """b becomes L⁻ᵀ b."""
+    """Replace b by L⁻ᵀ b."""
     for i in range(n - 1, -1, -1):
         total = b[i]
         for q in range(i + 1, n):
@@ -66,7 +79,7 @@ def backward(L, n, b):
 
 @inner
 def scale_and_factor(A, n, scale):
-    """D⁻¹ A D⁻¹ = L Lᵀ in place with D = diag(A)^½, so that metres, newtons and numbers weigh alike.
+    """Factor D⁻¹ A D⁻¹ = L Lᵀ in place with D = diag(A)^½, so that metres, newtons and numbers weigh alike.
 
     Args:
         scale: D, filled, (n,).
@@ -87,7 +100,7 @@ def scale_and_factor(A, n, scale):
 
 @inner
 def solve_scaled(L, n, scale, b):
-    """b becomes A⁻¹ b after `scale_and_factor`."""
+    """Replace b by A⁻¹ b after `scale_and_factor`."""
     for i in range(n):
         b[i] /= scale[i]
     forward(L, n, b)
@@ -98,7 +111,7 @@ def solve_scaled(L, n, scale, b):
 
 @inner
 def covariance_of(L, n, scale, rows, m, work, cov):
-    """rows A⁻¹ rowsᵀ after `scale_and_factor`, (m, m).
+    """Fill in rows A⁻¹ rowsᵀ after `scale_and_factor`, (m, m).
 
     Args:
         rows: (m, n); work: scratch, (m, n).
@@ -118,9 +131,9 @@ def covariance_of(L, n, scale, rows, m, work, cov):
 
 @inner
 def eliminate(A, rows, columns, locals_):
-    """Householder reflections that make the first `locals_` columns of A (rows, columns) upper triangular.
+    """Apply Householder reflections that make the first `locals_` columns of A (rows, columns) upper triangular.
 
-    The rows below then hold all that is left for the other columns once the local unknowns are taken out.
+    The rows below then contain all that is left for the other columns once the local unknowns are taken out.
     """
     for j in range(locals_):
         norm = 0.0

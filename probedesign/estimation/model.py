@@ -32,7 +32,7 @@ class ProbeModel:
         fingerprint: of the geometry that was printed.
         flange: the disc below the base, which the fingerprint counts.
         rod: the flexible part from s = 0, clamped.
-        gravity_base: gravity in base axes where none is said [m/s²], (3,).
+        gravity_base: default gravity in base axes [m/s²], (3,).
         T_sensor_base: pose of the base in the sensor frame, (4, 4).
         hanging: mass properties of all that hangs on the sensor below s = 0 (flange, adapter, screws),
             in the sensor frame.
@@ -79,23 +79,23 @@ class ProbeModel:
 
     @cached_property
     def mass(self) -> float:
-        """Of the flexible part [kg]."""
+        """Return the mass of the flexible part [kg]."""
         return float(self.rod.density * self.rod.body.volume_beyond[0])
 
     def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
-        """What the rigid things between sensor face and s = 0 weigh on the sensor, in its frame, (6,)."""
+        """Return the wrench that the rigid parts between sensor face and s = 0 exert on the sensor, (6,)."""
         weight: Array = self.hanging_by_gravity @ np.asarray(gravity_base, dtype=float)
         return weight
 
     @cached_property
     def hanging_by_gravity(self) -> Array:
-        """Of that wrench by gravity in base axes, (6, 3)."""
+        """Return the derivative of that wrench by gravity in base axes, (6, 3)."""
         R = self.T_sensor_base[:3, :3]
         return np.stack([self.hanging.wrench(R[:, i]) for i in range(3)], axis=1)
 
     @cached_property
     def _sensor_from_base(self) -> Array:
-        """Carries wrenches from the base's origin to the sensor's, (6, 6)."""
+        """Return the map of wrenches from the base's origin to the sensor's, (6, 6)."""
         return wrench_map(self.T_sensor_base)
 
     @cached_property
@@ -103,28 +103,28 @@ class ProbeModel:
         return wrench_map(inverse(self.T_sensor_base))
 
     def to_sensor(self, wrench_base: ArrayLike, gravity_base: ArrayLike) -> Array:
-        """What the sensor reads, free of bias: (6,) or (n, 6) of base wrenches told in the sensor frame,
-        with the weight of what hangs between."""
+        """Return the sensor's reading without bias: base wrenches (6,) or (n, 6) in the sensor frame, with the weight
+        of the parts between."""
         carried = np.asarray(wrench_base, dtype=float) @ self._sensor_from_base.T
         return carried + self.gravity_wrench_sensor(gravity_base)
 
     def to_base(self, wrench_sensor: ArrayLike, gravity_base: ArrayLike) -> Array:
-        """The wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
+        """Return the wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
         own = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
         carried: Array = own @ self._base_from_sensor.T
         return carried
 
     def reads(self, wrench_sensor: Array) -> bool:
-        """Whether the sensor can have read this (6,): finite and within every channel's range."""
+        """Return whether a reading (6,) is possible: finite and within every channel's range."""
         return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.readable).all())
 
     @cached_property
     def readable(self) -> Array:
-        """Largest reading of each channel that is not full scale, which a saturated one gives [N, N·m], (6,)."""
+        """Return the largest reading of each channel that does not count as saturated [N, N·m], (6,)."""
         return np.asarray(self.wrench_range, dtype=float) * (1.0 - FULL_SCALE)
 
     def noise_base(self) -> Array:
-        """Covariance of a reading told at the base origin, (6, 6)."""
+        """Return the covariance of a reading about the base origin, (6, 6)."""
         return self._noise_base.copy()
 
     @cached_property
@@ -134,17 +134,17 @@ class ProbeModel:
 
     @cached_property
     def whiten(self) -> Array:
-        """Lower triangular, with whitenᵀ whiten = noise_base⁻¹, (6, 6)."""
+        """Return lower triangular whiten with whitenᵀ whiten = noise_base⁻¹, (6, 6)."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self._noise_base)), dtype=float)
 
     @cached_property
     def sight(self) -> tuple[Array, Array, Array, Array]:
-        """What `observe` needs: wrenches' way to the sensor (6, 6), what hangs there by gravity (6, 3), the range
-        (6,), and the whitening of one reading (6, 6)."""
+        """Return what `observe` needs: the map of wrenches to the sensor (6, 6), what hangs there by gravity (6, 3),
+        the range (6,), and the whitening of one reading (6, 6)."""
         contiguous = np.ascontiguousarray
         return (contiguous(self._sensor_from_base), contiguous(self.hanging_by_gravity),
                 contiguous(self.readable), contiguous(self.whiten))  # fmt: skip
 
     def with_noise(self, noise: Noise) -> "ProbeModel":
-        """The same probe with another noise."""
+        """Return the model with another noise."""
         return replace(self, noise=noise)

@@ -1,4 +1,4 @@
-"""Every touch that may explain a reading, fitted from wherever one may lie, with what it is known to (compiled).
+"""Fits of every touch that may explain a reading, from all candidates, with their posteriors (compiled).
 
 Each fit starts with the reading weighted by noise and drift alone; what the error sources do to a reading depends on
 where it is touched, so the weights are then taken at the place found, and the fit is carried on with them.
@@ -7,6 +7,8 @@ where it is touched, so the weights are then taken at the place found, and the f
 import math
 from pathlib import Path
 
+import numpy as np
+
 from probedesign.estimation import candidates
 from probedesign.estimation.contact_fit import (
     AT_END,
@@ -14,7 +16,7 @@ from probedesign.estimation.contact_fit import (
     LOST,
     MAX_ITERATIONS,
     STALLED,
-    _solve,
+    bounded_step,
     fit_touch,
     normal_equations,
     residuals,
@@ -31,6 +33,7 @@ from probedesign.estimation.surface_contact_kernel import (
     MOVE,
     NORMAL,
     OWN,
+    PHI,
     POINT,
     ROWS,
     TOUCH,
@@ -49,29 +52,34 @@ from probedesign.estimation.surface_contact_kernel import (
 from probedesign.estimation.uncertainty_kernel import (
     CHI2,
     CHI2_FRICTION,
-    RESULT,
+    POSTERIOR,
+    SourceArrays,
     add_curvature,
     error_columns,
     measurement_covariance,
+    offsets_of,
     posterior,
     whitening,
 )
 from probedesign.rod.kernels.body import OK
 from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
-from probedesign.rod.kernels.vectors import minus, take
+from probedesign.rod.kernels.vectors import minus, take, times
 
 drop_stale(Path(__file__).parent)
 
 MAX_STARTS = 8
 """Places that one reading is fitted from at most, the likeliest ones."""
-STATUS, FOUND, KNOWN = 0, 1, 1 + TOUCH
-POINTS = KNOWN + RESULT
-"""Where in a row stand what became of the fit, the touch (TOUCH), what it is known to (RESULT), force, touched
-point and centreline point (3 each), s_contact, the reading's whitening, and how many sweeps the fit took under the
-weights of noise and drift and under all."""
-FORCE_AT, SURFACE_AT, CENTRE_AT, S_AT = POINTS, POINTS + 3, POINTS + 6, POINTS + 9
-WHITEN_AT, SWEEPS_AT = POINTS + 10, POINTS + 46
-ROW = SWEEPS_AT + 2
+FIT = np.dtype([
+    ("status", "f8"), ("touch", "f8", TOUCH), ("posterior", POSTERIOR), ("force", "f8", 3), ("surface", "f8", 3),
+    ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
+])  # fmt: skip
+"""One fit: what became of it (FITTED, ...), the touch, what is known of it, force [N], touched point and centreline
+point [m], s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift
+and under all."""
+STATUS, TOUCH_AT, POSTERIOR_AT, FORCE_AT, SURFACE_AT, CENTRE_AT, S_AT, WHITEN_AT, SWEEPS_AT, ROW = offsets_of(
+    FIT
+)
+"""Offsets of the fields of `FIT` in a row of floats, and its size."""
 LIKELY, SHARE = 8.0, 0.05
 """Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F, which
@@ -80,7 +88,7 @@ BACK = (0.0, 0.08)
 """Of the length: how far before the likeliest place a second fit starts where the first one leads nowhere, as where
 the trace has run out of the thin tip."""
 FEW = 10
-"""Iterations that a place other than the likeliest is worth: a rival that explains the reading is near its guess."""
+"""Iterations for a place other than the likeliest: a rival that explains the reading is near its guess."""
 ROUNDS = 6
 """How often the weights are taken anew at most."""
 SETTLED = 1e-3
@@ -91,92 +99,116 @@ MAX_FRICTION = 3.0
 
 
 def room_for(knots: int, causes: int) -> int:
-    """Numbers that `fit_contacts` works in, of a rod with so many knots and so many columns of error sources."""
+    """Return how many numbers `fit_contacts` works in, by knots of the rod and columns of error sources."""
     parameters = OWN + knots
     return (
-        max(work_size(0), work_size(parameters)) + ROWS * (2 + 2 * UNKNOWNS + parameters) + FIT_WORK
+        max(work_size(0), work_size(parameters)) + ROWS * (2 + 2 * UNKNOWNS + parameters) + 36 + FIT_WORK
         + candidates.ROOM + knots + 1 + 12 * causes + 370 + 3 * (6 + causes)
     )  # fmt: skip
 
 
 @inner
-def _settle(body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
-            base_from_sensor, reference, still, touch, lin, D, sweep_work, brief, work, row):  # fmt: skip
-    """Carry a fit on under the weights of its own place, and fill its row with what is known there."""
-    parameters = own.shape[1] + 3
+def _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row):
+    """Fill the row of a fit with force, points and s_contact after a last step, taken to first order.
+
+    Args:
+        lin: before the step; touch: after a share of it.
+        by_s: filled: derivatives of s_contact by the touch, (5,).
+    """
+    for q in range(3):
+        F, x, p = lin[q, VALUE], lin[POINT + q, VALUE], lin[CENTRE + q, VALUE]
+        for u in range(UNKNOWNS):
+            F += lin[q, BY_TOUCH + u] * share * step[u]
+            x += lin[POINT + q, BY_TOUCH + u] * share * step[u]
+            p += lin[CENTRE + q, BY_TOUCH + u] * share * step[u]
+        row[FORCE_AT + q] = F - mass * gravity[q]
+        row[SURFACE_AT + q], row[CENTRE_AT + q] = x, p
+    radius, tan = radius_and_slope(body, touch[S])
+    cos = 1.0 / math.sqrt(1.0 + tan * tan)
+    shift, by_1, by_2, per_r, _by_slope = offset_along(radius, tan * cos, cos, touch)
+    row[S_AT] = touch[S] + shift
+    by_s[S], by_s[PHI], by_s[NORMAL] = 1.0 - tan * per_r, 0.0, 0.0
+    by_s[AROUND], by_s[ALONG] = by_1, by_2
+
+
+@inner
+def _settle(
+    body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief, work, row
+):  # fmt: skip
+    """Carry a fit on under the weights of its own place, and fill its row with its posterior.
+
+    Args:
+        touch: the guess and then the fit, (TOUCH,).
+        lin, D: scratch, (ROWS, 1 + UNKNOWNS + parameters) and (12, J); brief: scratch, (ROWS, 1 + UNKNOWNS).
+        sweep_work, work: scratch.
+        row: filled, (ROW,).
+        The others as in `fit_contacts`.
+
+    Returns:
+        What became of the fit: FITTED, AT_END, STALLED or LOST.
+    """
+    parameters = sources.own.shape[1] + 3
     cov, factor_work = work[:36].reshape((6, 6)), work[36:72].reshape((6, 6))
     J, r = work[72:112].reshape((8, UNKNOWNS)), work[112:120]
     H, full = work[120:145].reshape((UNKNOWNS, UNKNOWNS)), work[145:170].reshape((UNKNOWNS, UNKNOWNS))
     b, step, scale = work[170:175], work[175:180], work[180:185]
     move, before, by_s = work[185 : 185 + MOVE], work[203 : 203 + TOUCH], work[220:225]
-    rest = work[225:]
+    rest, known = work[225:], row[POSTERIOR_AT:FORCE_AT]
     white = row[WHITEN_AT:SWEEPS_AT].reshape((6, 6))
-    for i in range(6):
-        for j in range(6):
-            cov[i, j] = noise[i, j]
-    if not whitening(cov, factor_work, white):
+    if not whitening(noise, factor_work, white):
         return LOST
-    tol, size, least, status = sweep_tolerance(wrench, white), 1.0, math.inf, LOST
-    for rounds in range(ROUNDS):
-        row[SWEEPS_AT + 1] = rounds + 1
+    tol, size, rounds, small = sweep_tolerance(wrench, white), 1.0, 0, False
+    chi2, gain, share, bounded = 0.0, 0.0, 1.0, 0
+    while not small and rounds < ROUNDS:
+        rounds += 1
         code, lack, margin, size = linearise(
             body, gravity, mass, tol, max(size, 1e-6), touch, parameters, sweep_work, lin
         )
         if code != OK or not lack < math.inf or not margin > 0.0:
             return LOST
-        error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor,
-                      reference, still, D)  # fmt: skip
+        error_columns(
+            body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,
+            sources.sensor_from_base, sources.base_from_sensor, sources.reference, sources.still, D,
+        )  # fmt: skip
         measurement_covariance(noise, D, cov)
         if not whitening(cov, factor_work, white):
             return LOST
         chi2 = residuals(lin, touch, wrench, white, friction, J, r)
         normal_equations(J, r, H, b)
-        held = _solve(H, b, scale, 0.0, end, touch, step, full)
-        if held < 0 or not math.isfinite(chi2):
+        bounded = bounded_step(H, b, scale, 0.0, end, touch, step, full)
+        if bounded < 0 or not math.isfinite(chi2):
             return LOST
-        gain_of = 0.0
+        gain = 0.0
         for u in range(UNKNOWNS):
-            gain_of += b[u] * step[u]
+            gain += b[u] * step[u]
         plan_move(lin, step, move)
         share = step_share(step, touch, move, body.knots[-1])
         for q in range(TOUCH):
             before[q] = touch[q]
         advance(touch, before, share, step, move)
-        small = share == 1.0 and lack <= CLAMPED and gain_of <= SETTLED * (1.0 + chi2)
-        status = (AT_END if held else FITTED) if small else STALLED
-        if small or rounds == ROUNDS - 1:
-            row[KNOWN + CHI2] = chi2 - gain_of if small and not held else chi2
-            row[KNOWN + CHI2_FRICTION] = r[6] * r[6] + r[7] * r[7]
-            for q in range(3):
-                F, x, p = lin[q, VALUE], lin[POINT + q, VALUE], lin[CENTRE + q, VALUE]
-                for u in range(UNKNOWNS):
-                    F += lin[q, BY_TOUCH + u] * share * step[u]
-                    x += lin[POINT + q, BY_TOUCH + u] * share * step[u]
-                    p += lin[CENTRE + q, BY_TOUCH + u] * share * step[u]
-                row[FORCE_AT + q] = F - mass * gravity[q]
-                row[SURFACE_AT + q], row[CENTRE_AT + q] = x, p
-            radius, tan = radius_and_slope(body, touch[S])
-            cos = 1.0 / math.sqrt(1.0 + tan * tan)
-            shift, by_1, by_2, per_r, _by_slope = offset_along(radius, tan * cos, cos, touch)
-            row[S_AT] = touch[S] + shift
-            by_s[S], by_s[1], by_s[NORMAL] = 1.0 - tan * per_r, 0.0, 0.0
-            by_s[AROUND], by_s[ALONG] = by_1, by_2
-            if not posterior(lin, touch, J, white, D, by_s, rest, row[KNOWN:POINTS]):
-                return LOST
-            if status == FITTED:
-                # Linearised at `before`; the last step is a thirtieth of a standard deviation.
-                add_curvature(
-                    body, end, gravity, mass, wrench, white, friction, tol, before, lin, sweep_work, brief, rest,
-                    row[KNOWN:POINTS],
-                )  # fmt: skip
-            return status
-        least = min(least, chi2)
-    return status
+        small = share == 1.0 and lack <= CLAMPED and gain <= SETTLED * (1.0 + chi2)
+    row[SWEEPS_AT + 1] = rounds
+    _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row)
+    known[CHI2] = chi2 - gain if small and not bounded else chi2
+    known[CHI2_FRICTION] = r[6] * r[6] + r[7] * r[7]
+    if not posterior(lin, touch, J, white, D, by_s, rest, known):
+        return LOST
+    if not small:
+        return STALLED
+    if bounded:
+        return AT_END
+    # Linearised at `before`; the last step is a thirtieth of a standard deviation.
+    add_curvature(
+        body, end, gravity, mass, wrench, white, friction, tol, before, lin, sweep_work, brief, rest, known
+    )
+    return FITTED
 
 
 @kernel
-def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
-                 base_from_sensor, reference, still, near, work, rows):  # fmt: skip
+def fit_contacts(
+    body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
+    base_from_sensor, reference, still, near, work, rows,
+):  # fmt: skip
     """Fit touches from one guess, or from every candidate of the trace, the likeliest first.
 
     Args:
@@ -185,7 +217,7 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, 
         wrench: read at the base, (6,).
         noise: its covariance by noise and drift, (6, 6).
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
-        own, ... still: of the error sources, see `error_columns`.
+        own, ... still: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
         near: whether the first row's touch holds a guess; nothing is traced then.
         work: scratch, (room_for(knots, J),).
         rows: filled, (MAX_STARTS, ROW).
@@ -193,53 +225,56 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, 
     Returns:
         How many rows.
     """
+    sources = SourceArrays(
+        own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference, still
+    )
     parameters, J = own.shape[1] + 3, still.shape[1]
     a = max(sweep_work_size(0), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)
     c = b + 12 * J
-    d = c + FIT_WORK
+    d = c + 36 + FIT_WORK
     e = d + 370 + 3 * (6 + J)
-    sweep_work = work[:a]
-    lin, D = work[a:b].reshape((ROWS, 1 + UNKNOWNS + parameters)), work[b:c].reshape((12, J))
     f = e + ROWS * (1 + UNKNOWNS)
+    sweep_work, fit_work, settle_work, room = work[:a], work[c:d], work[d:e], work[f:]
+    lin, D = work[a:b].reshape((ROWS, 1 + UNKNOWNS + parameters)), work[b:c].reshape((12, J))
     brief = work[e:f].reshape((ROWS, 1 + UNKNOWNS))
-    fit_work, settle_work, room = work[c:d], work[d:e], work[f:]
-    g, reached, places, fitted = take(gravity, 0), 0, 1, 0
-    weight = (mass * gravity[0], mass * gravity[1], mass * gravity[2])
-    force = minus(take(wrench, 0), weight)
-    narrow = settle_work[36:72].reshape((6, 6))
-    if not near:
-        if not whitening(noise, settle_work[:36].reshape((6, 6)), narrow):
-            return 0
-        reached = candidates.trace(body, end, g, force, take(wrench, 3), sweep_work, room)
-        places = _places(body, end, wrench, narrow, force, friction, room, reached, rows)
+    if near:
+        row = rows[0]
+        row[SWEEPS_AT] = 0
+        row[STATUS] = _settle(
+            body, end, gravity, mass, wrench, noise, friction, sources, row[TOUCH_AT:POSTERIOR_AT], lin, D, sweep_work,
+            brief, settle_work, row,
+        )  # fmt: skip
+        return int(row[STATUS] != LOST)
+    narrow = fit_work[:36].reshape((6, 6))
+    if not whitening(noise, settle_work[:36].reshape((6, 6)), narrow):
+        return 0
+    g, fitted = take(gravity, 0), 0
+    force = minus(take(wrench, 0), times(mass, g))
+    reached = candidates.trace(body, end, g, force, take(wrench, 3), sweep_work, room)
+    places = _places(body, end, wrench, narrow, force, friction, room, reached, rows)
     known_twist = math.sqrt(noise[5, 5])
     for k in range(places):
-        s, likely = rows[k, FOUND], rows[k, KNOWN] > 0.0
+        s, likely = rows[k, TOUCH_AT], rows[k, POSTERIOR_AT] > 0.0
         if k > 0 and not likely:
             continue
         status, row, sweeps = LOST, rows[fitted], 0
-        touch = row[FOUND:KNOWN]
+        touch = row[TOUCH_AT:POSTERIOR_AT]
         for back in BACK:
-            if near:
-                status = FITTED
-            elif candidates.guess(
+            if candidates.guess(
                 body, end, g, force, known_twist, sweep_work, room, max(s - back * end, 0.0), reached, touch
             ):
-                if not whitening(noise, settle_work[:36].reshape((6, 6)), narrow):
-                    return 0
                 status, _chi2, sweeps = fit_touch(
                     body, 0.0, end, gravity, mass, wrench, narrow, friction, MAX_ITERATIONS if k == 0 else FEW, touch,
-                    sweep_work, brief, fit_work,
+                    sweep_work, brief, fit_work[36:],
                 )  # fmt: skip
             if status != LOST:
                 status = _settle(
-                    body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging,
-                    sensor_from_base, base_from_sensor, reference, still, touch, lin, D, sweep_work, brief, settle_work,
-                    row,
+                    body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief,
+                    settle_work, row,
                 )  # fmt: skip
             row[STATUS], row[SWEEPS_AT] = status, sweeps
-            if near or k > 0 or status in (FITTED, AT_END):
+            if k > 0 or status in (FITTED, AT_END):
                 break
         fitted += status != LOST
     return fitted
@@ -247,7 +282,7 @@ def fit_contacts(body, end, gravity, mass, wrench, noise, friction, own, turns, 
 
 @inner
 def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
-    """Candidates of the trace into rows, best first: score, arclength, whether it is likely; returns how many."""
+    """Rank the candidates of the trace into rows: score, arclength, whether it is likely; return how many."""
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for j in range(reached):
@@ -262,42 +297,42 @@ def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
 
 @inner
 def _ranked(rows, places, s, score, likely):
-    """Put a place where its score belongs among the rows, least first; how many there are then."""
+    """Insert a place among the rows by its score, least first; return how many there are then."""
     at = places
     while at > 0 and rows[at - 1, STATUS] > score:
         at -= 1
     if at >= rows.shape[0]:
         return places
     for k in range(min(places, rows.shape[0] - 1), at, -1):
-        for q in (STATUS, FOUND, KNOWN):
+        for q in (STATUS, TOUCH_AT, POSTERIOR_AT):
             rows[k, q] = rows[k - 1, q]
-    rows[at, STATUS], rows[at, FOUND], rows[at, KNOWN] = score, s, 1.0 if likely else 0.0
+    rows[at, STATUS], rows[at, TOUCH_AT], rows[at, POSTERIOR_AT] = score, s, 1.0 if likely else 0.0
     return min(places + 1, rows.shape[0])
 
 
 @kernel
 def placed(body, end, s, force, t, x_axis, touch):
-    """`candidates.place_touch` for callers in Python."""
+    """Run `candidates.place_touch` for callers in Python."""
     candidates.place_touch(body, end, s, take(force, 0), take(t, 0), take(x_axis, 0), 0.0, 1.0, touch)
 
 
 @kernel
 def contact_arclengths(body, touches, s):
-    """Arclengths of the centreline's points where the lines of action of forces come nearest [m], filled, (k,)."""
+    """Fill in the arclengths of the centreline's points where the lines of action of forces come nearest [m], (k,)."""
     for k in range(touches.shape[0]):
         s[k] = s_contact(body, touches[k])
 
 
 @kernel
 def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, sweep_work, lin, work):
-    """Least misfit of touches whose section is held at s [m], from a touch close by, which is moved there.
+    """Minimise the misfit over touches whose section is fixed at s [m], from a touch close by, which is moved there.
 
     Args:
         sweep_work: scratch, (work_size(0),); lin: scratch, (ROWS, 1 + UNKNOWNS); work: scratch, (contact_fit.WORK,).
         The others as in `fit_touch`.
 
     Returns:
-        The misfit squared; inf where the probe holds no such touch.
+        The misfit squared; inf where there is no such equilibrium.
     """
     touch[S] = s
     status, chi2, _n = fit_touch(body, s, s, gravity, mass, wrench, whiten, friction, MAX_ITERATIONS, touch,

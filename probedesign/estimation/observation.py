@@ -1,24 +1,26 @@
 """What an estimate is made from: one reading at the base, or the mean of a window of them."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation_kernel import CHI2, SEEN, SIZE, WEIGHT, WHITEN, observe
+from probedesign.estimation.observation_kernel import CHI2, SEEN, SENSOR, SIZE, WEIGHT, WHITEN, observe
 from probedesign.frames import Array
 
 NUMERICAL = 1e-6
-"""Error of the fast solve's base moment, relative: no reading is held against it more closely."""
+"""Error of the fast solve's base moment, relative: no reading is compared with it more closely."""
 NEGLIGIBLE = 1e-2
 """Standard deviations of the moment that this error may make without being counted."""
 
 
 def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
-    """Of the mean of so many independent readings, near such a wrench (6,), with the solver's own error, (6, 6)."""
+    """Return the covariance of the mean of so many independent readings near a wrench (6,), with the solver's own
+    error, (6, 6)."""
     cov = model._noise_base / readings
-    numerical = NUMERICAL**2 * float(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2)
+    moment = wrench[3:]
+    numerical = NUMERICAL**2 * float(moment @ moment)
     if numerical > (NEGLIGIBLE * model.noise.moment) ** 2 / readings:
         cov[[3, 4, 5], [3, 4, 5]] += numerical
     return cov
@@ -26,7 +28,7 @@ def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """A base wrench with how well it is known.
+    """A base wrench with its covariance.
 
     Attributes:
         wrench: [N, N·m], (6,).
@@ -34,6 +36,7 @@ class Observation:
         gravity: base axes [m/s²], (3,).
         weight: of the flexible part [N], (3,).
         chi2: how far it is from the free probe's, six degrees of freedom.
+        sensor_chi2: how far the sensor's own reading is from zero, six degrees of freedom.
     """
 
     wrench: Array
@@ -41,10 +44,11 @@ class Observation:
     gravity: Array
     weight: Array
     chi2: float
+    sensor_chi2: float = math.inf
 
     @classmethod
     def of(cls, model: ProbeModel, window: Array, gravity: Array, free: Array) -> "Observation | None":
-        """The mean of independent readings, each with the model's noise; None if the sensor cannot have read one.
+        """Return the mean of independent readings, each with the model's noise; None if one is out of range.
 
         Args:
             model: the probe.
@@ -53,25 +57,23 @@ class Observation:
             free: the free probe's wrench under it, (6,).
         """
         seen = np.empty(SEEN)
-        if not observe(window, gravity, free, model.mass, *model.sight, seen):
+        if not observe(
+            window, gravity, free, model.mass, *model.sight, model.noise.force, model.noise.moment, seen
+        ):
             return None
         whiten, readings = seen[WHITEN:].reshape(6, 6), len(window)
         numerical, chi2 = NUMERICAL * float(seen[SIZE]), float(seen[CHI2])
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
             whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, seen[:WEIGHT], readings)))
-        return cls(seen[:WEIGHT], whiten, gravity, seen[WEIGHT:CHI2], chi2)
-
-    def known_to(self, cov: Array) -> "Observation":
-        """The same, its wrench known to another covariance, (6, 6)."""
-        return replace(self, whiten=np.linalg.inv(np.linalg.cholesky(cov)))
+        return cls(seen[:WEIGHT], whiten, gravity, seen[WEIGHT:CHI2], chi2, float(seen[SENSOR]))
 
     @property
     def cov(self) -> Array:
-        """Covariance of the wrench, (6, 6)."""
+        """Return the covariance of the wrench, (6, 6)."""
         coloured = np.linalg.inv(self.whiten)
         return np.asarray(coloured @ coloured.T, dtype=float)
 
     @property
     def force(self) -> Array:
-        """Of the contact, by the paper's equation 5 [N], (3,)."""
+        """Return the force of the contact by the paper's equation 5 [N], (3,)."""
         return self.wrench[0:3] - self.weight

@@ -1,13 +1,16 @@
 """What a single contact is located from."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
+from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.observation import Observation
 from probedesign.frames import Array
 
 
-class Problem(NamedTuple):
+@dataclass(eq=False)
+class Problem:
     """What one reading is located from.
 
     Attributes:
@@ -21,3 +24,8 @@ class Problem(NamedTuple):
     seen: Observation
     friction: float
     noise: Array
+
+    @cached_property
+    def scan(self) -> Scan:
+        """Return the reading's scan along the probe, made when it is first needed."""
+        return Scan.of(self.sources.model.rod, self.seen)

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from probedesign.estimation.linalg_kernel import put3, take3
 from probedesign.rod.kernels.body import (
     ALL_COLUMNS,
     BEND_X,
@@ -65,13 +66,13 @@ ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_E, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 10, 
 """Columns of the rod; the first three are by the force."""
 
 MAX_LACK = 0.5
-"""Misfit at the clamp [rad] up to which a linear answer is of any use."""
+"""Misfit at the clamp [rad] up to which a linear solution is useful."""
 CLAMPED = 1e-4
 """Misfit at the clamp [rad] up to which it is exact: an error of its square."""
 
 
 def work_size(parameters: int) -> int:
-    """Numbers that `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
+    """Return how many numbers `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
     return int(_parts(parameters)[-1])
 
 
@@ -94,13 +95,13 @@ _parts_kernel = inner(_parts)
 
 @inner
 def sweep_work_size(parameters):
-    """The same for kernels."""
+    """Return `work_size` to kernels."""
     return _parts_kernel(parameters)[9]
 
 
 @inner
 def frustum_at(body, s):
-    """The frustum that s lies in, the lower one at a knot."""
+    """Return the frustum that s lies in, the lower one at a knot."""
     i = 0
     while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
         i += 1
@@ -109,28 +110,17 @@ def frustum_at(body, s):
 
 @inner
 def radius_and_slope(body, s):
-    """r(s) [m] and tan α = -dr/ds."""
+    """Return r(s) [m] and tan α = -dr/ds."""
     i = frustum_at(body, s)
     tan = (body.radii[i] - body.radii[i + 1]) / (body.knots[i + 1] - body.knots[i])
     return body.radii[i] - tan * (s - body.knots[i]), tan
 
 
 @inner
-def _row3(columns, row, j):
-    return (columns[row, j], columns[row + 1, j], columns[row + 2, j])
-
-
-@inner
-def _put3(columns, row, j, x):
-    for q in range(3):
-        columns[row + q, j] = x[q]
-
-
-@inner
 def _turned(columns, j, in_frame):
-    """What a vector that is fixed in the section changes by a column, from its parts along X, Y and t."""
-    by_xy = add(times(in_frame[0], _row3(columns, R_X, j)), in_frame[1], _row3(columns, R_Y, j))
-    return add(by_xy, in_frame[2], _row3(columns, R_TANGENT, j))
+    """Return the derivative by a column of a vector fixed in the section, from its parts along X, Y and t."""
+    by_xy = add(times(in_frame[0], take3(columns, R_X, j)), in_frame[1], take3(columns, R_Y, j))
+    return add(by_xy, in_frame[2], take3(columns, R_TANGENT, j))
 
 
 @inner
@@ -151,7 +141,7 @@ def _grow_at_rest(columns, force, couple):
 
 @inner
 def _solve_6(A, B):
-    """B becomes A⁻¹ B for A (6, 6), by elimination with pivots; whether A has an inverse."""
+    """Replace B by A⁻¹ B for A (6, 6), by elimination with pivots; return whether A has an inverse."""
     columns = B.shape[1]
     for j in range(6):
         at = j
@@ -182,7 +172,7 @@ def _solve_6(A, B):
 
 @inner
 def _weight_by(body, gravity, parameter):
-    """Of the flexible part's weight [N] by a parameter, counted from gravity on."""
+    """Return the derivative of the flexible part's weight [N] by a parameter, counted from gravity on."""
     rho = body.constants[DENSITY]
     whole = rho * body.volume_beyond[0]
     if parameter < 3:
@@ -200,7 +190,7 @@ def _weight_by(body, gravity, parameter):
 
 @inner
 def _section_by(body, s, i, parameter):
-    """Of the radius at s [m] and of tan α there by a parameter, counted from gravity on."""
+    """Return the derivatives of the radius at s [m] and of tan α there by a parameter, counted from gravity on."""
     apart = body.knots[i + 1] - body.knots[i]
     share = (s - body.knots[i]) / apart
     if parameter == 6:
@@ -214,8 +204,9 @@ def _section_by(body, s, i, parameter):
 
 @inner
 def offset_along(r, sin, cos, touch):
-    """How far beyond the touched section the force's line of action comes nearest to the centreline [m], δ, and its
-    derivatives by a_1, a_2, r and α: δ = -(ρ·F)(F·t)/|t × F|² = -r a b/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n."""
+    """Return how far beyond the touched section the force's line of action comes nearest to the centreline [m], δ, and
+    its derivatives by a_1, a_2, r and α: δ = -(ρ·F)(F·t)/|t × F|² = -r a b/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n.
+    """
     a1, a2 = touch[AROUND], touch[ALONG]
     b, a = -cos - a2 * sin, -sin + a2 * cos
     square = max(b * b + a1 * a1, 1e-300)
@@ -265,7 +256,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
     change = (lacking[0], lacking[1], lacking[2])  # A shares its memory
     beyond = minus(take(contact, M), take(load, COUPLE))
     on_base_side = take(contact, M)
-    t, x_axis, y_axis = _row3(columns, R_TANGENT, k), _row3(columns, R_X, k), _row3(columns, R_Y, k)
+    t, x_axis, y_axis = take3(columns, R_TANGENT, k), take3(columns, R_X, k), take3(columns, R_Y, k)
     r, tan = radius_and_slope(body, s)
     cos = 1.0 / math.sqrt(1.0 + tan * tan)
     sin = tan * cos
@@ -289,26 +280,26 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
         for i in range(3):
             A[i, q], A[3 + i, q] = -by_F[i], -by_C[i]
         A[q, q] += 1.0
-    _put3(B, 0, VALUE, minus(force, take(load, FORCE)))
-    _put3(B, 3, VALUE, minus(couple, take(load, COUPLE)))
-    _put3(B, 0, BY_TOUCH + S, _turned(columns, ROD_S, f_frame))
-    _put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -tan, cross(e, force)))
+    put3(B, 0, VALUE, minus(force, take(load, FORCE)))
+    put3(B, 3, VALUE, minus(couple, take(load, COUPLE)))
+    put3(B, 0, BY_TOUCH + S, _turned(columns, ROD_S, f_frame))
+    put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -tan, cross(e, force)))
     by_angle = times(fn, add(times(-cos - a2 * sin, around), -a1, e))
-    _put3(B, 0, BY_TOUCH + PHI, by_angle)
-    _put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r, around), force), cross(arm, by_angle)))
+    put3(B, 0, BY_TOUCH + PHI, by_angle)
+    put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r, around), force), cross(arm, by_angle)))
     for j in range(3):
         way = way if j == 0 else times(fn, around) if j == 1 else times(fn, along)
-        _put3(B, 0, BY_TOUCH + NORMAL + j, way)
-        _put3(B, 3, BY_TOUCH + NORMAL + j, cross(arm, way))
+        put3(B, 0, BY_TOUCH + NORMAL + j, way)
+        put3(B, 3, BY_TOUCH + NORMAL + j, cross(arm, way))
     i = frustum_at(body, s)
     by_lean = times(fn, add(times(-1.0, along), -a2, normal))
     for j in range(parameters):
         r_by, tan_by = _section_by(body, s, i, j)
         leaning = times(cos * cos * tan_by, by_lean)
         column = ROD_GRAVITY + j
-        _put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
+        put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
         turned = add(_turned(columns, column, c_frame), r_by, cross(e, force))
-        _put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
+        put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
     if not _solve_6(A, B):
         return status, math.inf, -1.0, size
     for row in range(15):
@@ -328,7 +319,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
 
 @inner
 def _tips(touch, turns, change, B, lin):
-    """What carries the dead loads and the tip along: their first rows are what the equilibrium still lacks."""
+    """Fill in the rows that carry dead loads and tip along: their first column is the residual of the equilibrium."""
     t, d = take(touch, TIP), take(touch, TIP + 3)
     axes = (d, cross(t, d), t)
     for j in range(lin.shape[1]):
@@ -342,12 +333,12 @@ def _tips(touch, turns, change, B, lin):
             turn = add(turn, by, axes[a])
         for q in range(6):
             lin[LOADS + q, j] = B[q, j]
-        _put3(lin, TURN, j, turn)
+        put3(lin, TURN, j, turn)
 
 
 @inner
 def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_side, beyond, B, total, lin):
-    """Base wrench, touched point and centreline point from force, couple, frame and position at the contact."""
+    """Fill in base wrench, touched point and centreline point from force, couple, frame and position at the contact."""
     s, n_cols = touch[S], lin.shape[1]
     for q in range(3):
         lin[q, VALUE] = touch[DEAD + q] + B[q, VALUE] + mass * gravity[q]
@@ -355,8 +346,8 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
         for j in range(1, n_cols):
             lin[q, j], lin[3 + q, j] = B[q, j], total[q, j]
     shift, by_1, by_2, per_r, by_slope = offset_along(r, sin, cos, touch)
-    t = _row3(total, R_TANGENT, VALUE)
-    x_axis, y_axis = _row3(total, R_X, VALUE), _row3(total, R_Y, VALUE)
+    t = take3(total, R_TANGENT, VALUE)
+    x_axis, y_axis = take3(total, R_X, VALUE), take3(total, R_Y, VALUE)
     e = add(times(co, x_axis), si, y_axis)
     # The centreline curves on its way from the touched section to where the line of action comes nearest.
     moment = on_base_side if shift < 0.0 else beyond
@@ -364,12 +355,12 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
     bend = times(thin * thin * body.constants[BEND_X], add(moment, -dot(moment, t), t))
     curve = cross(bend, t)
     for j in range(n_cols):
-        p, dt = _row3(total, R_P, j), _row3(total, R_TANGENT, j)
-        de = add(times(co, _row3(total, R_X, j)), si, _row3(total, R_Y, j))
+        p, dt = take3(total, R_P, j), take3(total, R_TANGENT, j)
+        de = add(times(co, take3(total, R_X, j)), si, take3(total, R_Y, j))
         by_r, by_shift = 0.0, 0.0
         if j == VALUE:
-            _put3(lin, POINT, j, add(p, r, e))
-            _put3(lin, CENTRE, j, add(add(p, shift, t), 0.5 * shift * shift, curve))
+            put3(lin, POINT, j, add(p, r, e))
+            put3(lin, CENTRE, j, add(add(p, shift, t), 0.5 * shift * shift, curve))
             continue
         if j == BY_TOUCH + S:
             by_r = -tan
@@ -388,13 +379,13 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
             weight = _weight_by(body, gravity, j - BY_PARAMETER)
             for q in range(3):
                 lin[q, j] += weight[q]
-        _put3(lin, POINT, j, add(add(p, r, de), by_r, e))
-        _put3(lin, CENTRE, j, add(add(p, shift, dt), by_shift, t))
+        put3(lin, POINT, j, add(add(p, r, de), by_r, e))
+        put3(lin, CENTRE, j, add(add(p, shift, dt), by_shift, t))
 
 
 @inner
 def s_contact(body, touch):
-    """Arclength of the centreline's point where the force's line of action comes nearest [m]."""
+    """Return the arclength of the centreline's point where the force's line of action comes nearest [m]."""
     r, tan = radius_and_slope(body, touch[S])
     cos = 1.0 / math.sqrt(1.0 + tan * tan)
     return touch[S] + offset_along(r, tan * cos, cos, touch)[0]
@@ -406,7 +397,7 @@ MOVE = 18
 
 @inner
 def plan_move(lin, step, move):
-    """What carries a touch from where it was linearised along a step of its unknowns, filled, (MOVE,)."""
+    """Fill in what carries a touch from where it was linearised along a step of its unknowns, (MOVE,)."""
     for q in range(9):
         total = 0.0
         for j in range(UNKNOWNS):
@@ -431,7 +422,7 @@ def advance(touch, before, share, step, move):
 
 @kernel
 def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
-    """`linearise` for callers in Python, the touch first settled: its dead loads and its tip made consistent.
+    """Run `linearise` for callers in Python, after dead loads and tip of the touch have been made consistent.
 
     Returns:
         Whether there is a stable equilibrium.
@@ -455,7 +446,7 @@ def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
 
 @kernel
 def move_touch(touch, lin, step):
-    """`advance` for callers in Python: carry a touch along a step of its unknowns from where it was linearised.
+    """Run `advance` for callers in Python: carry a touch along a step of its unknowns from where it was linearised.
 
     Args:
         touch: moved in place, (TOUCH,); lin: its linearisation; step: of the unknowns, (UNKNOWNS,).

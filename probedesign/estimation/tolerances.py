@@ -38,7 +38,7 @@ SOURCES = {
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Standard deviations of what a model says of its probe, each normal and independent of the others.
+    """Standard deviations of the parameters of a probe model, each normal and independent of the others.
 
     Attributes:
         drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
@@ -97,11 +97,11 @@ class Tolerances:
 
     @classmethod
     def of(cls, model: ProbeModel, said: Mapping[str, Any] | None = None) -> "Tolerances":
-        """What a design says of them, the material's spread and creep where it says nothing, and else the defaults.
+        """Return the tolerances of a design; what it leaves out comes from the material, or is the default.
 
         Args:
             model: of the probe; where it has tolerances of its own, they are it.
-            said: by name; None where nothing is said.
+            said: by name; None where the design gives none.
         """
         if model.tolerances is not None:
             return model.tolerances
@@ -111,7 +111,7 @@ class Tolerances:
 
     @classmethod
     def none(cls) -> "Tolerances":
-        """Everything is as the model says."""
+        """Return the tolerances of an exact model: zeros."""
         nothing: dict[str, Any] = {entry.name: 0.0 for entry in fields(cls) if entry.name != "tared"}
         return cls(**nothing)
 
@@ -124,7 +124,7 @@ class Tolerances:
 
     @classmethod
     def from_unknowns(cls, unknowns: Unknowns) -> "Tolerances":
-        """The priors of a fusion in which all but stiffness, base and bias is exact."""
+        """Return the priors of a fusion in which all but stiffness, base and bias is exact."""
         return replace(
             cls.none(),
             youngs_modulus=unknowns.stiffness,
@@ -138,13 +138,13 @@ class Tolerances:
 
     @property
     def exact(self) -> bool:
-        """Whether one reading is of a probe that is all as the model says."""
+        """Return whether a single reading has no model error."""
         return (
             replace(self, robot_mm=0.0, walk_steps=0.0, tared=True, youngs_modulus_by_diameter=0.0)
             == Tolerances.none()
         )
 
     def sources(self) -> dict[str, str]:
-        """Where each comes from, by name."""
+        """Return the source of each value, by name."""
         return {name: text if getattr(self, name) == getattr(Tolerances, name) else "design"
                 for name, text in SOURCES.items()}  # fmt: skip

@@ -1,7 +1,7 @@
 """How error sources and noise propagate to a located contact (compiled).
 
 A source of one standard deviation moves the true reading of a touch by a column of D and its true point by one of Q.
-A reading is then known to Σ = noise + drift + D Dᵀ, the nearest touch answers it by the gain K = C Hᵀ Σ⁻¹ with
+A reading then has the covariance Σ = noise + drift + D Dᵀ, the fitted touch follows it by the gain K = C Hᵀ Σ⁻¹ with
 C = (Hᵀ Σ⁻¹ H + prior)⁻¹, and the point is known to
 
     X C Xᵀ + Q Qᵀ - X K D Qᵀ - (X K D Qᵀ)ᵀ,
@@ -11,6 +11,7 @@ with H and X the derivatives of wrench and point by the touch. `tests/reference/
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +20,10 @@ from probedesign.estimation.linalg_kernel import (
     covariance_of,
     factor,
     invert_lower,
+    put3,
     scale_and_factor,
     solve_scaled,
+    take3,
 )
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -44,6 +47,7 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
 )
+from probedesign.frames import Array
 from probedesign.rod.kernels.body import BEND_X, BEND_Y, OK
 from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
 from probedesign.rod.kernels.vectors import add, cross, plus, take, times
@@ -58,54 +62,61 @@ FORCE, MOMENT = np.arange(0, 6, 3)
 
 
 @inner
-def _row3(A, row, j):
-    return (A[row, j], A[row + 1, j], A[row + 2, j])
-
-
-@inner
-def _put3(A, row, j, x):
-    for q in range(3):
-        A[row + q, j] = x[q]
-
-
-@inner
 def _moved(lin, gravity, shift, turn, change, D, c):
-    """The column of a base that is shifted and turned and of gravity that changes, as seen in the modelled base frame.
+    """Fill in the column of a base that is shifted and turned and of gravity that changes, in the modelled base frame.
 
     A turn of the base turns what it reads, and gravity the other way as seen from it.
     """
     seen = plus(cross(gravity, turn), change)
-    F = cross(turn, _row3(lin, WRENCH, VALUE))
-    M = plus(cross(turn, _row3(lin, WRENCH + 3, VALUE)), cross(shift, _row3(lin, WRENCH, VALUE)))
-    x = plus(cross(turn, _row3(lin, POINT, VALUE)), shift)
-    p = plus(cross(turn, _row3(lin, CENTRE, VALUE)), shift)
+    F = cross(turn, take3(lin, WRENCH, VALUE))
+    M = plus(cross(turn, take3(lin, WRENCH + 3, VALUE)), cross(shift, take3(lin, WRENCH, VALUE)))
+    x = plus(cross(turn, take3(lin, POINT, VALUE)), shift)
+    p = plus(cross(turn, take3(lin, CENTRE, VALUE)), shift)
     for q in range(3):
-        F = add(F, seen[q], _row3(lin, WRENCH, BY_GRAVITY + q))
-        M = add(M, seen[q], _row3(lin, WRENCH + 3, BY_GRAVITY + q))
-        x = add(x, seen[q], _row3(lin, POINT, BY_GRAVITY + q))
-        p = add(p, seen[q], _row3(lin, CENTRE, BY_GRAVITY + q))
-    _put3(D, WRENCH, c, F)
-    _put3(D, WRENCH + 3, c, M)
-    _put3(D, POINT, c, x)
-    _put3(D, CENTRE, c, p)
+        F = add(F, seen[q], take3(lin, WRENCH, BY_GRAVITY + q))
+        M = add(M, seen[q], take3(lin, WRENCH + 3, BY_GRAVITY + q))
+        x = add(x, seen[q], take3(lin, POINT, BY_GRAVITY + q))
+        p = add(p, seen[q], take3(lin, CENTRE, BY_GRAVITY + q))
+    put3(D, WRENCH, c, F)
+    put3(D, WRENCH + 3, c, M)
+    put3(D, POINT, c, x)
+    put3(D, CENTRE, c, p)
 
 
-@inner
-def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
-                  still, D):  # fmt: skip
-    """One standard deviation of each error source, as it moves base wrench, touched point and centreline point.
+class SourceArrays(NamedTuple):
+    """Error sources as `error_columns` takes them, one standard deviation each.
 
-    Args:
-        body: of the rod; gravity: [m/s²], (3,).
-        lin: linearisation with all parameters, see `surface_contact_kernel`.
-        own: one standard deviation a row, of log E and what follows it, (a, 4 + K).
-        turns: one standard deviation a row, of the base's shift and turn and of gravity [m, rad, m/s²], (b, 9).
+    Attributes:
+        own: of log E and what follows it, a source a row, (a, 4 + K).
+        turns: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9).
         root: of the length of rigid rod at the root [m].
         gain: of the sensor's channels, relative, (6,).
         hanging: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
         sensor_from_base, base_from_sensor: carry wrenches, (6, 6).
         reference: wrench at the base at which the sensor reads zero, (6,).
         still: columns of the free probe's reading, which a tare has taken away, (6, J).
+    """
+
+    own: Array
+    turns: Array
+    root: float
+    gain: Array
+    hanging: Array
+    sensor_from_base: Array
+    base_from_sensor: Array
+    reference: Array
+    still: Array
+
+
+@inner
+def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
+                  still, D):  # fmt: skip
+    """Fill D with what one standard deviation of each error source does to base wrench, touched and centreline point.
+
+    Args:
+        body: of the rod; gravity: [m/s²], (3,).
+        lin: linearisation with all parameters, see `surface_contact_kernel`.
+        own, ... still: see `SourceArrays`.
         D: filled, (12, J), J = a + b + 7.
     """
     a, b = own.shape[0], turns.shape[0]
@@ -148,7 +159,7 @@ def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_fr
 
 @inner
 def measurement_covariance(noise, D, cov):
-    """Σ = noise + D Dᵀ of a reading, (6, 6); noise holds the drift as well."""
+    """Fill in Σ = noise + D Dᵀ of a reading, (6, 6); noise includes the drift."""
     for i in range(6):
         for j in range(i + 1):
             total = noise[i, j]
@@ -160,7 +171,7 @@ def measurement_covariance(noise, D, cov):
 
 @inner
 def whitening(cov, work, whiten):
-    """Lower triangular, with whitenᵀ whiten the inverse of a covariance (6, 6), which stays; whether it is positive."""
+    """Fill in lower triangular W with Wᵀ W the inverse of a covariance (6, 6); return whether that is positive."""
     for i in range(6):
         for j in range(6):
             work[i, j] = cov[i, j]
@@ -170,31 +181,34 @@ def whitening(cov, work, whiten):
     return True
 
 
-CHI2, CHI2_FRICTION, LEVER, VAR_S, COV_TOUCH, COV_POINT, COV_CENTRE, LINEAR, RESULT = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    29,
-    38,
-    47,
-    65,
-)
-"""Where in a result stand the misfit squared, the part of it that is friction's, how much the base moment changes with
-s over the force, the variance of s_contact [m²], the covariance of the touch (5, 5), those of the touched point and of
-the centreline point [m²] (3, 3), and both to first order alone."""
+POSTERIOR = np.dtype([
+    ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"), ("cov_touch", "f8", (5, 5)),
+    ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
+    ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)),
+])  # fmt: skip
+"""What is known of a fitted touch: squared misfit and the part of it due to friction, change of the base moment with s
+over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point and of the
+centreline point [m²], and both to first order alone."""
+
+
+def offsets_of(layout):
+    """Return where each field of a record of floats begins, and the size of the record, counted in floats."""
+    return (*(layout.fields[name][1] // 8 for name in layout.names), layout.itemsize // 8)
+
+
+CHI2, CHI2_FRICTION, LEVER, VAR_S, COV_TOUCH, COV_POINT, COV_CENTRE, LINEAR, _, RESULT = offsets_of(POSTERIOR)
+"""Offsets of the fields of `POSTERIOR` in a row of floats, and its size."""
 
 
 @inner
-def _point_covariance(row, lin, whiten, D, C, W6, out):
-    """cov of a point whose rows in lin and D begin at `row`, (3, 3) into out (9,).
+def _point_covariance(row, lin, J, whiten, D, C, W6, out):
+    """Fill in the covariance of a point whose rows in lin and D begin at `row`, (9,).
 
     Args:
-        C: covariance of the touch, (5, 5); W6: scratch, (3, 6 + J).
+        J: residuals' derivatives by the touch, (8, 5); C: covariance of the touch, (5, 5); W6: scratch, (3, 6 + J).
     """
-    J = D.shape[1]
-    # share = X C (W H)ᵀ W, the gain of the point on the reading.
+    sources = D.shape[1]
+    # W6 = X C (W H)ᵀ W, the gain of the point on the reading; the first rows of J are W H.
     for i in range(3):
         for q in range(6):
             W6[i, q] = 0.0
@@ -203,13 +217,9 @@ def _point_covariance(row, lin, whiten, D, C, W6, out):
             for v in range(UNKNOWNS):
                 xc += lin[row + i, BY_TOUCH + v] * C[v, u]
             for q in range(6):
-                # (W H) column u, then back through Wᵀ
-                wh = 0.0
                 for m in range(q + 1):
-                    wh += whiten[q, m] * lin[WRENCH + m, BY_TOUCH + u]
-                for m in range(q + 1):
-                    W6[i, m] += xc * wh * whiten[q, m]
-        for c in range(J):
+                    W6[i, m] += xc * J[q, u] * whiten[q, m]
+        for c in range(sources):
             total = 0.0
             for q in range(6):
                 total += W6[i, q] * D[q, c]
@@ -220,7 +230,7 @@ def _point_covariance(row, lin, whiten, D, C, W6, out):
             for u in range(UNKNOWNS):
                 for v in range(UNKNOWNS):
                     total += lin[row + i, BY_TOUCH + u] * C[u, v] * lin[row + k, BY_TOUCH + v]
-            for c in range(J):
+            for c in range(sources):
                 total += D[row + i, c] * D[row + k, c]
                 total -= W6[i, 6 + c] * D[row + k, c] + W6[k, 6 + c] * D[row + i, c]
             out[3 * i + k] = total
@@ -228,7 +238,7 @@ def _point_covariance(row, lin, whiten, D, C, W6, out):
 
 @inner
 def posterior(lin, touch, J, whiten, D, by_s, work, result):
-    """Covariances of a fitted touch, to first order, into the result; whether it is known at all.
+    """Fill in the covariances of a fitted touch to first order; return whether they exist.
 
     Args:
         J: residuals' derivatives by the touch, (8, 5).
@@ -260,15 +270,15 @@ def posterior(lin, touch, J, whiten, D, by_s, work, result):
         for v in range(UNKNOWNS):
             total += by_s[u] * C[u, v] * by_s[v]
     result[VAR_S] = total
-    _point_covariance(POINT, lin, whiten, D, C, W6, result[COV_POINT:COV_CENTRE])
-    _point_covariance(CENTRE, lin, whiten, D, C, W6, result[COV_CENTRE:LINEAR])
+    _point_covariance(POINT, lin, J, whiten, D, C, W6, result[COV_POINT:COV_CENTRE])
+    _point_covariance(CENTRE, lin, J, whiten, D, C, W6, result[COV_CENTRE:LINEAR])
     for i in range(18):
         result[LINEAR + i] = result[COV_POINT + i]
     return True
 
 
 ASIDE = math.sqrt(3.0)
-"""Standard deviations to either side at which the valley is looked at: places of Gauss and Hermite's quadrature."""
+"""Standard deviations to either side at which the valley is evaluated: nodes of Gauss-Hermite quadrature."""
 FLAT_ENOUGH = 0.2
 """Sagitta of the valley, over the smallest standard deviation of the point, that a linear covariance may neglect."""
 TAIL = 2.0
@@ -286,7 +296,7 @@ BESIDE = 1e4
 
 @inner
 def principal_axis(cov, u):
-    """Direction of the largest variance of a covariance (9,), into u (3,); returns that variance."""
+    """Fill in the direction of the largest variance of a covariance (9,), u (3,); return that variance."""
     u[0], u[1], u[2] = 1.0, 1.0, 1.0
     for j in range(3):
         if cov[4 * j] >= cov[0] and cov[4 * j] >= cov[4] and cov[4 * j] >= cov[8]:
@@ -306,7 +316,7 @@ def principal_axis(cov, u):
 
 @inner
 def smallest_variance(cov):
-    """det over the product of the other two, from the invariants of a covariance (9,): a lower estimate is enough."""
+    """Return det over the product of the other two, from the invariants of a covariance (9,): a lower bound."""
     trace = cov[0] + cov[4] + cov[8]
     minors = (
         cov[0] * cov[4]
@@ -325,14 +335,113 @@ def smallest_variance(cov):
 
 
 @inner
+def _valley(lin, row, cov, C, u, along, v):
+    """Find the touch one standard deviation along the principal axis of a point on the linear valley.
+
+    Args:
+        row: of the point in lin; cov: its covariance, (9,); C: covariance of the touch, (25,).
+        u: scratch, (3,).
+        along: filled: derivatives by the touch of the point's place along its principal axis, (5,).
+        v: filled: change of the touch, C along / std, (5,).
+
+    Returns:
+        The variance along the axis [m²]; 0 where there is none.
+    """
+    variance, spread = principal_axis(cov, u), 0.0
+    if not (variance > 0.0 and math.isfinite(variance)):
+        return 0.0
+    for i in range(UNKNOWNS):
+        along[i] = 0.0
+        for q in range(3):
+            along[i] += lin[row + q, BY_TOUCH + i] * u[q]
+    for i in range(UNKNOWNS):
+        v[i] = 0.0
+        for j in range(UNKNOWNS):
+            v[i] += C[UNKNOWNS * i + j] * along[j]
+        spread += along[i] * v[i]
+    if not spread > 0.0:
+        return 0.0
+    for i in range(UNKNOWNS):
+        v[i] /= math.sqrt(spread)
+    return spread
+
+
+@inner
+def _share_within(touch, end, change):
+    """Return the share of a change of the touch that stays on the probe and keeps pushing."""
+    share, ahead = 1.0, touch[S] + change[S]
+    if ahead > end:
+        share = max(min((end - touch[S]) / change[S], 1.0), 0.05)
+    elif ahead < 0.0:
+        share = max(min(-touch[S] / change[S], 1.0), 0.05)
+    if change[NORMAL] < 0.0:
+        share = min(share, 0.75 * touch[NORMAL] / abs(change[NORMAL]))
+    return share
+
+
+@inner
+def _offsets_beside(
+    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, v, along, spread, side, sweep_work, brief,
+    work, offsets,
+):  # fmt: skip
+    """Evaluate both points on the valley ASIDE standard deviations from the estimate, one Gauss-Newton step beside the
+    linear valley.
+
+    Args:
+        v, along, spread: see `_valley`; side: 0 against v, 1 along it.
+        work: scratch, (CURVE_WORK - 31,).
+        offsets: filled: how far touched point (3) and centreline point (3) lie from the linear valley there [m], (6,).
+
+    Returns:
+        Whether there is an equilibrium.
+    """
+    at, J, r = work[:TOUCH], work[17:57].reshape((RESIDUALS, UNKNOWNS)), work[57:65]
+    H, b = work[65:90].reshape((UNKNOWNS, UNKNOWNS)), work[90:95]
+    scale, move, change = work[95:100], work[100 : 100 + MOVE], work[118:123]
+    for i in range(UNKNOWNS):
+        change[i] = ASIDE * v[i] if side else -ASIDE * v[i]
+    share = _share_within(touch, end, change)
+    plan_move(lin, change, move)
+    advance(at, touch, share, change, move)
+    status, lack, _margin, _size = linearise(body, gravity, mass, tol, 1.0, at, 0, sweep_work, brief)
+    if status != OK or not lack < math.inf:
+        return False
+    residuals(brief, at, wrench, whiten, friction, J, r)
+    normal_equations(J, r, H, b)
+    for i in range(UNKNOWNS):
+        for j in range(UNKNOWNS):
+            H[i, j] += BESIDE / spread * along[i] * along[j]
+    if not scale_and_factor(H, UNKNOWNS, scale):
+        return False
+    solve_scaled(H, UNKNOWNS, scale, b)
+    for q in range(6):  # rows of POINT and, after them, of CENTRE
+        x = brief[POINT + q, VALUE] - lin[POINT + q, VALUE]
+        for i in range(UNKNOWNS):
+            x += brief[POINT + q, BY_TOUCH + i] * b[i] - share * lin[POINT + q, BY_TOUCH + i] * change[i]
+        offsets[q] = x / (share * share)
+    return True
+
+
+@inner
+def _add_turn_around(lin, radius, left, cov):
+    """Add to the covariance of the touched point, (9,), the bow of its angle varying by √left beside the valley."""
+    bow = TAIL * min(0.75 * left * left, 1.5)
+    for i in range(3):
+        for j in range(3):
+            e_i = lin[POINT + i, VALUE] - lin[CENTRE + i, VALUE]
+            e_j = lin[POINT + j, VALUE] - lin[CENTRE + j, VALUE]
+            cov[3 * i + j] += bow * e_i * e_j
+
+
+@inner
 def add_curvature(
     body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, sweep_work, brief, work, result
-):
+):  # fmt: skip
     """Add to the covariances what the curve of the valley of likely touches makes of them.
 
     The touches that explain a reading lie on a curve x + a δ + b δ² + c δ³ far narrower than it is bowed; its mean
     square about x is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ for a standard normal δ. It is evaluated √3 standard
-    deviations aside, one Gauss-Newton step beside the linear valley. Around the section, x bows by r e δφ²/2.
+    deviations aside. Around the section, x bows by r e δφ²/2.
 
     Args:
         lin: at the estimate; touch: the estimate, as linearised.
@@ -340,116 +449,68 @@ def add_curvature(
         work: scratch, (CURVE_WORK,).
         result: see CHI2 ... RESULT, added to.
     """
-    u, v, at = work[0:3], work[3:8], work[8 : 8 + TOUCH]
-    J, r = work[25:65].reshape((RESIDUALS, UNKNOWNS)), work[65:73]
-    H, b = work[73:98].reshape((UNKNOWNS, UNKNOWNS)), work[98:103]
-    scale, move, along = work[103:108], work[108 : 108 + MOVE], work[126:131]
-    sides = work[131:143]
+    u, along, v, centre_v, offsets = work[0:3], work[3:8], work[8:13], work[13:18], work[18:30]
     C = result[COV_TOUCH:COV_POINT]
-    for row, cov in ((POINT, result[COV_POINT:COV_CENTRE]), (CENTRE, result[COV_CENTRE:LINEAR])):
-        variance = principal_axis(cov, u)
-        if not (variance > 0.0 and math.isfinite(variance)):
+    radius, _tan = radius_and_slope(body, touch[S])
+    for point in range(2):
+        row = POINT if point == 0 else CENTRE
+        cov = result[COV_POINT:COV_CENTRE] if point == 0 else result[COV_CENTRE:LINEAR]
+        direction = v if point == 0 else centre_v
+        spread = _valley(lin, row, cov, C, u, along, direction)
+        if spread == 0.0:
             return
-        # The touch on the linear valley one standard deviation on: v = C Xᵀ u over its own spread along u.
-        spread = 0.0
-        for i in range(UNKNOWNS):
-            along[i] = 0.0
-            for q in range(3):
-                along[i] += lin[row + q, BY_TOUCH + i] * u[q]
-        for i in range(UNKNOWNS):
-            v[i] = 0.0
-            for j in range(UNKNOWNS):
-                v[i] += C[UNKNOWNS * i + j] * along[j]
-        for i in range(UNKNOWNS):
-            spread += along[i] * v[i]
-        if not spread > 0.0:
-            return
-        std = math.sqrt(spread)
-        for i in range(UNKNOWNS):
-            v[i] /= std
-        thin = math.sqrt(smallest_variance(cov))
-        radius, _tan = radius_and_slope(body, touch[S])
-        if row == POINT:
-            left = max(C[UNKNOWNS * PHI + PHI] - v[PHI] * v[PHI], 0.0)
-            bow = TAIL * min(0.75 * left * left, 1.5) * radius * radius
-            for i in range(3):
-                for j in range(3):
-                    e_i = (lin[POINT + i, VALUE] - lin[CENTRE + i, VALUE]) / radius
-                    e_j = (lin[POINT + j, VALUE] - lin[CENTRE + j, VALUE]) / radius
-                    cov[3 * i + j] += bow * e_i * e_j
-        curvature = MAX_CURVATURE / body.knots[-1] + abs(v[PHI]) / std
+        std, thin = math.sqrt(spread), math.sqrt(smallest_variance(cov))
+        if point == 0:
+            _add_turn_around(lin, radius, max(C[UNKNOWNS * PHI + PHI] - v[PHI] * v[PHI], 0.0), cov)
+        curvature = MAX_CURVATURE / body.knots[-1] + abs(direction[PHI]) / std
         if 0.5 * spread * curvature < FLAT_ENOUGH * thin:
             continue
-        seen = 0
-        inward = 1 if v[S] < 0.0 else 0
+        evaluated, inward = 0, 1 if direction[S] < 0.0 else 0
         for other in range(2 if std > WIDE * body.knots[-1] else 1):
             side = inward if other == 0 else 1 - inward
-            way = ASIDE if side else -ASIDE
-            ahead = touch[S] + way * v[S]
-            share = 1.0
-            if ahead < 0.0 or ahead > end:
-                share = (
-                    max(min((end - touch[S]) / (way * v[S]), 1.0), 0.05)
-                    if way * v[S] > 0.0
-                    else max(min(-touch[S] / (way * v[S]), 1.0), 0.05)
-                )
-            if way * v[NORMAL] < 0.0:
-                share = min(share, 0.75 * touch[NORMAL] / abs(way * v[NORMAL]))
-            for i in range(UNKNOWNS):
-                b[i] = way * v[i]
-            plan_move(lin, b, move)
-            advance(at, touch, share, b, move)
-            status, lack, _margin, _size = linearise(body, gravity, mass, tol, 1.0, at, 0, sweep_work, brief)
-            if status != OK or not lack < math.inf:
-                continue
-            residuals(brief, at, wrench, whiten, friction, J, r)
-            normal_equations(J, r, H, b)
-            weight = BESIDE / spread
-            for i in range(UNKNOWNS):
-                for j in range(UNKNOWNS):
-                    H[i, j] += weight * along[i] * along[j]
-            if not scale_and_factor(H, UNKNOWNS, scale):
-                continue
-            solve_scaled(H, UNKNOWNS, scale, b)
-            for q in range(3):
-                x = brief[row + q, VALUE]
-                for i in range(UNKNOWNS):
-                    x += brief[row + q, BY_TOUCH + i] * b[i]
-                a = 0.0
-                for i in range(UNKNOWNS):
-                    a += lin[row + q, BY_TOUCH + i] * v[i]
-                # What lies beside the straight way, as if looked at √3 standard deviations away.
-                sides[3 * side + q] = (x - lin[row + q, VALUE] - share * way * a) / (share * share)
-                sides[6 + q] = a
-            seen += 1 + side
-        if seen == 0:
-            continue
-        for q in range(3):
-            low = sides[q] if seen != 2 else sides[3 + q]
-            high = sides[3 + q] if seen != 1 else sides[q]
-            sides[q], sides[3 + q] = (low + high) / 6.0, (high - low) / (6.0 * ASIDE)
-        for i in range(3):
-            for j in range(3):
-                b_i, b_j, c_i, c_j = sides[i], sides[j], sides[3 + i], sides[3 + j]
-                a_i, a_j = sides[6 + i], sides[6 + j]
-                cov[3 * i + j] += 3.0 * (a_i * c_j + c_i * a_j) + 3.0 * TAIL * b_i * b_j + 15.0 * c_i * c_j
+            if _offsets_beside(
+                body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, direction, along, spread, side,
+                sweep_work, brief, work[31:], offsets[6 * side : 6 * side + 6],
+            ):  # fmt: skip
+                evaluated += 1 + side
+        if evaluated:
+            # The side that was not evaluated counts as the other one.
+            low, high = 6 * (evaluated == 2) + 3 * point, 6 * (evaluated != 1) + 3 * point
+            _add_bow(lin, row, direction, offsets[low : low + 3], offsets[high : high + 3], cov)
 
 
-CURVE_WORK = 143
+@inner
+def _add_bow(lin, row, v, low, high, cov):
+    """Add to a covariance, (9,), what a point lies beside the straight valley on its two sides, low and high (3,)."""
+    for i in range(3):
+        b_i, c_i = (low[i] + high[i]) / 6.0, (high[i] - low[i]) / (6.0 * ASIDE)
+        a_i = 0.0
+        for q in range(UNKNOWNS):
+            a_i += lin[row + i, BY_TOUCH + q] * v[q]
+        for j in range(3):
+            b_j, c_j = (low[j] + high[j]) / 6.0, (high[j] - low[j]) / (6.0 * ASIDE)
+            a_j = 0.0
+            for q in range(UNKNOWNS):
+                a_j += lin[row + j, BY_TOUCH + q] * v[q]
+            cov[3 * i + j] += 3.0 * (a_i * c_j + c_i * a_j) + 3.0 * TAIL * b_i * b_j + 15.0 * c_i * c_j
+
+
+CURVE_WORK = 154
 """Numbers that `add_curvature` works in."""
 
 
 @kernel
-def columns_of(body, gravity, mass, tol, touch, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor,
-               reference, still, work, lin, D):  # fmt: skip
-    """A touch settled and linearised with its error columns, see `linearise_touch` and `error_columns`.
+def columns_of(body, gravity, mass, tol, touch, sources, work, lin, D):
+    """Settle and linearise a touch and fill its error columns, see `linearise_touch` and `error_columns`.
 
     Returns:
-        Whether the probe holds the touch.
+        Whether there is a stable equilibrium.
     """
-    parameters = own.shape[1] + 3
+    parameters = sources.own.shape[1] + 3
     if not linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
         return False
-    error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
-                  still, D)  # fmt: skip
+    error_columns(
+        body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,
+        sources.sensor_from_base, sources.base_from_sensor, sources.reference, sources.still, D,
+    )  # fmt: skip
     return True

@@ -12,7 +12,7 @@ ASSUMED_STIFFNESS = 0.03
 
 
 def stiffness_spread(model: ProbeModel) -> float:
-    """Standard deviation of E and of G, relative: of the design's material, or by where E comes from."""
+    """Return the standard deviation of E and of G, relative: of the design's material, or by where E comes from."""
     if model.stiffness_spread is not None:
         return model.stiffness_spread
     E = model.material.get("youngs_modulus")
@@ -48,10 +48,10 @@ class Unknowns:
 
     @classmethod
     def of(cls, model: ProbeModel) -> "Unknowns":
-        """As the design's material has them."""
+        """Return the priors of the design's material."""
         return cls(stiffness=stiffness_spread(model), creep=model.creep_spread)
 
     @classmethod
     def none(cls) -> "Unknowns":
-        """Everything but the object is known exactly."""
+        """Return priors with which all but the object is known exactly."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

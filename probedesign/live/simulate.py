@@ -15,8 +15,9 @@ from probedesign.live.flow import paced
 from probedesign.live.reading import FREE, Reading, Truth
 from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
 from probedesign.rod.contact import solve_frictionless
-from probedesign.rod.friction import MAX_FRICTION, line_of_action, solve_surface_force
+from probedesign.rod.friction import MAX_FRICTION
 from probedesign.rod.rod import Rod
+from probedesign.rod.surface_force import line_of_action, solve_surface_force
 from probedesign.units import MILLINEWTON, MM
 
 PARAMETERS = {

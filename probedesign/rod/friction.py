@@ -28,19 +28,17 @@ and `probedesign.rod.obstacle` has the contact without friction.
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.rod.approach import FreeRod, Nearest, Obstacle
+from probedesign.rod.coulomb_equations import SurfaceProfile, coulomb_residuals
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Mode, Rod
 
-Numbers = NDArray[Any]
-"""Real or complex: derivatives are taken by complex steps."""
 ASSUMED_FRICTION = 0.5
 """Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
 plastic or metal, which is to be measured for each resin."""
@@ -67,8 +65,6 @@ _MAX_TURN = 0.2
 """Of the tip and of the normal in one step [rad]: keeps the branch."""
 _MAX_SLIDE = 0.02
 """In one step [rod lengths]: beyond, the rod has snapped past the object."""
-_BLEND = 0.005
-"""Half-width over which the normal turns at a knot [rod lengths], at most a quarter of the frusta beside it."""
 
 
 @dataclass(frozen=True)
@@ -140,22 +136,6 @@ class CoulombContact:
     def tangential_force(self) -> float:
         """|F_t| [N]."""
         return float(np.linalg.norm(self.tangential_force_base))
-
-
-class SurfaceForce(NamedTuple):
-    """Equilibrium under a force that is given in the axes of the surface it acts on.
-
-    Attributes:
-        result: "ok", or the code of the equilibrium that was not found.
-        equilibrium: of the rod.
-        force_base: [N], (3,).
-        p_surface_base: point of the surface where it acts [m], (3,).
-    """
-
-    result: str
-    equilibrium: Equilibrium
-    force_base: Array
-    p_surface_base: Array
 
 
 @dataclass(frozen=True)
@@ -399,7 +379,15 @@ class CoulombSolver:
             d = scales[:, None] * eq.sensitivity.d_contact * loads
             inputs = np.concatenate([x, scales * eq.sensitivity.frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
-            found = self._equations(steps, before, goal, stiffness)
+            found = coulomb_residuals(
+                steps,
+                before,
+                goal.object_point / length,
+                goal.direction,
+                self._profile,
+                self.friction,
+                stiffness,
+            )
             off, by = found[:, 0].real, found.imag / _IMAGINARY
             of_force = close * max(float(np.linalg.norm(x[0:3])), _MIN_FORCE)
             allowed = np.array([of_force] * 3 + [close] * 4 + [close if stiffness is None else of_force] * 2)
@@ -417,43 +405,6 @@ class CoulombSolver:
             shrink = min(1.0, 0.05 / max(abs(change[6]), 1e-300), 0.5 / max(abs(change[7]), 1e-300))
             x, tip = x - shrink * change, eq.tip
         return "not_converged"
-
-    def _equations(self, z: Numbers, before: Array, goal: CoulombContact, stiffness: float | None) -> Numbers:
-        """Residuals of couple, place, edge and Coulomb's law, (9, m), without dimension.
-
-        Args:
-            z: [9 unknowns, 12 of the section's tangent, x axis, position and y axis], (21, m).
-            before: s, φ and λ before the step, (3,).
-            goal: where the object is.
-            stiffness: k of the slip law; None for stick.
-        """
-        F, C, s, angle, way = z[0:3], z[3:6], z[6], z[7], z[8]
-        t, x, p, y = z[9:12], z[12:15], z[15:18], z[18:21]
-        radius, tan = self._profile.at(s)
-        cos = 1.0 / np.sqrt(1.0 + tan * tan)
-        e, h = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
-        a, normal = cos * (t - tan * e), cos * (e + tan * t)
-        arm = radius * e
-        couple = C - _cross(arm, F)
-        apart = p + arm - (goal.object_point / self.rod.length)[:, None]
-        slide_a, slide_h = (s - before[0]) / cos, radius * (angle - before[1])
-        edge = way
-        if goal.direction is not None:
-            line = goal.direction[:, None]
-            apart = apart - way * line
-            edge = _dot(normal, line)
-            slide_a = slide_a - (way - before[2]) * _dot(a, line)
-            slide_h = slide_h - (way - before[2]) * _dot(h, line)
-        if stiffness is None:
-            law = (slide_a, slide_h)
-        else:
-            F_a, F_h = _dot(F, a), _dot(F, h)
-            law = (F_a, F_h)
-            if self.friction > 0.0:
-                tau_a, tau_h = F_a + stiffness * slide_a, F_h + stiffness * slide_h
-                limit = -self.friction * _dot(F, normal) / np.sqrt(tau_a * tau_a + tau_h * tau_h + 1e-300)
-                law = (F_a - limit * tau_a, F_h - limit * tau_h)
-        return np.stack([*couple, *apart, edge, *law])
 
     def _contact(
         self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, state: str
@@ -490,139 +441,8 @@ class CoulombSolver:
         return self.rod.length, stiffness / self.rod.length**2
 
     @cached_property
-    def _profile(self) -> "_Profile":
-        return _Profile.of(self.rod)
-
-
-class _Profile(NamedTuple):
-    """Radius and taper of the surface along the rod, in rod lengths.
-
-    Attributes:
-        s, radius: at the knots, (K,).
-        at_s, tan: tan α at the ends of where it turns, straight between, (j,).
-    """
-
-    s: Array
-    radius: Array
-    at_s: Array
-    tan: Array
-
-    @classmethod
-    def of(cls, rod: Rod) -> "_Profile":
-        """That of a rod."""
-        s, r = np.asarray(rod.s) / rod.length, np.asarray(rod.radius) / rod.length
-        tan, span = -np.diff(r) / np.diff(s), np.diff(s)
-        half = np.minimum(_BLEND, 0.25 * np.minimum(span[:-1], span[1:]))
-        ends = np.stack([s[1:-1] - half, s[1:-1] + half], axis=1).ravel()
-        return cls(s, r, np.concatenate([[0.0], ends, [1.0]]), np.repeat(tan, 2))
-
-    def at(self, s: Numbers) -> tuple[Numbers, Numbers]:
-        """Radius and tan α there, by complex steps too."""
-        return _straight(s, self.s, self.radius), _straight(s, self.at_s, self.tan)
-
-
-def _straight(s: Numbers, knots: Array, values: Array) -> Numbers:
-    """Linear interpolation, continued beyond the ends."""
-    i = np.clip(np.searchsorted(knots, s.real, side="right") - 1, 0, len(knots) - 2)
-    slope = (values[i + 1] - values[i]) / (knots[i + 1] - knots[i])
-    found: Numbers = values[i] + slope * (s - knots[i])
-    return found
-
-
-def solve_surface_force(
-    rod: Rod,
-    gravity: ArrayLike,
-    s: float,
-    angle: float,
-    normal_force: float,
-    tangential: tuple[float, float] = (0.0, 0.0),
-    mode: Mode = "fast",
-) -> SurfaceForce:
-    """Equilibrium under a force at a point of the deformed surface, given in the surface's own axes.
-
-    F = F_n (-N + c_a a + c_h h) with N the outward normal, a towards the tip along the flank and h around it; it turns
-    with the surface. (c_a, c_h) inside a circle of radius μ is a contact within Coulomb's cone.
-
-    Args:
-        rod: the rod; its section must be round.
-        gravity: in base axes [m/s²], (3,).
-        s: arclength of the touched point [m].
-        angle: φ of the touched point about the tangent, from the section's x axis [rad].
-        normal_force: F_n [N].
-        tangential: (c_a, c_h), tangential over normal force.
-        mode: "fast" or "reference".
-
-    Returns:
-        The equilibrium; numbers come only with result "ok".
-    """
-    profile = _Profile.of(rod)
-    radius, tan = (float(v) for v in profile.at(np.array(min(s, rod.length) / rod.length)))
-    radius, cos = radius * rod.length, 1.0 / math.hypot(1.0, tan)
-    e, h = (
-        np.array([math.cos(angle), math.sin(angle), 0.0]),
-        np.array([-math.sin(angle), math.cos(angle), 0.0]),
-    )
-    t = np.array([0.0, 0.0, 1.0])
-    local = -cos * (e + tan * t) + tangential[0] * cos * (t - tan * e) + tangential[1] * h
-    both = np.concatenate([local, np.cross(radius * e, local)])  # force and couple of 1 N, section axes
-    load, guess, reached, step = np.concatenate([both[0:3], both[3:6]]), None, 0.0, 1.0
-    last_load, last_tip = np.zeros(6), None
-    none = np.full(3, np.nan)
-    while reached < 1.0:
-        goal = min(1.0, reached + step)
-        size = goal * normal_force
-        load = last_load * (goal / reached) if reached else size * both
-        guess, found = last_tip, "not_converged"
-        for _ in range(_MAX_ITERATIONS):
-            eq = rod.solve(gravity, load[0:3], s, couple=load[3:6], mode=mode, guess=guess,
-                           guess_only=guess is not None, columns="contact")  # fmt: skip
-            if not eq.ok or eq.sensitivity is None:
-                found = eq.result
-                break
-            frame, d = _axes(eq.sensitivity.frame), eq.sensitivity.d_contact
-            want = size * np.concatenate([frame @ both[0:3], frame @ both[3:6]])
-            off = load - want
-            if np.linalg.norm(off[0:3]) <= 1e-9 * normal_force and np.linalg.norm(off[3:6]) <= 1e-9 * (
-                normal_force * rod.length
-            ):
-                found = "ok"
-                break
-            columns = [*range(3), *range(4, 7)]
-            turned = np.stack(
-                [np.concatenate([_axes(d[:, j]) @ both[0:3], _axes(d[:, j]) @ both[3:6]]) for j in columns],
-                axis=1,
-            )
-            load = load - np.linalg.solve(np.eye(6) - size * turned, off)
-            guess = eq.tip
-        if found == "ok":
-            reached, last_load, last_tip, step = goal, load, eq.tip, 2.0 * step
-            continue
-        step *= 0.25
-        if step < 1e-3:
-            return SurfaceForce(found, eq, none, none)
-    point = eq.p_contact_base + radius * (_axes(eq.sensitivity.frame) @ e)  # type: ignore[union-attr]
-    return SurfaceForce("ok", eq, load[0:3], np.asarray(point))
-
-
-def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
-    """Arclength where the force's line of action passes the centreline, seen across both.
-
-    With the force F at x = p + r e of the section at s, that is s - r (F · t)/(F · e), from where F has no couple about
-    h = t × e: r tan α nearer the base than the touched section without friction, up to about μ r to either side with
-    friction.
-
-    Args:
-        rod: the rod.
-        eq: its equilibrium under the force at the touched section.
-        p_surface: x, in base axes [m], (3,).
-
-    Returns:
-        The arclength [m], held to the rod.
-    """
-    t, arm, force = eq.R_at(eq.s_contact)[:, 2], np.asarray(p_surface) - eq.p_contact_base, eq.load[0:3]
-    radius = float(np.linalg.norm(arm))
-    s = eq.s_contact - radius * float(force @ t) / (float(force @ arm) / radius)
-    return min(max(s, 0.0), rod.length)
+    def _profile(self) -> SurfaceProfile:
+        return SurfaceProfile.of(self.rod)
 
 
 def draw_friction(friction: float, spread: float, rng: np.random.Generator) -> float:
@@ -637,20 +457,6 @@ def draw_friction(friction: float, spread: float, rng: np.random.Generator) -> f
         μ of the touch.
     """
     return float(friction * math.exp(spread * rng.standard_normal()))
-
-
-def _axes(column: Array) -> Array:
-    """[x, y, tangent] as columns from the kernels' [tangent, x, position, y]."""
-    return np.stack([column[3:6], column[9:12], column[0:3]], axis=-1)
-
-
-def _dot(a: Numbers, b: Numbers) -> Numbers:
-    product: Numbers = (a * b).sum(axis=0)
-    return product
-
-
-def _cross(a: Numbers, b: Numbers) -> Numbers:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _vector(name: str, value: ArrayLike) -> Array:

@@ -16,8 +16,9 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.friction import draw_friction, line_of_action, solve_surface_force
+from probedesign.rod.friction import draw_friction
 from probedesign.rod.rod import Rod
+from probedesign.rod.surface_force import line_of_action, solve_surface_force
 from probedesign.synthetic.plan import Plan, touches_of, weights_of
 from probedesign.units import MM
 

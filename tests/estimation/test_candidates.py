@@ -7,7 +7,6 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.estimation import likelihood
-from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.likelihood import Problem
 from probedesign.estimation.multistart import SWEEPS_AT
@@ -65,8 +64,7 @@ def test_no_place_that_the_scan_finds_is_missed(name, friction, probes, gravity)
     for _touch, wrench in drawn(sources, 30, np.random.default_rng(3), friction):
         problem = problem_of(sources, wrench, 0.6)
         traced = likelihood._places(problem, likelihood._fit(problem, None))
-        scan = Scan.of(sources.model.rod, problem.seen)
-        starts = (likelihood._started(problem, s, tip, scan.force) for s, tip in scan.starts)
+        starts = (likelihood._started(problem, s, tip) for s, tip in problem.scan.starts)
         for place in (
             p for start in starts for p in likelihood._places(problem, likelihood._fit(problem, start))
         ):

@@ -20,9 +20,8 @@ def _wrench(
     touch = np.zeros(TOUCH)
     touch[:5] = fraction * rod.length, angle, force, *ratios
     touch[TIP:] = estimator.free(GRAVITY).tip
-    sources, _ = estimator._sources(GRAVITY)
     assert touch[NORMAL] > 0.0
-    lin, _ = sources.columns_at(touch)
+    lin, _ = estimator.sources(GRAVITY).columns_at(touch)
     return np.asarray(lin[:6, 0])
 
 
@@ -50,7 +49,7 @@ def test_the_interval_holds_light_touches_near_the_tip(large):
     51 inside have a chance of one in a thousand."""
     rng, inside, located = np.random.default_rng(4), 0, 0
     estimator = Estimator(large.model)
-    chol = np.linalg.cholesky(large.model.noise_base() + estimator._sources(GRAVITY)[1])
+    chol = np.linalg.cholesky(large.model.noise_base() + estimator.sources(GRAVITY).drift)
     while located < 60:
         fraction, angle = rng.uniform(0.7, 0.95), rng.uniform(-math.pi, math.pi)
         force, ratios = 10 ** rng.uniform(-2.3, -1.7), rng.normal(0.0, 0.6, 2)

@@ -11,9 +11,10 @@ import pytest
 from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, turned
 
 from probedesign.errors import InputError
-from probedesign.rod.friction import CoulombSolver, draw_friction, line_of_action, solve_surface_force
+from probedesign.rod.friction import CoulombSolver, draw_friction
 from probedesign.rod.obstacle import press_against_line, press_against_point
 from probedesign.rod.plain import solve_plain
+from probedesign.rod.surface_force import line_of_action, solve_surface_force
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
