@@ -148,7 +148,7 @@ def states_at(s, nodes, count, body, load, work, blocks, result):
             frustum, rest, gravity = frustum_of(body, i, in_root), rest_of(body, i), take(load, GRAVITY)
             force = times(on, take(load, FORCE))
             full_step(at, s[j] - at, work, frustum, rest, force, gravity, on)
-            step_columns(at, s[j] - at, i, in_root, work, blocks, chunks, body, gravity)
+            step_columns(at, s[j] - at, i, in_root, work, blocks, chunks, body, gravity, 1.0)
             for q in range(STATE):
                 result[j, q] = work[STATE + q]
             for c in range(chunks):
