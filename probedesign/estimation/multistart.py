@@ -199,7 +199,7 @@ def _settle(
         return AT_END
     # Linearised at `before`; the last step is a thirtieth of a standard deviation.
     add_curvature(
-        body, end, gravity, mass, wrench, white, friction, tol, before, lin, sweep_work, brief, rest, known
+        body, end, gravity, mass, wrench, white, friction, tol, before, lin, J, sweep_work, brief, rest, known
     )
     return FITTED
 

@@ -293,6 +293,10 @@ the inner side is taken for both."""
 BESIDE = 1e4
 """Weight that keeps a point on the valley at its distance from the estimate, over its information."""
 
+SAME_VALLEY = 0.99
+"""Square of the correlation of touched point and centreline point along their principal axes from which both are
+evaluated at the same places of one valley."""
+
 
 @inner
 def principal_axis(cov, u):
@@ -367,6 +371,19 @@ def _valley(lin, row, cov, C, u, along, v):
 
 
 @inner
+def _correlation(J, v, w):
+    """Return the correlation of two unit directions of the touch, (J v) · (J w)."""
+    total = 0.0
+    for i in range(RESIDUALS):
+        a, b = 0.0, 0.0
+        for j in range(UNKNOWNS):
+            a += J[i, j] * v[j]
+            b += J[i, j] * w[j]
+        total += a * b
+    return total
+
+
+@inner
 def _share_within(touch, end, change):
     """Return the share of a change of the touch that stays on the probe and keeps pushing."""
     share, ahead = 1.0, touch[S] + change[S]
@@ -435,7 +452,7 @@ def _add_turn_around(lin, radius, left, cov):
 
 @inner
 def add_curvature(
-    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, sweep_work, brief, work, result
+    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, J, sweep_work, brief, work, result
 ):  # fmt: skip
     """Add to the covariances what the curve of the valley of likely touches makes of them.
 
@@ -444,13 +461,13 @@ def add_curvature(
     deviations aside. Around the section, x bows by r e δφ²/2.
 
     Args:
-        lin: at the estimate; touch: the estimate, as linearised.
+        lin: at the estimate; touch: the estimate, as linearised; J: derivatives of the residuals there, (8, 5).
         brief: scratch, (ROWS, 1 + UNKNOWNS); sweep_work: scratch, (work_size(0),).
         work: scratch, (CURVE_WORK,).
         result: see CHI2 ... RESULT, added to.
     """
     u, along, v, centre_v, offsets = work[0:3], work[3:8], work[8:13], work[13:18], work[18:30]
-    C = result[COV_TOUCH:COV_POINT]
+    C, evaluated = result[COV_TOUCH:COV_POINT], 0
     radius, _tan = radius_and_slope(body, touch[S])
     for point in range(2):
         row = POINT if point == 0 else CENTRE
@@ -465,14 +482,18 @@ def add_curvature(
         curvature = MAX_CURVATURE / body.knots[-1] + abs(direction[PHI]) / std
         if 0.5 * spread * curvature < FLAT_ENOUGH * thin:
             continue
-        evaluated, inward = 0, 1 if direction[S] < 0.0 else 0
-        for other in range(2 if std > WIDE * body.knots[-1] else 1):
-            side = inward if other == 0 else 1 - inward
-            if _offsets_beside(
-                body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, direction, along, spread, side,
-                sweep_work, brief, work[31:], offsets[6 * side : 6 * side + 6],
-            ):  # fmt: skip
-                evaluated += 1 + side
+        if evaluated and _correlation(J, v, centre_v) ** 2 >= SAME_VALLEY:
+            direction = v
+        else:
+            evaluated = 0
+            inward = 1 if direction[S] < 0.0 else 0
+            for other in range(2 if std > WIDE * body.knots[-1] else 1):
+                side = inward if other == 0 else 1 - inward
+                if _offsets_beside(
+                    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, direction, along, spread, side,
+                    sweep_work, brief, work[31:], offsets[6 * side : 6 * side + 6],
+                ):  # fmt: skip
+                    evaluated += 1 + side
         if evaluated:
             # The side that was not evaluated counts as the other one.
             low, high = 6 * (evaluated == 2) + 3 * point, 6 * (evaluated != 1) + 3 * point
