@@ -11,8 +11,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose, wrench_map
 from probedesign.identification.identify import Data
+from probedesign.identification.parameters import DEGREE, Shared
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import DEGREE, Shared
 from probedesign.identification.weighed import Weighed
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed

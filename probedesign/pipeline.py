@@ -35,7 +35,7 @@ from probedesign.units import MM
 
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
-    from probedesign.identification.identification import Identification
+    from probedesign.identification.result import Identification
     from probedesign.pages.comparison import Compared
     from probedesign.prediction.table_one import TableOne
     from probedesign.search.found import Found
@@ -273,7 +273,7 @@ def identify(
     from probedesign.campaign import read_campaign
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
-    from probedesign.identification.unknowns import asked_for
+    from probedesign.identification.parameters import asked_for
     from probedesign.mounting import hanging_parts, sensor_adapter_for
 
     design = load_design(design_path)
@@ -312,7 +312,7 @@ def write_identified(
     from datetime import date
 
     from probedesign.design_edit import edited
-    from probedesign.identification.design_changes import changes_of, check_overwritable
+    from probedesign.identification.design_update import changes_of, check_overwritable
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()

@@ -10,7 +10,7 @@ from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
-    from probedesign.identification.identification import Identification, Identified
+    from probedesign.identification.result import Identification, Identified
 
 
 def identify(

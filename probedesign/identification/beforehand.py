@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.frames import Array
-from probedesign.identification.fit import Fit
+from probedesign.identification.parameters import BIAS, FALL, PRINT, SEAT_SHIFT, SEAT_TURN, SHIFT, TURN
 from probedesign.identification.robust import DOUBTED
-from probedesign.identification.unknowns import BIAS, FALL, PRINT, SEAT_SHIFT, SEAT_TURN, SHIFT, TURN
+from probedesign.identification.solver import Fit
 
 LEFT = 0.02
 """Share of its variance that a misfit must keep to be judged: of less the other readings say nothing."""

@@ -7,7 +7,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.frames import Array, pose, wrench_map
-from probedesign.identification.unknowns import BIAS, FALL, PRINT, SEAT_SHIFT, SEAT_TURN, SHIFT, TURN, Shared
+from probedesign.identification.parameters import (
+    BIAS,
+    FALL,
+    PRINT,
+    SEAT_SHIFT,
+    SEAT_TURN,
+    SHIFT,
+    TURN,
+    Shared,
+)
 from probedesign.rod.rod import Rod
 
 ROOT_STEP = 0.02

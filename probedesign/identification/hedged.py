@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from probedesign.identification.identification import Identified
-from probedesign.identification.unknowns import ASKABLE
+from probedesign.identification.parameters import ASKABLE
+from probedesign.identification.result import Identified
 from probedesign.rod.rod import Rod
 from probedesign.units import MPA
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.identification.fit import Fit
-from probedesign.identification.unknowns import PARTS, PRINT
+from probedesign.identification.parameters import PARTS, PRINT
+from probedesign.identification.solver import Fit
 
 DIAMETERS = PARTS.index("diameters")
 

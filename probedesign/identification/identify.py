@@ -12,16 +12,16 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import report
 from probedesign.identification.beforehand import disproved
-from probedesign.identification.contradiction import contradiction, hardly_counted
-from probedesign.identification.fit import Fit, Problem, fit
+from probedesign.identification.consistency import contradiction, hardly_counted
 from probedesign.identification.hedged import hedged
-from probedesign.identification.identification import Identification
+from probedesign.identification.observability import Untold, untold
+from probedesign.identification.parameters import DEFAULT, Shared, asked_for, parts_of
 from probedesign.identification.reading import trials_of, weighed_of
+from probedesign.identification.result import Identification
 from probedesign.identification.robust import outliers, weights
+from probedesign.identification.solver import Fit, Problem, fit
 from probedesign.identification.start import first_point, standing
-from probedesign.identification.told import Untold, untold
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import DEFAULT, Shared, asked_for, parts_of
 from probedesign.identification.weighed import Weighed
 
 APART = 3.0

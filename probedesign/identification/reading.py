@@ -6,8 +6,8 @@ import numpy as np
 
 from probedesign.campaign import Campaign, Test
 from probedesign.frames import Array
+from probedesign.identification.parameters import Shared
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import Shared
 from probedesign.identification.weighed import Weighed
 
 FEWEST_ROWS = 8

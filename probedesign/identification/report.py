@@ -8,14 +8,14 @@ import numpy as np
 from scipy.stats import norm, t
 
 from probedesign.frames import Array
-from probedesign.identification.fit import Fit, solve_at, units_of
 from probedesign.identification.held import DIAMETERS, cov_held, held_of
-from probedesign.identification.identification import CONFIDENCE, Identified, Outlier, Residual, Shift
-from probedesign.identification.misfit import Group
+from probedesign.identification.observability import Untold
+from probedesign.identification.parameters import ASKABLE, PARTS, PRINT, ROOT, Shared, parts_of
+from probedesign.identification.residuals import Group
+from probedesign.identification.result import CONFIDENCE, Identified, Outlier, Residual, Shift
 from probedesign.identification.robust import ROBUST, distance
-from probedesign.identification.told import Untold
+from probedesign.identification.solver import Fit, solve_at, units_of
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import ASKABLE, PARTS, PRINT, ROOT, Shared, parts_of
 from probedesign.units import MM, MPA
 
 ROOT_LEFT = 0.05

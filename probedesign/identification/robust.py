@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.frames import Array
-from probedesign.identification.misfit import Group
+from probedesign.identification.residuals import Group
 
 TRUSTED = 0.99
 ROBUST = ("markers", "wrenches", "touches")

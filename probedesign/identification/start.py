@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.identification.fit import Point, Problem, solve_at
 from probedesign.identification.guess import Guess
+from probedesign.identification.solver import Point, Problem, solve_at
 from probedesign.identification.trial import Trial
 from probedesign.rod.rod import Rod
 

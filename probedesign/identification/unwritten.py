@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from probedesign.design import Design
-from probedesign.identification.design_changes import MATERIAL
+from probedesign.identification.design_update import MATERIAL
 from probedesign.units import MPA
 
 

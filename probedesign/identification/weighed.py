@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.identification.guess import Guess
-from probedesign.identification.misfit import Group
-from probedesign.identification.unknowns import PRINT
+from probedesign.identification.parameters import PRINT
+from probedesign.identification.residuals import Group
 
 
 @dataclass(frozen=True)

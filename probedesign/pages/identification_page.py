@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.stats import chi2
 
-from probedesign.identification.identification import Identification, Identified
+from probedesign.identification.result import Identification, Identified
 from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, Entry, span_of
 from probedesign.pages.page import Section, TextTable, page_of
 

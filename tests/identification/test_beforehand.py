@@ -9,9 +9,9 @@ import pytest
 from probedesign.campaign import Campaign
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.beforehand import disproved
-from probedesign.identification.fit import Problem, fit
 from probedesign.identification.identify import Data, data_of, identify
 from probedesign.identification.robust import DOUBTED
+from probedesign.identification.solver import Problem, fit
 from probedesign.identification.start import first_point
 
 

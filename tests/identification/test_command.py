@@ -8,7 +8,7 @@ import pytest
 
 from probedesign import load_design, load_estimator, pipeline
 from probedesign.cli.main import run
-from probedesign.identification.identification import UNITS
+from probedesign.identification.result import UNITS
 from tests.identification.conftest import LARGE, TRUE_E
 from tests.test_pages import assert_whole
 

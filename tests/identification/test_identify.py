@@ -10,8 +10,8 @@ from probedesign.campaign import Campaign
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import Data, data_of, identify
+from probedesign.identification.parameters import Shared, asked_for
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import Shared, asked_for
 from probedesign.identification.weighed import Weighed
 from tests.identification.conftest import TRUE_E
 

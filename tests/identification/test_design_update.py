@@ -7,7 +7,7 @@ import pytest
 from probedesign.design import parse_design
 from probedesign.design_edit import Change, edited
 from probedesign.errors import InputError
-from probedesign.identification.design_changes import check_overwritable
+from probedesign.identification.design_update import check_overwritable
 from tests.identification.conftest import LARGE
 
 DAY = "2026-01-02"

@@ -7,8 +7,8 @@ from probedesign.design import Design
 from probedesign.design_edit import Change
 from probedesign.errors import InputError
 from probedesign.estimation.unknowns import ASSUMED_STIFFNESS, IDENTIFIED
-from probedesign.identification.identification import Identification, Identified
-from probedesign.identification.unknowns import ROOT
+from probedesign.identification.parameters import ROOT
+from probedesign.identification.result import Identification, Identified
 
 MATERIAL = {
     "E": "youngs_modulus_mpa",

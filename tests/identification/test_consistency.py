@@ -9,9 +9,9 @@ import pytest
 from probedesign.campaign import Campaign
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.identification.contradiction import Share
-from probedesign.identification.identification import Identification
+from probedesign.identification.consistency import Share
 from probedesign.identification.identify import Data, data_of, identify
+from probedesign.identification.result import Identification
 from probedesign.identification.trial import Trial
 
 

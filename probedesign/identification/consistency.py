@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from scipy.stats import binom
 
-from probedesign.identification.misfit import Group
+from probedesign.identification.residuals import Group
 from probedesign.identification.robust import DOUBTED, ROBUST, Noise
 
 GROSS = 0.05

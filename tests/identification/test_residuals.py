@@ -8,11 +8,11 @@ import pytest
 
 from probedesign.campaign import Campaign
 from probedesign.estimation.model import ProbeModel
-from probedesign.identification.fit import Point, Problem, solve_at
 from probedesign.identification.guess import Guess
 from probedesign.identification.identify import Data, data_of
+from probedesign.identification.parameters import BIAS, PRINT
+from probedesign.identification.solver import Point, Problem, solve_at
 from probedesign.identification.start import owns_of
-from probedesign.identification.unknowns import BIAS, PRINT
 
 
 def _data(campaign: Campaign, model: ProbeModel) -> Data:

@@ -8,8 +8,8 @@ import numpy as np
 
 from probedesign.frames import Array, skew
 from probedesign.identification.guess import ROOT_STEP, Guess
+from probedesign.identification.parameters import BIAS, FALL, PRINT, SEAT_SHIFT, SEAT_TURN, SHIFT, TURN
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import BIAS, FALL, PRINT, SEAT_SHIFT, SEAT_TURN, SHIFT, TURN
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Rod

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.identification.fit import Point, units_of
-from probedesign.identification.unknowns import ASKABLE, parts_of
+from probedesign.identification.parameters import ASKABLE, parts_of
+from probedesign.identification.solver import Point, units_of
 
 SHARE = 0.2
 """Of a direction: an unknown that has more of it takes part in what cannot be told apart."""

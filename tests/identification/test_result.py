@@ -6,10 +6,10 @@ import pytest
 from probedesign import load_design
 from probedesign.cli.identify import _print
 from probedesign.estimation.model import ProbeModel
-from probedesign.identification.design_changes import changes_of
+from probedesign.identification.design_update import changes_of
 from probedesign.identification.hedged import hedged
-from probedesign.identification.identification import Identification, Identified, Shift
 from probedesign.identification.report import counted_in_all
+from probedesign.identification.result import Identification, Identified, Shift
 from probedesign.pages.identification_page import identification_page
 from tests.identification.conftest import LARGE
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from probedesign.frames import Array
 from probedesign.identification.guess import Guess
-from probedesign.identification.misfit import Bent, Group, bend
+from probedesign.identification.parameters import PARTS, ROOT, Shared
+from probedesign.identification.residuals import Bent, Group, bend
 from probedesign.identification.robust import Noise, loss, median_scales, noise_of, weights
 from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import PARTS, ROOT, Shared
 from probedesign.identification.weighed import Weighed
 
 MAX_STEPS = 60
