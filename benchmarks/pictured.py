@@ -16,8 +16,8 @@ from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
-from probedesign.identification.identify import Data, identify
-from probedesign.identification.trial import Trial
+from probedesign.identification.identify import IdentificationData, identify
+from probedesign.identification.residuals import MeasuredTest
 from probedesign.stereo.calibrate import calibrate
 from probedesign.stereo.camera import Camera
 from probedesign.stereo.finder import find_markers
@@ -105,7 +105,7 @@ def _campaign(common: bool, seed: int) -> tuple[float, float]:
     return math.log(1e6 * E.value / truth.rod.youngs_modulus), E.std / E.value
 
 
-def pictured(data: Data, seed: int, *, common: bool = True) -> Data:
+def pictured(data: IdentificationData, seed: int, *, common: bool = True) -> IdentificationData:
     """A campaign of exact places as cameras have it.
 
     Args:
@@ -116,10 +116,10 @@ def pictured(data: Data, seed: int, *, common: bool = True) -> Data:
     """
     rng = np.random.default_rng(seed)
     cameras = [calibrate(c.name, BOX, c.project(BOX) + CLICK_PX * rng.normal(size=(20, 2))) for c in TRUE]
-    return replace(data, trials=tuple(_seen(trial, cameras, common, rng) for trial in data.trials))
+    return replace(data, tests=tuple(_seen(trial, cameras, common, rng) for trial in data.tests))
 
 
-def _seen(trial: Trial, cameras: list[Camera], common: bool, rng: np.random.Generator) -> Trial:
+def _seen(trial: MeasuredTest, cameras: list[Camera], common: bool, rng: np.random.Generator) -> MeasuredTest:
     points, cov = _placed(trial.p_markers_world, cameras, common, rng)
     trial = replace(trial, p_markers_world=points, cov_markers=cov)
     if trial.p_touch_world is None:

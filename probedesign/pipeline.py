@@ -273,11 +273,11 @@ def identify(
     from probedesign.campaign import read_campaign
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
-    from probedesign.identification.parameters import asked_for
+    from probedesign.identification.parameters import check_requested
     from probedesign.mounting import hanging_parts, sensor_adapter_for
 
     design = load_design(design_path)
-    names = asked_for(names)
+    names = check_requested(names)
     probe = build_probe(design)
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
     flange = hanging_parts(probe.geometry, adapter, design.density.value)["flange"]
@@ -312,11 +312,11 @@ def write_identified(
     from datetime import date
 
     from probedesign.design_edit import edited
-    from probedesign.identification.design_update import changes_of, check_overwritable
+    from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()
-    changes = changes_of(found, design, day)
+    changes = design_changes(found, design, day)
     result = edited(text, changes, day, str(design_path))
     if not write and out is None:
         return changes, None, None
@@ -436,8 +436,8 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
 
 def identified_apart(design_path: Path) -> str:
     """Design, exports/NAME/identification → which identified numbers the design does not have, in words."""
-    from probedesign.identification.unwritten import unwritten
+    from probedesign.identification.design_update import design_diff
 
     probe = probe_of(design_path)
     file = EXPORTS / probe.design.name / "identification/identification.json"
-    return unwritten(probe.design, probe.geometry.fingerprint, file)
+    return design_diff(probe.design, probe.geometry.fingerprint, file)

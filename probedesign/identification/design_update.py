@@ -1,144 +1,165 @@
-"""What an identification changes in a design file."""
+"""Changes that an identification makes in a design file, and what a design lacks of an earlier identification."""
 
+import json
 import tomllib
+from pathlib import Path
 from typing import Any
 
 from probedesign.design import Design
 from probedesign.design_edit import Change
 from probedesign.errors import InputError
 from probedesign.estimation.unknowns import ASSUMED_STIFFNESS, IDENTIFIED
-from probedesign.identification.parameters import ROOT
+from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
+from probedesign.units import MPA
 
-MATERIAL = {
-    "E": "youngs_modulus_mpa",
-    "G": "shear_modulus_mpa",
-    "density": "density_kg_m3",
-}
-"""Keys of `[material]`."""
-TOLERANCES = {"E": "youngs_modulus", "G": "shear_modulus", "density": "density"}
-"""Keys of `[tolerances]`."""
-GOES_WITH = {
-    "E": ("material.youngs_modulus_mpa", "material.stiffness_spread", "tolerances.youngs_modulus",
-          "tolerances.youngs_modulus_by_diameter"),
-    "G": ("material.shear_modulus_mpa", "tolerances.shear_modulus"),
-    "density": ("material.density_kg_m3", "tolerances.density"),
-}  # fmt: skip
-"""What an identification of each replaces in a design where it was not identified before."""
+IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
+"""Parameters that a design file holds."""
+MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
+REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter")
+"""Keys that an identification of E replaces as well, where E was not identified before."""
 
 
-def changes_of(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
-    """The lines that a design gets; poses and gravity are of the bench and not of the probe.
+def design_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
+    """Return the keys that a design gets; poses and gravity belong to the bench and not to the probe.
 
-    The value written is that with the design's diameters as they are, which the frozen probe carries too: of E and
-    diameters it is E·d⁴ that was measured, and `youngs_modulus_by_diameter` says so. The standard deviations written
-    have in them what the fit's intervals do not count.
+    The value written is conditional on the design's diameters, which the frozen probe uses too: of E and diameters it
+    is E·d⁴ that was measured, and `youngs_modulus_by_diameter` states it. The standard deviations written include
+    the systematic effects.
 
     Args:
         found: the numbers.
-        design: as it stands.
-        day: for the notes.
+        design: before the changes.
+        day: for the comments.
 
     Raises:
-        InputError: nothing was told that a design holds, or the fit is not to be trusted.
+        InputError: no number of a design was identified, or the fit is not valid.
     """
     if found.result != "ok":
-        why = found.why or "the search found no end"
+        why = found.why or "the search did not converge"
         raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
-    told = [one for one in found.found if one.identified and one.name in (*MATERIAL, ROOT)]
-    if not told:
-        raise InputError(f"{found.data}: tells nothing that a design holds; ask for E, G, density or root")
-    changes = [_value(one, found, day) for one in told]
-    changes += [Change("material.provenance", MATERIAL[one.name], '"identified"')
-                for one in told if one.name in MATERIAL]  # fmt: skip
-    changes += [_spread(one, day) for one in told if one.name in TOLERANCES]
-    E, G = found.of("E"), found.of("G")
-    return (*changes, *(_of_E(E, design, G is None, day) if E is not None else ()))
-
-
-def _of_E(E: Identified, design: Design, alone: bool, day: str) -> list[Change]:
-    """What else goes with E: the spread of fused touches, how it goes with the diameters, and the tolerance of G,
-    which would follow that spread, if the tests told E alone."""
-    changes = [Change("material", "stiffness_spread", f"{E.share_in_all:.2g}",
-                      f"identified {day}: of E, as in [tolerances], for fusing touches")]  # fmt: skip
+    numbers = [one for one in found.found if one.identified and one.name in IN_DESIGN]
+    if not numbers:
+        raise InputError(
+            f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}"
+        )
+    changes = [_value(one, found, day) for one in numbers]
+    material = [one for one in numbers if one.name in MATERIAL]
+    changes += [Change("material.provenance", _split_key(one.name)[1], '"identified"') for one in material]
+    for one in material:
+        assert one.std is not None
+        note = f"identified {day}: {one.std / one.value:.2g} by the fit"
+        if one.std != one.std_total:
+            note += ", the rest systematic effects, each as one standard deviation"
+        changes.append(
+            Change("tolerances", PARAMETERS[one.name].attribute, f"{one.relative_std_total:.2g}", note)
+        )
+    E = found.of("E")
+    if E is None:
+        return tuple(changes)
+    changes.append(Change("material", "stiffness_spread", f"{E.relative_std_total:.2g}",
+                          f"identified {day}: of E, as in [tolerances], for fusing touches"))  # fmt: skip
     if E.by_diameter is not None:
         changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
                               f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
-    if alone and design.tolerances.shear_modulus is None:
-        changes.append(Change("tolerances", "shear_modulus", f"{_before(design):.2g}",
-                              "as before: the tests did not tell it"))  # fmt: skip
-    return changes
+    if found.of("G") is None and design.tolerances.shear_modulus is None:
+        # the tolerance of G follows stiffness_spread unless it is set
+        spread = design.material.stiffness_spread
+        usual = IDENTIFIED if design.youngs_modulus.provenance == "identified" else ASSUMED_STIFFNESS
+        changes.append(Change("tolerances", "shear_modulus", f"{usual if spread is None else spread:.2g}",
+                              "as before: the tests did not determine it"))  # fmt: skip
+    return tuple(changes)
+
+
+def _split_key(name: str) -> tuple[str, str]:
+    table, key = PARAMETERS[name].design_key.split(".")
+    return table, key
+
+
+def _value(one: Identified, found: Identification, day: str) -> Change:
+    caveat = f"; {one.caveat}" if one.caveat else ""
+    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
+    note = (f"identified {day}, {tests}: {one.low_total:.4g} ... {one.high_total:.4g} in 95 %, with these "
+            f"diameters{caveat}")  # fmt: skip
+    return Change(*_split_key(one.name), f"{one.value:.4g}", note)
 
 
 def check_overwritable(
     design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
 ) -> None:
-    """Refuse to replace what someone set or identified before, unless told to.
+    """Refuse to replace what someone set or identified before, unless forced to.
 
-    A material's value that is not identified yet is what an identification is for, and what says how well it is
-    known goes with it.
+    A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
 
     Args:
-        design: as it stands.
+        design: before the changes.
         text: of its file.
-        changes: that are wanted.
+        changes: to make.
         where: names the file in errors.
         force: replace all the same.
 
     Raises:
-        InputError: a value stands in the file, and differs.
+        InputError: the file has another value already.
     """
-    stands = [f"{one.table}.{one.key}" for one in changes
-              if not _open(one, design) and _before_in(text, one) not in (None, _told(one))]  # fmt: skip
-    if stands and not force:
-        raise InputError(
-            f"{where}: set or identified already: {', '.join(stands)}; --force replaces what stands there and keeps "
-            "it as a comment, or write another file with --out"
-        )
+    document = tomllib.loads(text)
+    present = [f"{one.table}.{one.key}" for one in changes
+               if not _replaceable(one, design)
+               and _value_in(document, one) not in (None, tomllib.loads(f"v = {one.text}")["v"])]  # fmt: skip
+    if present and not force:
+        raise InputError(f"{where}: set or identified already: {', '.join(present)}; --force replaces these values "
+                         "and keeps them as comments, or write another file with --out")  # fmt: skip
 
 
-def _open(change: Change, design: Design) -> bool:
-    """Whether the change says that a value is identified now, or is of one that is not yet, or goes with it."""
+def _replaceable(change: Change, design: Design) -> bool:
+    """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty."""
     if change.table == "material.provenance":
         return True
-    name = next((name for name, keys in GOES_WITH.items() if f"{change.table}.{change.key}" in keys), None)
-    return name is not None and getattr(design.material.provenance, MATERIAL[name]) != "identified"
+    key = f"{change.table}.{change.key}"
+    for name, one in MATERIAL.items():
+        if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
+            provenance: str = getattr(design.material.provenance, _split_key(name)[1])
+            return provenance != "identified"
+    return False
 
 
-def _before_in(text: str, change: Change) -> object:
-    """What stands in the file; None if nothing does."""
-    value: Any = tomllib.loads(text)
+def _value_in(document: dict[str, Any], change: Change) -> object:
+    """Return the value in a design file; None if there is none."""
+    value: Any = document
     for part in (*change.table.split("."), change.key):
         value = value.get(part) if isinstance(value, dict) else None
     return value
 
 
-def _told(change: Change) -> object:
-    return tomllib.loads(f"v = {change.text}")["v"]
+def design_diff(design: Design, fingerprint: str, file: Path) -> str:
+    """Return which numbers of an earlier identification a design does not have; empty if there are none.
 
-
-def _value(one: Identified, found: Identification, day: str) -> Change:
-    ends = f"{one.low_in_all:.4g} ... {one.high_in_all:.4g}"
-    doubt = f"; {one.doubt}" if one.doubt else ""
-    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
-    note = f"identified {day}, {tests}: {ends} in 95 %, with these diameters{doubt}"
-    table = "mount" if one.name == ROOT else "material"
-    return Change(
-        table, "root_rigid_radii" if one.name == ROOT else MATERIAL[one.name], f"{one.value:.4g}", note
-    )
-
-
-def _before(design: Design) -> float:
-    """How well G was known, where no tolerance of it is set."""
-    spread = design.material.stiffness_spread
-    usual = IDENTIFIED if design.youngs_modulus.provenance == "identified" else ASSUMED_STIFFNESS
-    return usual if spread is None else spread
-
-
-def _spread(one: Identified, day: str) -> Change:
-    """Standard deviation, relative, in all."""
-    assert one.std is not None
-    note = f"identified {day}: {one.std / one.value:.2g} by the fit"
-    if one.std != one.std_in_all:
-        note += ", the rest what it does not count, each cause as one standard deviation"
-    return Change("tolerances", TOLERANCES[one.name], f"{one.share_in_all:.2g}", note)
+    Args:
+        design: to be used.
+        fingerprint: of its geometry.
+        file: `identification.json` of a probe of its name.
+    """
+    try:
+        data = json.loads(file.read_bytes())
+        if data["result"] != "ok" or data["fingerprint"] != fingerprint:
+            return ""
+        differences = []
+        for one in data["found"]:
+            if one["result"] == "identified" and one["name"] in MATERIAL:
+                quantity = getattr(design, MATERIAL[one["name"]].attribute)
+                unit = MPA if one["unit"] == "MPa" else 1.0
+                identified, present = (
+                    f"{one['value']:.4g}",
+                    f"{quantity.value / unit:.4g}",
+                )  # a design gets four digits
+                if identified != present:
+                    differences.append(
+                        f"{one['name']} {identified} {one['unit']}, where the design has {present}"
+                    )
+        return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ):  # no identification was made, or another program's file
+        return ""

@@ -1,4 +1,4 @@
-"""A design file that a person wrote keeps its words; what stood there stays beside what stands there now."""
+"""A design file keeps its comments and layout; replaced values stay as comments."""
 
 from pathlib import Path
 
@@ -40,7 +40,7 @@ def test_tables_that_are_missing_are_added() -> None:
     assert (design.tolerances.youngs_modulus, design.tolerances.shear_modulus) == (0.004, 0.03)
 
 
-def test_a_value_that_stands_there_already_is_left_alone() -> None:
+def test_an_unchanged_value_is_left_alone() -> None:
     text = LARGE.read_text()
     change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
     assert edited(text, [change], DAY, "large.toml") == text
@@ -49,7 +49,7 @@ def test_a_value_that_stands_there_already_is_left_alone() -> None:
     assert again == once  # the same line is no old one
 
 
-def test_line_ends_of_windows_stay() -> None:
+def test_windows_line_ends_are_kept() -> None:
     text = SMALL.replace("\n", "\r\n")
     result = edited(text, [Change("probe", "tip_d_mm", "2.5")], DAY, "x.toml")
     assert result.count("\r\n") == result.count("\n") == text.count("\n") + 1
@@ -73,7 +73,7 @@ def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stands", "change"),
+    ("present", "change"),
     [
         ("[mount]\nroot_rigid_radii = 0.12\n", Change("mount", "root_rigid_radii", "0.2")),
         ('[tolerances]\nyoungs_modulus = 0.1\n[material]\nyoungs_modulus_mpa = 2.0\n'
@@ -84,17 +84,17 @@ def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
          Change("material", "youngs_modulus_mpa", "2.4")),
     ],
 )  # fmt: skip
-def test_what_stands_there_takes_force(stands: str, change: Change) -> None:
-    text = SMALL + stands
+def test_present_values_are_replaced_only_by_force(present: str, change: Change) -> None:
+    text = SMALL + present
     design = parse_design(text)
     with pytest.raises(InputError, match=f"already: {change.table}.{change.key}; --force replaces"):
         check_overwritable(design, text, (change,), "x.toml", False)
     check_overwritable(design, text, (change,), "x.toml", True)
-    check_overwritable(parse_design(SMALL), SMALL, (change,), "x.toml", False)  # nothing stands there
+    check_overwritable(parse_design(SMALL), SMALL, (change,), "x.toml", False)  # nothing is there
 
 
-def test_a_value_that_nobody_identified_takes_no_force() -> None:
-    """Nor does what says how well it is known."""
+def test_assumed_values_are_replaced_without_force() -> None:
+    """Their uncertainties are replaced with them."""
     text = (
         SMALL
         + "[material]\nyoungs_modulus_mpa = 2.0\nstiffness_spread = 0.1\n[tolerances]\nyoungs_modulus = 0.1\n"
