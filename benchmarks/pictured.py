@@ -18,16 +18,16 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.identification.identify import IdentificationData, identify
 from probedesign.identification.residuals import MeasuredTest
-from probedesign.stereo.calibrate import calibrate
-from probedesign.stereo.camera import Camera
-from probedesign.stereo.finder import find_markers
-from probedesign.stereo.picture import write_png
-from probedesign.stereo.render import Look, render
-from probedesign.stereo.triangulate import triangulate
-from probedesign.synthetic.plan import Plan
-from probedesign.synthetic.sight import SIZE_PX, Sight
-from probedesign.synthetic.world import World
+from probedesign.simulation.ground_truth import World
+from probedesign.simulation.plan import Plan
+from probedesign.simulation.stereo_render import Look, render
+from probedesign.simulation.stereo_rig import SIZE_PX, Sight
 from probedesign.units import MM
+from probedesign.vision.calibrate import calibrate
+from probedesign.vision.camera import Camera
+from probedesign.vision.finder import find_markers
+from probedesign.vision.picture import write_png
+from probedesign.vision.triangulate import triangulate
 
 DRAWS = 40
 CLICK_PX, DOT_PX = 0.5, 0.2

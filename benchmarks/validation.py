@@ -10,14 +10,14 @@ from scipy.stats import binomtest
 
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
-from probedesign.campaign import read_campaign
+from probedesign.campaigns import read_campaign
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.synthetic.folder import make_campaign
-from probedesign.synthetic.plan import Kind, Plan
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.plan import Kind, Plan
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.trial import Trial
 from probedesign.validation.validate import validate
+from probedesign.validation.validated_test import Trial
 
 CAMPAIGNS = 150
 KINDS: tuple[Kind, ...] = ("cameras", "stage")

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from probedesign.search.optimum import Search
     from probedesign.search.sweep import Swept
     from probedesign.search.task import Task
-    from probedesign.synthetic.folder import Made
-    from probedesign.synthetic.plan import Plan
+    from probedesign.simulation.campaign_folder import Made
+    from probedesign.simulation.plan import Plan
     from probedesign.validation.joined import Joined
     from probedesign.validation.validate import Validation
 
@@ -270,7 +270,7 @@ def identify(
         folder: for the files; exports/NAME/identification if None.
         page: make the page.
     """
-    from probedesign.campaign import read_campaign
+    from probedesign.campaigns import read_campaign
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
     from probedesign.identification.parameters import check_requested
@@ -333,7 +333,7 @@ def campaign(
     design_path: Path, out: Path, plan: "Plan", force: bool, tell: Callable[[str, float | None], None]
 ) -> "Made":
     """Design → a print of it, drawn → what a laboratory would measure of that → a data folder."""
-    from probedesign.synthetic.folder import make_campaign
+    from probedesign.simulation.campaign_folder import make_campaign
 
     return make_campaign(probe_of(design_path).model, out, plan, force, tell)
 
@@ -359,7 +359,7 @@ def validate(
     Returns:
         What was found and the files written.
     """
-    from probedesign.campaign import read_campaign
+    from probedesign.campaigns import read_campaign
     from probedesign.deployment import load_estimator
     from probedesign.validation.validate import validate as compare_all
 

@@ -49,7 +49,7 @@ def campaign(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.synthetic.plan import Plan
+    from probedesign.simulation.plan import Plan
     from probedesign.units import MM, MPA
 
     def si(value: float | None, unit: float) -> float | None:

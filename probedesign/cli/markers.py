@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from probedesign.cli.output import counted, print_json, print_table, telling
 
 if TYPE_CHECKING:
-    from probedesign.campaign.photographs import Seen
+    from probedesign.campaigns.photographs import Seen
 
 
 def markers(
@@ -36,10 +36,10 @@ def markers(
         force: replace a pixels.csv that stands there.
         as_json: print one JSON document.
     """
-    from probedesign import stereo
+    from probedesign import vision as stereo
 
     stereo.require()
-    from probedesign.campaign.photographs import check_free, find_all, write_pixels
+    from probedesign.campaigns.photographs import check_free, find_all, write_pixels
 
     check_free(data, force)
     with telling() as tell:
@@ -60,8 +60,8 @@ def markers(
 
 def _write_overlays(data: Path, seen: "list[Seen]") -> Path:
     """Draw what was found."""
-    from probedesign.stereo.overlay import overlay
-    from probedesign.stereo.picture import read_grey, write_png
+    from probedesign.vision.images import overlay
+    from probedesign.vision.picture import read_grey, write_png
 
     folder = data / "overlays"
     for one in seen:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.campaign import Campaign, Test
-from probedesign.campaign.reading import check_probe
+from probedesign.campaigns import Campaign, Test
+from probedesign.campaigns.reading import check_probe
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances

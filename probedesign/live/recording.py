@@ -10,11 +10,11 @@ from typing import NoReturn
 
 import numpy as np
 
+from probedesign.core.columns import CEILING, NUMBER, WRENCH, Column
+from probedesign.core.csv_tables import Frame, TextTable, read_table, shown
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.recording_columns import HEADER, columns_of
-from probedesign.tables.columns import CEILING, NUMBER, WRENCH, Column
-from probedesign.tables.text_table import Frame, TextTable, read_table, shown
 
 GAP = 1.5
 """A step longer than this many median steps has a sample missing."""

@@ -1,7 +1,7 @@
 """The columns of a recording: time, wrench and, if the file holds it, gravity."""
 
-from probedesign.tables.columns import WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Column, find_columns
-from probedesign.tables.text_table import TextTable
+from probedesign.core.columns import WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Column, find_columns
+from probedesign.core.csv_tables import TextTable
 
 GRAVITY = ("gx", "gy", "gz")
 KINDS = {"time": "time", **WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}

@@ -10,7 +10,7 @@ from probedesign.frames import Array
 from probedesign.pages.chart import COLOURS, Axis, Chart, Entry, span_of
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.units import MILLINEWTON, MM, N_MM
-from probedesign.validation.trial import Trial
+from probedesign.validation.validated_test import Trial
 
 MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
 POINTS = 80

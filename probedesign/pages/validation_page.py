@@ -6,8 +6,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.validation_charts import draw_inner, draw_shape, draw_sizes, draw_squares
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.trial import Trial
 from probedesign.validation.validate import WHY, Mean, Validation
+from probedesign.validation.validated_test import Trial
 
 MOST_SHAPES = 24
 """More shapes are not drawn, which the page says."""

@@ -8,8 +8,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.pages.validation_charts import across_of, centreline, contact_told, outline, place_known
 from probedesign.report import blank, png
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.trial import Trial
 from probedesign.validation.validate import Validation
+from probedesign.validation.validated_test import Trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.campaign.campaign import Campaign
-from probedesign.campaign.reading import check_probe
+from probedesign.campaigns.campaign import Campaign
+from probedesign.campaigns.reading import check_probe
 from probedesign.errors import InputError
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.units import MM
-from probedesign.validation.honesty import Honesty, honesty_of
-from probedesign.validation.trial import Trial, trial_of
+from probedesign.validation.coverage import Honesty, honesty_of
+from probedesign.validation.validated_test import Trial, trial_of
 
 COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
            "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from probedesign import build_probe, load_design
-from probedesign.campaign import Campaign, read_campaign
+from probedesign.campaigns import Campaign, read_campaign
 from probedesign.estimation.model import ProbeModel
-from probedesign.synthetic.folder import make_campaign
-from probedesign.synthetic.plan import Plan
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.plan import Plan
 
 ROOT = Path(__file__).parents[2]
 LARGE = ROOT / "designs/large.toml"

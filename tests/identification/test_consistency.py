@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.campaign import Campaign
+from probedesign.campaigns import Campaign
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.consistency import OutlierCount, rejected_prior

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from probedesign.campaign import Campaign
+from probedesign.campaigns import Campaign
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of, identify

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.campaign import Campaign
+from probedesign.campaigns import Campaign
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of
 from probedesign.identification.parameters import BIAS, OWNER, PRINT, ParameterValues

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign.campaign import read_campaign
+from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
@@ -18,9 +18,9 @@ from probedesign.pages.validation_page import validation_page
 from probedesign.prediction.paper_probes import paper_design
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
-from probedesign.synthetic.folder import make_campaign
-from probedesign.synthetic.plan import Plan
-from probedesign.validation.honesty import honesty_of
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.plan import Plan
+from probedesign.validation.coverage import honesty_of
 from probedesign.validation.validate import COLUMNS, validate
 from tests.test_pages import assert_whole
 
