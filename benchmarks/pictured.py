@@ -18,15 +18,14 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.identification.identify import IdentificationData, identify
 from probedesign.identification.residuals import MeasuredTest
-from probedesign.simulation.ground_truth import World
-from probedesign.simulation.plan import Plan
-from probedesign.simulation.stereo_render import Look, render
-from probedesign.simulation.stereo_rig import SIZE_PX, Sight
+from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
+from probedesign.simulation.stereo_render import RenderStyle, render
+from probedesign.simulation.stereo_rig import SIZE_PX, StereoRig
 from probedesign.units import MM
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
-from probedesign.vision.finder import find_markers
-from probedesign.vision.picture import write_png
+from probedesign.vision.images import write_png
+from probedesign.vision.marker_sequence import find_markers
 from probedesign.vision.triangulate import triangulate
 
 DRAWS = 40
@@ -46,7 +45,9 @@ TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from the
 
 BENT, STATE = 3, 2
 """Which campaign, and which of its tests, the photographs are of."""
-LOOKS = tuple(Look(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5)))
+LOOKS = tuple(
+    RenderStyle(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5))
+)
 
 
 def report() -> None:
@@ -79,10 +80,10 @@ def _report_dots() -> None:
     print_table("Dots in synthetic photographs, both cameras", head, rows)
 
 
-def _dots(model: ProbeModel, look: Look) -> tuple[Array, Array]:
+def _dots(model: ProbeModel, look: RenderStyle) -> tuple[Array, Array]:
     """Of the dots of one bent probe in two photographs: errors (n, 2) and what is stated (n,) [px]."""
-    world = World.draw(model, Plan(seed=BENT), np.random.default_rng(BENT))
-    sight, state = Sight(world), world.states()[STATE]
+    world = GroundTruth.draw(model, CampaignPlan(seed=BENT), np.random.default_rng(BENT))
+    sight, state = StereoRig(world), world.tests()[STATE]
     tube, dots = sight.tube(state.equilibrium), sight.dots(state.equilibrium)
     errors, stds = [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -90,7 +91,7 @@ def _dots(model: ProbeModel, look: Look) -> tuple[Array, Array]:
             path = Path(folder) / f"{camera.name}.png"
             write_png(path, render(camera, tube, dots, SIZE_PX, look))
             found = find_markers(path, dots.s, camera.project(tube.p_world[:1])[0], True)
-            errors.append(found.pixels - camera.project(tube.places(dots)))
+            errors.append(found.pixels - camera.project(tube.dot_positions(dots)))
             stds.append(found.std_px)
     return np.concatenate(errors), np.concatenate(stds)
 

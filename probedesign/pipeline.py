@@ -43,10 +43,9 @@ if TYPE_CHECKING:
     from probedesign.search.optimum import Search
     from probedesign.search.sweep import Swept
     from probedesign.search.task import Task
-    from probedesign.simulation.campaign_folder import Made
-    from probedesign.simulation.plan import Plan
-    from probedesign.validation.joined import Joined
-    from probedesign.validation.validate import Validation
+    from probedesign.simulation.campaign_folder import SimulatedCampaign
+    from probedesign.simulation.ground_truth import CampaignPlan
+    from probedesign.validation.validate import MultiProbeReport, Validation
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -330,8 +329,8 @@ def write_identified(
 
 
 def campaign(
-    design_path: Path, out: Path, plan: "Plan", force: bool, tell: Callable[[str, float | None], None]
-) -> "Made":
+    design_path: Path, out: Path, plan: "CampaignPlan", force: bool, tell: Callable[[str, float | None], None]
+) -> "SimulatedCampaign":
     """Design → a print of it, drawn → what a laboratory would measure of that → a data folder."""
     from probedesign.simulation.campaign_folder import make_campaign
 
@@ -391,7 +390,7 @@ def validate_all(
     exact_model: bool,
     plots: bool | None,
     tell: Callable[[str, float | None], None],
-) -> tuple["Joined", list[Path]]:
+) -> tuple["MultiProbeReport", list[Path]]:
     """Frozen probes, each with its data folder → one table of all, as the paper's Table I, beside the files of each.
 
     Args:
@@ -403,7 +402,7 @@ def validate_all(
         tell: likewise.
     """
     from probedesign.deployment import load_estimator
-    from probedesign.validation.joined import Joined, check_names
+    from probedesign.validation.validate import MultiProbeReport, check_names
 
     names = [load_estimator(bundle).model.name for bundle, _ in pairs]
     check_names(names)
@@ -412,7 +411,7 @@ def validate_all(
         one, written = validate(bundle, data, None if out is None else out / name, exact_model, plots, tell)
         found.append(one)
         files += written
-    joined = Joined(tuple(found))
+    joined = MultiProbeReport(tuple(found))
     files.append((EXPORTS if out is None else out) / "table1.csv")
     write_atomically(files[-1], joined.csv())
     return joined, files

@@ -1,6 +1,7 @@
-"""What was measured of one probe, in SI."""
+"""Data of a campaign: the tests of one probe, in SI."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -8,20 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.csv_tables import Frame
+from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
-
-Weighed = Literal["flexible", "probe"]
 
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Where the markers of one test were seen.
+    """Positions of the markers of one test.
 
     Attributes:
-        numbers: which of the campaign's markers, from 0, rising, (m,).
+        numbers: indices of the campaign's markers, from 0, increasing, (m,).
         p_world: [m], (m, 3).
         cov_world: of each [m²], (m, 3, 3).
-        file: name of the table that told them.
+        file: name of the table they are from.
     """
 
     numbers: NDArray[np.intp]
@@ -40,21 +40,23 @@ class Test:
     Attributes:
         name: of the test.
         T_world_base: pose of the base, (4, 4).
+        gravity_world: [m/s²], (3,).
         force_world: known force of the object on the probe [N], (3,); zero for a free probe; None if not known.
-        s_contact: where the contact force is known to meet the axis [m]; NaN if it is not.
-        std_s: standard deviation of that [m].
-        p_contact_world: the touched point of the surface by the reference [m], (3,); None if it saw none.
-        std_contact: of that, on each axis [m].
-        direction: of the push, as people call it: +y; empty if not said.
-        tip_sag: how far the tip hangs below its unbent place, along gravity [m]; NaN if not measured.
-        std_sag: of that [m].
-        wrenches: readings of the sensor, its bias removed, [N, N·m], (n, 6), n may be 0.
-        frame: they are told in: "sensor" (with the weight of what hangs between) or "base".
-        markers: None if none were seen.
+        s_contact: known arclength of the contact force on the axis [m]; NaN if not known.
+        std_s: standard deviation of it [m].
+        p_contact_world: touched point of the surface by the reference [m], (3,); None if not measured.
+        std_contact: of it, on each axis [m].
+        direction: of the push, as +y; empty if not given.
+        tip_sag: displacement of the tip along gravity from its undeformed place [m]; NaN if not measured.
+        std_sag: of it [m].
+        wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
+        frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
+        markers: None if none were measured.
     """
 
     name: str
     T_world_base: Array
+    gravity_world: Array
     force_world: Array | None
     s_contact: float
     std_s: float
@@ -72,40 +74,75 @@ class Test:
         """Whether nothing is known to touch the probe."""
         return self.force_world is not None and not self.force_world.any()
 
+    @cached_property
+    def gravity_base(self) -> Array:
+        """Gravity in base axes [m/s²], (3,)."""
+        return np.asarray(self.T_world_base[:3, :3].T @ self.gravity_world)
+
+    @property
+    def force_base(self) -> Array | None:
+        """Known force on the probe in base axes [N], (3,); None if not known."""
+        return (
+            None if self.force_world is None else np.asarray(self.T_world_base[:3, :3].T @ self.force_world)
+        )
+
+    @cached_property
+    def mean_wrench(self) -> Array:
+        """Mean of the readings in their own frame [N, N·m], (6,); NaN without readings."""
+        return self.wrenches.mean(axis=0) if len(self.wrenches) else np.full(6, np.nan)
+
+    def wrenches_base(self, model: ProbeModel) -> Array:
+        """Return the readings about the base, without the weight between base and sensor [N, N·m], (n, 6)."""
+        return self.wrenches if self.frame == "base" else model.to_base(self.wrenches, self.gravity_base)
+
+    def mean_wrench_base(self, model: ProbeModel) -> Array:
+        """Return the mean reading about the base, without the weight between base and sensor [N, N·m], (6,)."""
+        return (
+            self.mean_wrench if self.frame == "base" else model.to_base(self.mean_wrench, self.gravity_base)
+        )
+
+    def mean_wrench_sensor(self, model: ProbeModel) -> Array:
+        """Return the mean reading as the sensor measures it [N, N·m], (6,)."""
+        return (
+            self.mean_wrench
+            if self.frame == "sensor"
+            else model.to_sensor(self.mean_wrench, self.gravity_base)
+        )
+
 
 @dataclass(frozen=True)
 class Weighing:
-    """The probe on scales.
+    """Mass of the probe on a balance.
 
     Attributes:
         mass: [kg].
-        std: of that [kg].
+        std: of it [kg].
         of: "flexible", the soft part cut off at its base, or "probe", with its printed flange.
     """
 
     mass: float
     std: float
-    of: Weighed
+    of: Literal["flexible", "probe"]
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The tests of one probe.
+    """Tests of one probe.
 
     Attributes:
         name: of the probe's design.
-        fingerprint: of its geometry; None where the campaign does not say.
-        T_world_base: pose of the base where a test has none of its own, (4, 4).
-        std_base: of its place, on each axis [m].
+        fingerprint: of its geometry; None if the campaign does not state it.
+        T_world_base: pose of the base in tests without a pose of their own, (4, 4).
+        std_base: standard deviation of its position, on each axis [m].
         std_tilt: of its rotation, about each axis [rad].
         gravity_world: [m/s²], (3,).
-        marker_s: arclength of each marker, rising [m], (k,).
-        marker_side: side of the section that bears the markers, from the base's x axis about z [rad]; None for
-            markers on the axis.
+        marker_s: arclength of each marker, increasing [m], (k,).
+        marker_side: side of the section with the markers, from the base's x axis about z [rad]; None for markers on
+            the axis.
         tests: in the order of their table.
         weighing: None if it was not weighed.
         folder: it was read from.
-        notes: what a user should know, each one line.
+        notes: lines for the user.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The photographs of a campaign: the dots in each, made into `pixels.csv`."""
+"""Photographs of a campaign: the markers detected in each, written to `pixels.csv`."""
 
 import math
 from collections.abc import Callable
@@ -7,34 +7,32 @@ from pathlib import Path
 
 import numpy as np
 
-from probedesign.campaigns.cameras import read_cameras
+from probedesign.campaigns.cameras import CONTROL_POINTS, IMAGES, PIXELS, read_cameras
 from probedesign.campaigns.campaign import Test
-from probedesign.campaigns.detection_cache import Kept, key_of
+from probedesign.campaigns.detection_cache import DetectionCache, cache_key
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.pixels_table import FILE, IMAGES
 from probedesign.campaigns.tables import read_tests
 from probedesign.errors import InputError
 from probedesign.files import write_atomically
 from probedesign.frames import Array
 from probedesign.units import MM
 from probedesign.vision.camera import Camera
-from probedesign.vision.finder import Found, find_markers
-from probedesign.vision.marker_sequence import Side
+from probedesign.vision.marker_sequence import DetectedMarkers, ImageSide, find_markers
 from probedesign.vision.triangulate import triangulate
 
-KINDS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 HEADER = "test,camera,marker,u_px,v_px,std_px"
-Tell = Callable[[str, float | None], None]
+Progress = Callable[[str, float | None], None]
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """One picture of a test.
+    """One photograph of a test.
 
     Attributes:
-        test: it is of.
-        camera: name of the one that took it.
+        test: it shows.
+        camera: name of the camera.
         path: of the file.
     """
 
@@ -44,127 +42,130 @@ class Photograph:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The dots of one test in all its photographs.
+class PhotographedTest:
+    """Markers of one test in all its photographs.
 
     Attributes:
         photographs: one of each camera.
-        found: in each.
-        residual_px: root mean square of what the cameras disagree by [px]; NaN if they are not calibrated.
+        found: markers in each.
+        residual_px: root mean square of the reprojection errors [px]; NaN if the cameras are not calibrated.
         problem: why it is left out; empty if it is not.
     """
 
     photographs: tuple[Photograph, ...]
-    found: tuple[Found, ...] = ()
+    found: tuple[DetectedMarkers, ...] = ()
     residual_px: float = math.nan
     problem: str = ""
 
     @property
     def test(self) -> str:
-        """Its name."""
+        """Name of the test."""
         return self.photographs[0].test.name
 
 
 def find_all(
-    folder: Path, base_side: Side | None, dark: bool | None, skip: bool, tell: Tell
-) -> tuple[list[Seen], tuple[str, ...]]:
-    """Find the dots in all photographs of a campaign.
+    folder: Path, base_side: ImageSide | None, dark: bool | None, skip: bool, on_progress: Progress
+) -> tuple[list[PhotographedTest], tuple[str, ...]]:
+    """Detect the markers in all photographs of a campaign.
 
-    What is found is kept in the folder at once: after an interruption the next search goes on from there.
+    Results are cached in the folder at once: after an interruption the next search continues from there.
 
     Args:
         folder: of the campaign.
-        base_side: side of the pictures where the base is; where it is None, the cameras tell.
-        dark: whether the dots are darker than the probe; either if None.
-        skip: leave out a test whose photographs are refused, and say why, instead of refusing all.
-        tell: of the progress.
+        base_side: side of the pictures where the base is; None to project the base with the calibrated cameras.
+        dark: whether the dots are darker than the probe; None for either.
+        skip: leave out a test whose photographs are refused, with the reason, instead of refusing all.
+        on_progress: called with the step and the fraction done.
 
     Returns:
-        Each test that has photographs, and what a user should know of the cameras.
+        Each test that has photographs, and notes on the cameras for the user.
 
     Raises:
-        InputError: the campaign says no markers, cameras or base side, has no photographs, or one is refused.
-        KeyboardInterrupt: with how many photographs are kept.
+        InputError: the campaign has no markers, cameras, base side or photographs, or one is refused.
+        KeyboardInterrupt: with the number of cached photographs.
     """
     manifest = read_manifest(folder)
     if manifest.markers is None or manifest.cameras is None:
         lacking = "[markers] with s_mm" if manifest.markers is None else "[cameras] with names"
-        raise InputError(
-            f"{folder / MANIFEST}: has no {lacking}; the dots in photographs cannot be told without"
-        )
-    taken = _taken(folder, manifest, read_tests(folder, manifest))
-    calibrated = base_side is None or (folder / "control_points.csv").exists()
+        raise InputError(f"{folder / MANIFEST}: has no {lacking}, which the detection of markers needs")
+    taken = _photographs(folder, manifest, read_tests(folder, manifest))
+    calibrated = base_side is None or (folder / CONTROL_POINTS).exists()
     cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
-    search = _Search(cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark, Kept(folder), tell,
-                     sum(map(len, taken)))  # fmt: skip
-    seen = []
+    search = _Search(cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark, DetectionCache(folder),
+                     on_progress, sum(map(len, taken)))  # fmt: skip
+    tests = []
     for photographs in taken:
         try:
-            seen.append(search.test(photographs))
+            tests.append(search.test(photographs))
         except InputError as error:
             if not skip:
                 raise InputError(
                     f"{error} (--skip leaves out the tests whose photographs are refused)"
                 ) from None
-            seen.append(Seen(photographs, problem=str(error)))
+            tests.append(PhotographedTest(photographs, problem=str(error)))
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"interrupted{search.words_of_kept}") from None
-    if all(one.problem for one in seen):
-        raise InputError(seen[0].problem)
-    return seen, (*notes, *search.notes)
+            done = len(search.cache)
+            kept = f"; {done} photographs are cached, the same command continues from there" if done else ""
+            raise KeyboardInterrupt(f"interrupted{kept}") from None
+    if all(test.problem for test in tests):
+        raise InputError(tests[0].problem)
+    used = search.cache.used
+    cached = (f"{used} of {search.total} photographs were taken from the cache",) if used else ()
+    return tests, (*notes, *cached)
 
 
-def write_pixels(folder: Path, seen: list[Seen], force: bool) -> Path:
+def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Path:
     """Write `pixels.csv`.
 
     Raises:
-        InputError: one stands there and `force` is not said, or it cannot be written.
+        InputError: it exists and `force` is not set, or it cannot be written.
     """
-    path = folder / FILE
+    path = folder / PIXELS
     check_free(folder, force)
     lines = [
-        f"{one.test},{photograph.camera},{number},{u:.3f},{v:.3f},{std:.3f}"
-        for one in seen
-        for photograph, found in zip(one.photographs, one.found, strict=bool(one.found))
+        f"{test.test},{photograph.camera},{number},{u:.3f},{v:.3f},{std:.3f}"
+        for test in tests
+        for photograph, found in zip(test.photographs, test.found, strict=bool(test.found))
         for number, ((u, v), std) in enumerate(zip(found.pixels, found.std_px, strict=True), 1)
     ]
     write_atomically(path, "\n".join([HEADER, *lines, ""]).encode())
-    Kept(folder).remove()
+    DetectionCache(folder).remove()
     return path
 
 
 def check_free(folder: Path, force: bool) -> None:
-    """Refuse to replace pixels, which somebody may have clicked.
+    """Refuse to replace `pixels.csv`, which may have been clicked by hand.
 
     Raises:
-        InputError: some stand there and `force` is not said.
+        InputError: it exists and `force` is not set.
     """
-    if (folder / FILE).exists() and not force:
-        raise InputError(f"{folder / FILE}: exists already; add --force to replace it, or move it away")
+    if (folder / PIXELS).exists() and not force:
+        raise InputError(f"{folder / PIXELS}: exists already; add --force to replace it, or move it away")
 
 
-def _taken(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Photograph, ...]]:
-    """The photographs of each test that has any.
+def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Photograph, ...]]:
+    """Return the photographs of each test that has any.
 
     Raises:
-        InputError: there are none, or of a test only one camera's.
+        InputError: there are none, or a test has those of one camera only.
     """
     images = folder / IMAGES
-    assert manifest.cameras is not None, "asked before"
+    assert manifest.cameras is not None  # checked by the caller
     if not images.is_dir():
         raise InputError(f"{images}: no such folder; put the photographs there as TEST-CAMERA.png")
-    there = {path.name.lower(): path for path in sorted(images.iterdir()) if path.suffix.lower() in KINDS}
+    files = {path.name.lower(): path for path in sorted(images.iterdir()) if path.suffix.lower() in SUFFIXES}
     taken = []
     for test in tests:
-        of_test = []
+        of_test: list[Photograph] = []
         for camera in manifest.cameras.names:
-            paths = [there[name] for k in KINDS if (name := f"{test.name}-{camera}{k}".lower()) in there]
+            names = (f"{test.name}-{camera}{suffix}".lower() for suffix in SUFFIXES)
+            paths = [files[name] for name in names if name in files]
             if len(paths) > 1:
                 raise InputError(f"{paths[1]}: a second photograph of test {test.name} by {camera}; keep one")
             of_test += [Photograph(test, camera, path) for path in paths]
         if len(of_test) == 1:
             lacking = f"camera {of_test[0].camera} only has a photograph of test {test.name}"
-            raise InputError(f"{images}: {lacking}; two cameras must see it: add one or take it away")
+            raise InputError(f"{images}: {lacking}; two cameras must see it: add one or remove it")
         if of_test:
             taken.append(tuple(of_test))
     if not taken:
@@ -175,68 +176,57 @@ def _taken(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Ph
 
 @dataclass
 class _Search:
-    """The search through all photographs of a campaign.
+    """Detection in all photographs of a campaign.
 
     Attributes:
-        cameras: that are calibrated.
-        s: arclength of the dots [m], (m,).
-        base_side: None where the cameras tell.
-        dark: whether the dots are darker than the probe; either if None.
-        kept: what was found before.
-        tell: of the progress.
-        total: how many photographs there are.
-        at: how many were looked at.
+        cameras: calibrated ones.
+        s: arclength of the markers [m], (m,).
+        base_side: None if the base is projected by the cameras.
+        dark: whether the dots are darker than the probe; None for either.
+        cache: of finished photographs.
+        on_progress: called with the step and the fraction done.
+        total: number of photographs.
+        count: number of photographs so far.
     """
 
     cameras: list[Camera]
     s: Array
-    base_side: Side | None
+    base_side: ImageSide | None
     dark: bool | None
-    kept: Kept
-    tell: Tell
+    cache: DetectionCache
+    on_progress: Progress
     total: int
-    at: int = 0
+    count: int = 0
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """That not all photographs were looked at now."""
-        used = self.kept.used
-        return (f"{used} of {self.total} photographs were done before and taken over",) if used else ()
-
-    @property
-    def words_of_kept(self) -> str:
-        """For one who interrupts."""
-        done = len(self.kept)
-        return f"; photographs kept: {done}; the same command goes on from there" if done else ""
-
-    def test(self, photographs: tuple[Photograph, ...]) -> Seen:
-        """The dots of one test, checked by the cameras' agreement if they are calibrated."""
+    def test(self, photographs: tuple[Photograph, ...]) -> PhotographedTest:
+        """Return the markers of one test, checked by triangulation if the cameras are calibrated."""
         by_name = {camera.name: camera for camera in self.cameras}
         found = [self._photograph(one, by_name.get(one.camera)) for one in photographs]
         if not self.cameras:
-            return Seen(photographs, tuple(found))
+            return PhotographedTest(photographs, tuple(found))
         try:
-            placed = triangulate(
+            located = triangulate(
                 [by_name[one.camera] for one in photographs],
                 np.array([one.pixels for one in found]),
                 np.array([one.std_px for one in found]),
             )
         except InputError as error:
             raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
-        return Seen(photographs, tuple(found), float(np.sqrt(np.nanmean(placed.residual_px**2))))
+        return PhotographedTest(photographs, tuple(found), float(np.sqrt(np.nanmean(located.residual_px**2))))
 
-    def _photograph(self, one: Photograph, camera: Camera | None) -> Found:
-        """The dots of one photograph, found now or before."""
-        self.tell(f"dots of {one.path.name}", self.at / self.total)
-        self.at += 1
+    def _photograph(self, one: Photograph, camera: Camera | None) -> DetectedMarkers:
+        """Return the markers of one photograph, from the cache if it is finished."""
+        self.on_progress(f"dots of {one.path.name}", self.count / self.total)
+        self.count += 1
+        base: Array | ImageSide
         if self.base_side is None:
-            assert camera is not None, "read_cameras has all that the campaign names"
-            base: Array | Side = camera.project(one.test.T_world_base[:3, 3])
+            assert camera is not None  # `read_cameras` returns all that the campaign names
+            base = camera.project(one.test.T_world_base[:3, 3])
         else:
             base = self.base_side
-        key = key_of(one.path, self.s, base, self.dark)
-        found = self.kept.get(key)
+        key = cache_key(one.path, self.s, base, self.dark)
+        found = self.cache.get(key)
         if found is None:
             found = find_markers(one.path, self.s, base, self.dark)
-            self.kept.add(key, found)
+            self.cache.add(key, found)
         return found

@@ -97,7 +97,7 @@ def _summarise(found: "Validation", name: str) -> None:
         print(f"  {name}{kind:<8}shape RMS mean {_mm(shape.mean)}, largest {_mm(shape.largest)}; "
               f"contact error mean {_mm(contact.mean)}, RMS {_mm(contact.rms)}")  # fmt: skip
     print()
-    for line in found.honesty.words:
+    for line in found.coverage.words:
         print(f"  {name}{line}")
 
 

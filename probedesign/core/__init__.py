@@ -1,1 +1,1 @@
-"""Text tables with named units: their lines, their columns. Nothing here knows what they are for."""
+"""Foundations that every package may use: they do not depend on what a probe is."""

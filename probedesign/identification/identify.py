@@ -94,12 +94,12 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
 
 def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> MeasuredTest:
     measured = MeasuredTest(
-        test.name, test.T_world_base, campaign.gravity_world, test.force_world, test.s_contact,
+        test.name, test.T_world_base, test.gravity_world, test.force_world, test.s_contact,
         0.0 if np.isnan(test.std_s) else test.std_s, test.p_contact_world, test.std_contact,
         sag=test.tip_sag, std_sag=test.std_sag,
     )  # fmt: skip
     if len(test.wrenches):
-        wrench, cov = _mean_reading(test, measured.gravity_base, common)
+        wrench, cov = _mean_reading(test, common)
         measured = replace(measured, wrench_base=wrench, cov_wrench=cov)
     if test.markers is None or not len(test.markers):
         return measured
@@ -111,15 +111,15 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
     )  # fmt: skip
 
 
-def _mean_reading(test: Test, gravity_base: Array, common: CommonParameters) -> tuple[Array, Array]:
+def _mean_reading(test: Test, common: CommonParameters) -> tuple[Array, Array]:
     """Return the mean of a test's readings at the base, and its covariance with the drift of the bias."""
     model, n = common.model, len(test.wrenches)
-    wrenches = model.to_base(test.wrenches, gravity_base) if test.frame == "sensor" else test.wrenches
     noise = model.noise_base()
     if n >= MIN_READINGS:
-        ratio = np.sqrt(np.maximum(np.var(wrenches, axis=0, ddof=1) / np.diag(noise), 1.0))
+        scatter = np.var(test.wrenches_base(model), axis=0, ddof=1)
+        ratio = np.sqrt(np.maximum(scatter / np.diag(noise), 1.0))
         noise = noise * np.outer(ratio, ratio)
-    return np.asarray(wrenches.mean(axis=0)), noise / n + common.drift_cov
+    return test.mean_wrench_base(model), noise / n + common.drift_cov
 
 
 def _unusable(test: MeasuredTest) -> str:

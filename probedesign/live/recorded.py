@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from probedesign.core.columns import CEILING
-from probedesign.core.csv_tables import Frame, plain, shown
+from probedesign.core.csv_tables import CEILING, Frame, plain, shown
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array

@@ -1,1 +1,1 @@
-"""A synthetic campaign: what a laboratory would have measured of a probe whose truth is known."""
+"""Simulation of what a laboratory measures of a probe whose ground truth is known."""

@@ -1,5 +1,4 @@
-"""Whether stated errors come true: how often the reference lies within the ellipsoid, and how large errors are beside
-what was stated."""
+"""Empirical coverage: how often the reference lies within the stated ellipsoid, and the NEES of all touches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,26 +6,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest, chi2
 
-from probedesign.validation.validated_test import Trial
+from probedesign.validation.validated_test import ValidatedTest
 
-FEW = 20
-"""Touches below which a share says little: of 20, between 15 and 20 within is no news."""
-SHARE = 0.95
+MIN_TOUCHES = 20
+"""Touches from which on the coverage can be judged: of 20, 15 to 20 within are compatible with correct covariances."""
+NOMINAL = 0.95
 
 
 @dataclass(frozen=True)
-class Honesty:
-    """Of the touches that were located and that the reference saw.
+class Coverage:
+    """Coverage of the touches that were located and measured by the reference.
 
     Attributes:
-        touches: how many.
-        within: of them within their 95 % ellipsoid.
-        low, high: the share that this tells, 95 % interval (Clopper and Pearson).
-        nees_ratio: errors squared over what was stated, mean; 1 if all is true, more where too much was promised.
-        nees_low, nees_high: what the mean of so many stays within, 95 times in 100, if all is true.
-        z_mean, z_std: of the errors over their standard deviations along the base's axes x, y, z; empty with
-            less than two.
-        words: what to think of it, each one line.
+        touches: number of them.
+        within: number within their 95 % ellipsoid.
+        low, high: 95 % interval of the coverage (Clopper and Pearson).
+        nees_ratio: mean squared error over the stated; 1 if the covariances are correct, more if they are too small.
+        nees_low, nees_high: 95 % interval of that mean if the covariances are correct.
+        z_mean, z_std: of the errors over their standard deviations along the base's axes x, y, z; empty with less
+            than two touches.
+        words: assessment, each one line.
     """
 
     touches: int
@@ -41,68 +40,58 @@ class Honesty:
     words: tuple[str, ...]
 
 
-def honesty_of(trials: Sequence[Trial], exact: bool) -> Honesty:
-    """Judge the stated errors of all trials that count.
+def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
+    """Return the coverage of all touches.
 
     Args:
-        trials: of one campaign.
-        exact: the probe was taken as exact.
+        tests: of one campaign.
+        exact: whether the probe was taken as exactly known.
     """
-    misses = [trial.miss for trial in trials if trial.counts and trial.miss is not None]
-    n, within = len(misses), sum(miss.within_95 for miss in misses)
+    errors = [test.contact_error for test in tests if test.counts and test.contact_error is not None]
+    n, within = len(errors), sum(error.within_95 for error in errors)
     nan = float("nan")
     if not n:
-        words = ("no touch was located that the reference saw too", *_of_weights(trials))
-        return Honesty(0, 0, nan, nan, nan, nan, nan, (), (), words)
-    share = binomtest(within, n).proportion_ci(SHARE)
-    dof = sum(miss.dof for miss in misses)
-    ratio = sum(miss.nees for miss in misses) / dof
+        none = "no touch was both located and measured by the reference"
+        return Coverage(0, 0, nan, nan, nan, nan, nan, (), (), (none, *_of_weights(tests)))
+    share = binomtest(within, n).proportion_ci(NOMINAL)
+    dof = sum(error.dof for error in errors)
+    ratio = sum(error.nees for error in errors) / dof
     low, high = (float(chi2.ppf(tail, dof)) / dof for tail in (0.025, 0.975))
-    z = np.array([miss.z for miss in misses if miss.dof == 3]).reshape(-1, 3)
+    z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
-    lost = sum(trial.kind == "touch" for trial in trials) - n
-    words = _words(n, lost, within, (share.low, share.high), ratio, (low, high), exact) + _of_weights(trials)
-    return Honesty(n, within, float(share.low), float(share.high), ratio, low, high,
-                   tuple(mean.ravel().tolist()), tuple(std.ravel().tolist()), words)  # fmt: skip
-
-
-def _of_weights(trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Weights by themselves: the lightest that are located lie too seldom in their intervals (docs/measurements.md)."""
-    misses = [trial.miss for trial in trials if trial.kind == "weight" and trial.miss is not None]
-    if not misses:
-        return ()
-    within = sum(miss.within_95 for miss in misses)
-    return (f"not counted with them: {within} of {len(misses)} weights lie within their 95 % interval",)
-
-
-def _words(
-    n: int,
-    lost: int,
-    within: int,
-    share: tuple[float, float],
-    ratio: float,
-    span: tuple[float, float],
-    exact: bool,
-) -> tuple[str, ...]:
-    told = [f"{within} of {n} touches lie within their 95 % ellipsoid: {within / n:.0%}, of which so many tell "
-            f"{share[0]:.0%} to {share[1]:.0%}"]  # fmt: skip
-    if lost:
-        told.append(
-            f"{lost} more were not located, or not seen by the reference: nothing here is said of them"
+    excluded = sum(test.kind == "touch" for test in tests) - n
+    words = [f"{within} of {n} touches lie within their 95 % ellipsoid: {within / n:.0%}, 95 % interval of the "
+             f"coverage {share.low:.0%} to {share.high:.0%}"]  # fmt: skip
+    if excluded:
+        words.append(
+            f"{excluded} more touches were not located, or not measured by the reference, and are excluded"
         )
-    if share[1] < SHARE:
-        told.append("that is too few: the probe, its mount or the reference is worse known than stated")
-    elif n < FEW:
-        told.append(f"so few do not tell a good statement from a fair one; {FEW} or more would")
-    square = (
-        f"errors squared are {ratio:.2g} times what was stated, {span[0]:.2g} to {span[1]:.2g} if all is true"
-    )
-    if ratio > span[1]:
-        told.append(f"{square}: too much was promised" + ("; try without --exact-model" if exact else ""))
-    elif ratio < span[0]:
-        told.append(f"{square}: less was promised than is kept")
+    if share.high < NOMINAL:
+        words.append("coverage too low: the probe, its mount or the reference is less certain than stated")
+    elif n < MIN_TOUCHES:
+        words.append(f"sample too small to judge the coverage (n < {MIN_TOUCHES})")
+    nees = f"NEES ratio {ratio:.2g}, expected {low:.2g} to {high:.2g}"
+    if ratio > high:
+        words.append(
+            f"{nees}: stated covariance too small" + ("; try without --exact-model" if exact else "")
+        )
+    elif ratio < low:
+        words.append(f"{nees}: stated covariance is conservative")
     else:
-        told.append(square)
-    told.append("touches of one print share its stiffness, its size and its place: they hold or miss together, so "
-                "the intervals are narrower than what one campaign can tell")  # fmt: skip
-    return tuple(told)
+        words.append(nees)
+    words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
+                 "narrower than one campaign justifies")  # fmt: skip
+    return Coverage(n, within, float(share.low), float(share.high), ratio, low, high, tuple(mean.ravel().tolist()),
+                    tuple(std.ravel().tolist()), (*words, *_of_weights(tests)))  # fmt: skip
+
+
+def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
+    """Return a line on weights, which are separate: the lightest that are located have too low a coverage
+    (docs/measurements.md)."""
+    errors = [
+        test.contact_error for test in tests if test.kind == "weight" and test.contact_error is not None
+    ]
+    if not errors:
+        return ()
+    within = sum(error.within_95 for error in errors)
+    return (f"weights, counted separately: {within} of {len(errors)} weights lie within their 95 % interval",)

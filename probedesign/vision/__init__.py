@@ -1,4 +1,4 @@
-"""Cameras as a reference: calibrated from control points, they place dots on a probe in space, with covariance."""
+"""Camera vision: calibration from control points, detection of markers, and their positions in space."""
 
 from importlib.util import find_spec
 
@@ -6,10 +6,10 @@ from probedesign.errors import MissingDependencyError
 
 
 def require() -> None:
-    """Refuse to go on without the package that reads photographs.
+    """Check that the package that reads photographs is installed.
 
     Raises:
-        MissingDependencyError: it is not installed.
+        MissingDependencyError: it is not.
     """
     if find_spec("cv2") is None:
         raise MissingDependencyError('photographs need: pip install "probedesign[vision]"')

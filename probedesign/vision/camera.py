@@ -1,7 +1,7 @@
-"""A camera: where a point of the world appears in its picture, and how well that is known.
+"""Perspective camera with radial distortion: projection, derivatives and covariance.
 
-Axes of a camera: x right, y down, z along the sight. Pixels: u right, v down, (0, 0) the centre of the upper left
-pixel, as OpenCV has it.
+Axes of a camera: x right, y down, z along the optical axis. Pixels: u right, v down, (0, 0) the centre of the upper
+left pixel, as OpenCV has it.
 """
 
 from dataclasses import dataclass, field
@@ -29,10 +29,10 @@ class Camera:
         R_camera_world: rotation into the camera's axes, (3, 3).
         p_world: its centre [m], (3,).
         distortion: coefficients k1, k2 of a point's radius on the plane at distance one: r (1 + k1 r² + k2 r⁴), (d,).
-        cov: covariance of the parameters, (11 + d, 11 + d); zero for a camera that is known.
+        cov: covariance of the parameters, (11 + d, 11 + d); zero for an exactly known camera.
         std_px: standard deviation of a control point's coordinate in the picture, from the residuals [px].
-        residuals_px: control points in the picture minus where the camera has them [px], those left out too, (n, 2).
-        outliers: names of the control points that were left out for fitting with none of the others.
+        residuals_px: pixels of the control points minus their projections [px], outliers included, (n, 2).
+        outliers: names of the control points that do not fit with the others and were left out.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Camera:
         distortion: ArrayLike = (),
         up_world: ArrayLike = (0.0, 0.0, 1.0),
     ) -> "Camera":
-        """A camera with square pixels, known exactly, that looks at a point.
+        """Return an exactly known camera with square pixels that looks at a point.
 
         Args:
             name: of the camera.
@@ -65,7 +65,7 @@ class Camera:
             focal_px: focal length [px].
             size_px: width and height of the picture [px].
             distortion: coefficients, at most two.
-            up_world: what is up in the picture; not along the sight, (3,).
+            up_world: what is up in the picture; not along the optical axis, (3,).
         """
         centre, bends = np.asarray(p_world, dtype=float), np.asarray(distortion, dtype=float)
         z = np.asarray(at_world, dtype=float) - centre
@@ -79,27 +79,27 @@ class Camera:
 
     @property
     def P(self) -> Array:
-        """Projection (3, 4) of homogeneous points of the world, before distortion."""
+        """Projection matrix of homogeneous points of the world, before distortion, (3, 4)."""
         return self.K @ self.R_camera_world @ np.column_stack([np.eye(3), -self.p_world])
 
     def depth(self, points_world: ArrayLike) -> Array:
-        """Distance along the sight [m] of points (..., 3); negative behind the camera."""
+        """Return the distance of points (..., 3) along the optical axis [m]; negative behind the camera."""
         return np.asarray((np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world[2])
 
     def project(self, points_world: ArrayLike) -> Array:
-        """Where points appear [px].
+        """Project points into the picture.
 
         Args:
             points_world: in front of the camera [m], (..., 3).
 
         Returns:
-            u, v (..., 2).
+            Pixels u, v (..., 2).
         """
         seen = self._plane(points_world)
         return np.asarray(self._pixels(seen * self._stretch(seen)[..., None]))
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions in the world that pixels look along.
+        """Return the directions of pixels in the world.
 
         Args:
             pixels: u, v [px], (..., 2).
@@ -109,24 +109,23 @@ class Camera:
         """
         bent = np.asarray(np.linalg.solve(self.K, _homogeneous(pixels)[..., None])[..., :2, 0], dtype=float)
         seen = bent.copy()
-        for _ in range(
-            20 if len(self.distortion) else 0
-        ):  # a step gains a factor |2 k1 r²|, a tenth or less of any lens used for measuring
+        # a step gains a factor |2 k1 r²|, a tenth or less for any lens used for measuring
+        for _ in range(20 if len(self.distortion) else 0):
             seen = bent / self._stretch(seen)[..., None]
         directions = _homogeneous(seen) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
     def undistorted(self, pixels: ArrayLike) -> Array:
-        """Where the same points would appear without distortion [px], (..., 2)."""
+        """Return the pixels of the same points without distortion [px], (..., 2)."""
         seen = self.rays(pixels) @ self.R_camera_world.T
         return np.asarray(self._pixels(seen[..., :2] / seen[..., 2:]))
 
     def by_point(self, points_world: Array) -> Array:
-        """Derivative of the pixels by the points [px/m], (n, 3) -> (n, 2, 3)."""
+        """Return derivatives of the pixels by the points [px/m], (n, 3) -> (n, 2, 3)."""
         return self._by_axes(points_world) @ self.R_camera_world
 
     def by_parameters(self, points_world: Array) -> Array:
-        """Derivative of the pixels by the camera's parameters, (n, 3) -> (n, 2, 11 + d)."""
+        """Return derivatives of the pixels by the camera's parameters, (n, 3) -> (n, 2, 11 + d)."""
         seen, by_axes = self._plane(points_world), self._by_axes(points_world)
         bent = seen * self._stretch(seen)[:, None]
         one, zero = np.ones(len(seen)), np.zeros(len(seen))
@@ -140,24 +139,24 @@ class Camera:
         return np.concatenate([np.stack([u, v], axis=1), turned, moved, bends], axis=2)
 
     def moved(self, step: Array) -> "Camera":
-        """The camera with its parameters changed by a step (11 + d,)."""
+        """Return the camera with its parameters changed by a step (11 + d,)."""
         K = self.K + np.array([[step[0], step[2], step[3]], [0.0, step[1], step[4]], [0.0, 0.0, 0.0]])
         R = Rotation.from_rotvec(step[5:8]).as_matrix() @ self.R_camera_world
         return Camera(self.name, K, R, self.p_world + step[8:11], self.distortion + step[11:], self.cov)
 
     def folds(self, points_world: Array) -> bool:
-        """Whether the distortion maps two radii within these points' onto one: then it is no lens."""
+        """Return whether the distortion maps two radii within these points' onto one, which no lens does."""
         square = np.linspace(0.0, float(np.max(np.sum(self._plane(points_world) ** 2, axis=-1))), 100)
         powers = np.arange(1, 1 + len(self.distortion))
         return bool(np.any(1 + square[:, None] ** powers @ ((2 * powers + 1) * self.distortion) <= 0))
 
     def _plane(self, points_world: ArrayLike) -> Array:
-        """Points on the plane at distance one, before distortion (..., 2)."""
+        """Return points on the plane at distance one, before distortion, (..., 2)."""
         axes = (np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world.T
         return np.asarray(axes[..., :2] / axes[..., 2:])
 
     def _stretch(self, seen: Array) -> Array:
-        """What distortion multiplies a point of the plane (..., 2) with, (...)."""
+        """Return the factor of distortion at points of the plane (..., 2), (...)."""
         square: Array = np.sum(seen**2, axis=-1)
         stretch = np.ones(seen.shape[:-1])
         for power, coefficient in enumerate(self.distortion, 1):
@@ -168,7 +167,7 @@ class Camera:
         return bent @ self.K[:2, :2].T + self.K[:2, 2]
 
     def _by_axes(self, points_world: Array) -> Array:
-        """Derivative of the pixels by the point in the camera's axes, (n, 2, 3)."""
+        """Return derivatives of the pixels by the point in the camera's axes, (n, 2, 3)."""
         seen, depth = self._plane(points_world), self.depth(points_world)
         square, slope = np.sum(seen**2, axis=1), np.zeros(len(seen))
         for power, coefficient in enumerate(self.distortion, 1):
@@ -180,6 +179,6 @@ class Camera:
 
 
 def _homogeneous(points: ArrayLike) -> Array:
-    """Points (..., k) with a last coordinate 1, (..., k + 1)."""
+    """Return points (..., k) with a last coordinate 1, (..., k + 1)."""
     points = np.asarray(points, dtype=float)
     return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)

@@ -9,7 +9,7 @@ from probedesign import build_probe, load_design
 from probedesign.campaigns import Campaign, read_campaign
 from probedesign.estimation.model import ProbeModel
 from probedesign.simulation.campaign_folder import make_campaign
-from probedesign.simulation.plan import Plan
+from probedesign.simulation.ground_truth import CampaignPlan
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 NAMES = ("small", "medium", "large")
@@ -25,7 +25,7 @@ def made(models, tmp_path_factory) -> Callable[..., Campaign]:
     """A campaign of one of the three probes, made once."""
     folder, kept = tmp_path_factory.mktemp("made"), dict[str, Campaign]()
 
-    def make(name: str, plan: Plan) -> Campaign:
+    def make(name: str, plan: CampaignPlan) -> Campaign:
         key = f"{name}-{plan.kind}-{plan.exact}-{plan.marker_noise}"
         if key not in kept:
             kept[key] = read_campaign(make_campaign(models[name], folder / key, plan).folder)

@@ -1,4 +1,4 @@
-"""Data folders: what a spreadsheet may say, and what it may get wrong."""
+"""Data folders: valid tables, and the refusal of mistakes in one line."""
 
 import shutil
 from dataclasses import replace
@@ -78,7 +78,7 @@ def seen(folder):
 
 
 def refusal(folder, file, old, new) -> str:
-    """What reading says after one mistake."""
+    """Return the error message after one mistake."""
     text = (folder / file).read_text()
     assert old in text
     (folder / file).write_text(text.replace(old, new))
@@ -104,7 +104,7 @@ def test_a_folder_is_read_in_si_as_its_units_say(folder):
     assert (campaign.std_base, campaign.weighing.mass) == (0.2e-3, pytest.approx(6.77e-3))
 
 
-def test_units_of_the_header_do_not_change_what_is_read(folder):
+def test_units_of_the_header_are_converted(folder):
     before = read_campaign(folder).tests[0]
     text = (
         MARKERS.replace("_mm", " [m]").replace("10,0,250", "0.01,0,0.25").replace("20,0,250", "0.02,0,0.25")
@@ -115,9 +115,9 @@ def test_units_of_the_header_do_not_change_what_is_read(folder):
     )
 
 
-def test_a_frame_that_is_not_named_is_assumed_aloud(folder):
-    said = (folder / "wrenches.csv").read_text()
-    lines = [line for line in said.splitlines() if not line.startswith("# frame")]
+def test_an_assumed_frame_is_noted(folder):
+    text = (folder / "wrenches.csv").read_text()
+    lines = [line for line in text.splitlines() if not line.startswith("# frame")]
     (folder / "wrenches.csv").write_text("# frame: base\n" + "\n".join(lines) + "\n")
     assert not read_campaign(folder).notes
     (folder / "wrenches.csv").write_text("\n".join(lines) + "\n")
@@ -137,20 +137,20 @@ def test_a_test_may_have_a_base_of_its_own(folder):
 @pytest.mark.parametrize(("file", "old", "new", "says"), [
     ("campaign.toml", "std_mm", "std", "campaign.toml:10: unknown key 'markers.std'; did you mean 'markers.std_mm'?"),
     ("campaign.toml", "20.0, 30.0", "5.0", "campaign.toml:9: markers.s_mm item 2: 5 does not increase after 10"),
-    ("campaign.toml", "-9.81", "-9810", "is no gravity of up to 30 m/s²"),
+    ("campaign.toml", "-9.81", "-9810", "is not a gravity of up to 30 m/s²"),
     ("campaign.toml", "std_mm = 0.5", "", "markers.csv:2: no std_mm here, nor markers.std_mm"),
     ("campaign.toml", "schema = 1", "schema = 2", "campaign.toml:1: schema"),
     ("campaign.toml", '"right"', '"left"', "two or more different names"),
-    ("tests.csv", "a-1", "hang", "tests.csv:3: test hang stands twice, first in line 2"),
-    ("tests.csv", "a-1", "../a", "is no name; use letters"),
+    ("tests.csv", "a-1", "hang", "tests.csv:3: test hang occurs twice, first in line 2"),
+    ("tests.csv", "a-1", "../a", "is not a valid name; use letters"),
     ("tests.csv", "s_contact_mm", "s_contact", "column 's_contact': names no unit; end its name in one of _mm"),
     ("tests.csv", "s_contact_mm", "s_contact_in", "unit 'in' is not known"),
     ("wrenches.csv", "My_Nmm", "My_Nm", "mixed units: 'Mx_Nmm' and 'My_Nm'"),
     ("tests.csv", "std_s_mm", "std_s_m", "mixed units: 's_contact_mm' and 'std_s_m'"),
     ("tests.csv", "s_contact_mm", "s_contct_mm", "did you mean 's_contact_mm'?"),
-    ("tests.csv", "0.05", "", "tests.csv:3: s_contact_mm stands without a standard deviation; say in std_s_mm"),
-    ("tests.csv", "0.05", "-0.5", "tests.csv:3: std_s_mm = -0.5 is no standard deviation; write one above 0"),
-    ("tests.csv", "0.05", "0", "tests.csv:3: std_s_mm = 0 is no standard deviation; write one above 0"),
+    ("tests.csv", "0.05", "", "tests.csv:3: s_contact_mm has no standard deviation; give it in std_s_mm"),
+    ("tests.csv", "0.05", "-0.5", "tests.csv:3: std_s_mm = -0.5 is not a standard deviation; write a positive number"),
+    ("tests.csv", "0.05", "0", "tests.csv:3: std_s_mm = 0 is not a standard deviation; write a positive number"),
     ("campaign.toml", "std_mm = 0.5", "std_mm = -0.5", "std_mm = -0.5 is out of range; allowed is above 0, up to 100"),
     ("tests.csv", "0,0,0", "0,0,", "force_x_world_N is given without force_z_world_N"),
     ("tests.csv", ",60,", ",nan,", "s_contact_mm = 'nan' is not a finite number"),
@@ -160,9 +160,9 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("tests.csv", ",", ";", "tests.csv:1: semicolons between the columns"),
     ("markers.csv", "hang,1", "hung,1", "markers.csv:2: test 'hung' is not in tests.csv; did you mean 'hang'?"),
     ("markers.csv", "hang,1", "hang,4", "marker 4 is beyond the list: markers.s_mm in campaign.toml has 3"),
-    ("markers.csv", "hang,1", "hang,2", "test hang, marker 2 stands twice"),
-    ("markers.csv", "hang,1", "hang,x", "marker 'x' is no number"),
-    ("markers.csv", "_mm", "_m", "z_world_m = 250 is more than can be; raw counts or a wrong unit?"),
+    ("markers.csv", "hang,1", "hang,2", "test hang, marker 2 occurs twice"),
+    ("markers.csv", "hang,1", "hang,x", "marker 'x' is not a number"),
+    ("markers.csv", "_mm", "_m", "z_world_m = 250 is implausibly large; raw counts or a wrong unit?"),
     ("markers.csv", "10,0,250\nhang,2,20,0,250\nhang,3,30.2,0,249.5",
      "0.01,0,0.25\nhang,2,0.02,0,0.25\nhang,3,0.0302,0,0.2495",
      "markers lie 0.01011 mm apart, on the probe 10; metres in a column of millimetres"),
@@ -171,19 +171,19 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("markers.csv", "hang,1,10,0,250\nhang,2,20,0,250\nhang,3,30.2", "hang,3,10,0,250\nhang,2,20,0,250\nhang,1,30.2",
      "they count from the tip; marker 1 is nearest to the base"),
     ("markers.csv", ",0,2", ",80,2", "is the pose of the base right?"),
-    ("wrenches.csv", "hang,1,", "hang,0,", "wrenches.csv:4: test hang at 0 s stands twice, first in line 3"),
-    ("wrenches.csv", "sensor", "tool", "frame 'tool' is not known; say sensor or base"),
+    ("wrenches.csv", "hang,1,", "hang,0,", "wrenches.csv:4: test hang at 0 s occurs twice, first in line 3"),
+    ("wrenches.csv", "sensor", "tool", "frame 'tool' is not known; use sensor or base"),
     ("wrenches.csv", "68,0", "68,", "Fy_mN is empty; write the number"),
-    ("wrenches.csv", "68", "9999999", "Fx_mN = 1e+07 is more than can be; raw counts or a wrong unit?"),
-    ("markers.csv", "30.2", "1e300", "markers.csv:4: x_world_mm = 1e+300 is more than can be"),
+    ("wrenches.csv", "68", "9999999", "Fx_mN = 1e+07 is implausibly large; raw counts or a wrong unit?"),
+    ("markers.csv", "30.2", "1e300", "markers.csv:4: x_world_mm = 1e+300 is implausibly large"),
     ("wrenches.csv", ",Mz_Nmm", "", "columns are missing: Mz_Nm"),
 ])  # fmt: skip
 def test_a_mistake_is_one_clear_line(folder, file, old, new, says):
     assert says in refusal(folder, file, old, new)
 
 
-def test_what_a_spreadsheet_leaves_empty_at_the_end(folder):
-    """Columns without a name and rows of commas; a cell that says something there is not passed over."""
+def test_empty_columns_and_rows_of_a_spreadsheet_are_ignored(folder):
+    """Columns without a name and rows of commas are ignored; a filled cell in such a column is refused."""
     before, path = read_campaign(folder).tests, folder / "tests.csv"
     lines = path.read_text().splitlines()
     width = lines[-1].count(",") + 2
@@ -191,7 +191,7 @@ def test_what_a_spreadsheet_leaves_empty_at_the_end(folder):
         "\n".join([f"{line},," if "," in line else line for line in lines] + ["," * width] * 2) + "\n"
     )
     assert [test.name for test in read_campaign(folder).tests] == [test.name for test in before]
-    assert "'7' stands in a column without a name" in refusal(
+    assert "'7' is in a column without a name" in refusal(
         folder, "tests.csv", lines[-1] + ",,", lines[-1] + ",7,"
     )
 
@@ -200,20 +200,20 @@ def test_a_contact_and_no_force_contradict_each_other(folder):
     assert "has a contact and force 0,0,0" in refusal(folder, "tests.csv", "a-1,,,,60", "a-1,0,0,0,60")
 
 
-def test_folders_and_files_that_are_none(tmp_path, folder):
-    with pytest.raises(InputError, match="no such data folder; probedesign campaign makes one"):
+def test_missing_and_invalid_files_are_refused(tmp_path, folder):
+    with pytest.raises(InputError, match="no such data folder"):
         read_campaign(tmp_path / "nothing")
     (folder / "tests.csv").write_bytes(b"\0\1")
     with pytest.raises(InputError, match="is a binary file; a table of tests is CSV"):
         read_campaign(folder)
     (folder / "tests.csv").write_text(TESTS.splitlines()[0])
-    with pytest.raises(InputError, match="holds no rows"):
+    with pytest.raises(InputError, match="has a header and no rows"):
         read_campaign(folder)
     (folder / "tests.csv").write_bytes(b"test\n" + b"a\n" * 25_000_001)
     with pytest.raises(InputError, match="larger than 50 MB, far too large"):
         read_campaign(folder)
     shutil.move(folder / "campaign.toml", folder / "other.toml")
-    with pytest.raises(InputError, match=r"holds no campaign\.toml, so it is no data folder"):
+    with pytest.raises(InputError, match=r"has no campaign\.toml, so it is not a data folder"):
         read_campaign(folder)
 
 
@@ -252,7 +252,7 @@ def test_a_fingerprint_is_of_the_probe_that_is_named(folder, large):
 # cameras
 
 
-def test_markers_of_two_pictures_stand_where_they_were_seen(seen):
+def test_markers_of_two_pictures_are_located(seen):
     campaign = read_campaign(seen)
     found = campaign.tests[0].markers
     # pixels are written to 13 digits or so; the calibration is exact but for that
@@ -291,9 +291,9 @@ def test_mirrored_control_points_are_named(seen):
 
 @pytest.mark.parametrize(("file", "old", "new", "says"), [
     ("pixels.csv", "hang,left,1", "hang,lft,1", "camera 'lft' is not in cameras.names of campaign.toml"),
-    ("pixels.csv", "hang,left,1", "hang,left,2", "test hang, camera left, marker 2 stands twice"),
-    ("control_points.csv", ",right,", ",left,", "stands twice"),
-    ("campaign.toml", '[cameras]\nnames = ["left", "right"]', "", "there are none"),
+    ("pixels.csv", "hang,left,1", "hang,left,2", "test hang, camera left, marker 2 occurs twice"),
+    ("control_points.csv", ",right,", ",left,", "occurs twice"),
+    ("campaign.toml", '[cameras]\nnames = ["left", "right"]', "", "which has none"),
 ])  # fmt: skip
 def test_a_mistake_with_cameras_is_one_clear_line(seen, file, old, new, says):
     assert says in refusal(seen, file, old, new)

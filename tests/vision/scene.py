@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from probedesign.simulation.tube import Dots, Tube
+from probedesign.simulation.stereo_render import PaintedDots, SurfaceTube
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
 
@@ -33,7 +33,7 @@ def probe(bend=1.0, side=(0.0, -1.0, 0.4), count=14):
     steps = np.column_stack([np.cos(angle), 0.1 * np.sin(angle), -np.sin(angle)])
     steps /= np.linalg.norm(steps, axis=1)[:, None]
     line = np.vstack([np.zeros(3), np.cumsum((steps[1:] + steps[:-1]) / 2 * s[1], axis=0)])
-    tube, places = Tube(line, np.linspace(0.012, 0.002, 400)), 0.01 * np.arange(1, count + 1)
-    return tube, Dots(
+    tube, places = SurfaceTube(line, np.linspace(0.012, 0.002, 400)), 0.01 * np.arange(1, count + 1)
+    return tube, PaintedDots(
         places, np.tile(np.array(side), (count, 1)), np.minimum(0.5 * tube.at(places)[2] * 2, 0.003)
     )

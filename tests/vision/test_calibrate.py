@@ -138,14 +138,17 @@ def turned(points):
         (lambda w, p: (turned(w), p), "mirrored"),
         (lambda w, p: (w, p * (1, -1) + (0, 1079)), "mirrored"),
         (lambda w, p: (w, p[:, ::-1]), "mirrored"),
-        (lambda w, p: (np.vstack([w, w[3]]), np.vstack([p, p[3] + 9])), "points 4 and 21 stand at one place"),
+        (
+            lambda w, p: (np.vstack([w, w[3]]), np.vstack([p, p[3] + 9])),
+            "points 4 and 21 have the same position",
+        ),
         (
             lambda w, p: (np.vstack([w, w[3] + 0.01]), np.vstack([p, p[3]])),
             "points 4 and 21 have the same pixel",
         ),
         (
             lambda w, p: (w, np.where(np.arange(20)[:, None] == 7, np.nan, p)),
-            "point 8: a coordinate is no finite",
+            "point 8: a coordinate is not finite",
         ),
         (lambda w, p: (w, np.roll(p, 4, axis=0)), "4 of 20 control points do not fit"),
         (lambda w, p: (w, p[:-1]), "n x 2"),

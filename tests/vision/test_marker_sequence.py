@@ -1,4 +1,4 @@
-"""Dots in synthetic photographs: found where they are, in order, or honestly not."""
+"""Dots in synthetic photographs: detected in order at their true positions, or refused."""
 
 import math
 from dataclasses import replace
@@ -11,17 +11,23 @@ from scipy.ndimage import gaussian_filter
 cv2 = pytest.importorskip("cv2")
 
 from probedesign.errors import InputError  # noqa: E402
-from probedesign.simulation.stereo_render import Look, render  # noqa: E402
-from probedesign.simulation.tube import Dots  # noqa: E402
+from probedesign.simulation.stereo_render import (  # noqa: E402
+    PaintedDots,
+    RenderStyle,
+    render,
+)
 from probedesign.vision.dots import fit_dot, patch_of  # noqa: E402
-from probedesign.vision.finder import find_markers  # noqa: E402
-from probedesign.vision.images import overlay  # noqa: E402
-from probedesign.vision.picture import read_grey, write_png  # noqa: E402
+from probedesign.vision.images import (  # noqa: E402
+    overlay,
+    read_grey,
+    write_png,
+)
+from probedesign.vision.marker_sequence import find_markers  # noqa: E402
 
 SIGHT = camera("left", focal=2300.0, size=SIZE)
 TUBE, DOTS = probe()
 BASE = SIGHT.project(np.zeros(3))
-LIGHT_DOTS = Look(probe=0.2, dot=0.85, seed=3)
+LIGHT_DOTS = RenderStyle(probe=0.2, dot=0.85, seed=3)
 
 
 def photograph(folder, look=None, dots=DOTS, tube=TUBE):
@@ -37,19 +43,21 @@ def usual(tmp_path_factory):
 
 def where(dots=DOTS, tube=TUBE):
     """Where the painted centres of dots are seen."""
-    return SIGHT.project(tube.places(dots))
+    return SIGHT.project(tube.dot_positions(dots))
 
 
 def test_the_renderer_draws_what_the_camera_projects():
     """Grey levels' own centre of one dark dot, without noise or shade, is where the camera has it."""
-    plain = Look(ambient=1.0, gloss=0.0, mottle=0.0, noise=0.0, full_well=1e15, clutter=0)
-    one = Dots(DOTS.s[4:5], DOTS.outward_world[4:5], np.array([0.001]))
-    bare = render(SIGHT, TUBE, Dots(DOTS.s[:0], DOTS.outward_world[:0], DOTS.diameter[:0]), SIZE, plain)
+    plain = RenderStyle(ambient=1.0, gloss=0.0, mottle=0.0, noise=0.0, full_well=1e15, clutter=0)
+    one = PaintedDots(DOTS.s[4:5], DOTS.outward_world[4:5], np.array([0.001]))
+    bare = render(
+        SIGHT, TUBE, PaintedDots(DOTS.s[:0], DOTS.outward_world[:0], DOTS.diameter[:0]), SIZE, plain
+    )
     ink = bare.astype(float) - render(SIGHT, TUBE, one, SIZE, plain)
     v, u = np.mgrid[: SIZE[1], : SIZE[0]]
     seen = np.array([np.sum(u * ink), np.sum(v * ink)]) / np.sum(ink)
     # Nine rays a pixel find the edge of a dot of 3 px to a tenth of a pixel at most places.
-    assert seen == pytest.approx(SIGHT.project(TUBE.places(one))[0], abs=0.1)
+    assert seen == pytest.approx(SIGHT.project(TUBE.dot_positions(one))[0], abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -57,12 +65,12 @@ def test_the_renderer_draws_what_the_camera_projects():
     [
         None,
         LIGHT_DOTS,
-        Look(background=0.8, seed=1),
-        Look(clutter=30, seed=2),
+        RenderStyle(background=0.8, seed=1),
+        RenderStyle(clutter=30, seed=2),
     ],
     ids=["dark on light", "light on dark", "white wall", "cluttered"],
 )
-def test_dots_are_found_in_order_and_as_well_as_said(look, usual, tmp_path):
+def test_dots_are_found_in_order_within_their_standard_deviation(look, usual, tmp_path):
     path = usual if look is None else photograph(tmp_path, look)
     found = find_markers(path, DOTS.s, BASE)
     error = found.pixels - where()
@@ -97,7 +105,7 @@ def test_a_dot_bent_round_its_probe_is_found_where_it_is_painted(sink):
     assert dot.pixel == pytest.approx([20.0, 20.0], abs=0.06)
 
 
-def test_what_neighbours_err_by_together_counts_once():
+def test_correlated_pixels_count_as_one_patch():
     """A patch of noise is a pixel; of noise that is smooth over σ = 2 px it is 4πσ² = 50 pixels, within a third."""
     v, u = np.mgrid[:60, :60]
     offsets = np.column_stack([u.ravel(), v.ravel()]).astype(float)
@@ -109,9 +117,9 @@ def test_what_neighbours_err_by_together_counts_once():
 @pytest.mark.parametrize(
     ("count", "words"),
     [
-        (15, "14 dots in a row where 15 are told"),
+        (15, "14 dots in a row, but 15 are expected"),
         (13, "more dots in a row than the 13"),
-        (2, "three dots at least"),
+        (2, "at least three dots"),
     ],
 )
 def test_another_number_of_dots_is_refused(usual, count, words):
@@ -119,27 +127,27 @@ def test_another_number_of_dots_is_refused(usual, count, words):
         find_markers(usual, 0.01 * np.arange(1, count + 1), BASE)
 
 
-def test_a_dot_that_is_hidden_is_missed_and_said(usual, tmp_path):
+def test_a_hidden_dot_is_missed(usual, tmp_path):
     picture = read_grey(usual)
     u, v = np.round(where()[5]).astype(int)
     picture[v - 15 : v + 15, u - 15 : u + 15] = picture[v - 13, u - 13]
     write_png(tmp_path / "hidden.png", picture)
-    with pytest.raises(InputError, match="dots in a row where 14 are told"):
+    with pytest.raises(InputError, match="dots in a row, but 14 are expected"):
         find_markers(tmp_path / "hidden.png", DOTS.s, BASE)
 
 
 def test_an_empty_wall_has_no_dots(tmp_path):
     nothing = np.random.default_rng(0).normal(100, 3, SIZE[::-1]).astype(np.uint8)
     write_png(tmp_path / "wall.png", nothing)
-    with pytest.raises(InputError, match="no row of dots where 14"):
+    with pytest.raises(InputError, match="no row of dots, but 14"):
         find_markers(tmp_path / "wall.png", DOTS.s, BASE)
 
 
 @pytest.mark.parametrize("content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n" + bytes(100)])
-def test_what_is_no_picture_is_refused(content, tmp_path):
+def test_invalid_images_are_refused(content, tmp_path):
     path = tmp_path / "bad.png"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="no picture that can be read"):
+    with pytest.raises(InputError, match="not an image that can be read"):
         read_grey(path)
     with pytest.raises(InputError, match="no such photograph"):
         read_grey(tmp_path / "missing.png")

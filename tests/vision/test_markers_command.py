@@ -13,8 +13,8 @@ from probedesign.campaigns import photographs
 from probedesign.campaigns.reading import read_campaign
 from probedesign.cli.main import run
 from probedesign.simulation.stereo_render import render
-from probedesign.vision.finder import find_markers
-from probedesign.vision.picture import read_grey, write_png
+from probedesign.vision.images import read_grey, write_png
+from probedesign.vision.marker_sequence import find_markers
 
 PAIR = [camera(name, focal=2300.0, size=SIZE) for name in ("left", "right")]
 TUBE, DOTS = probe()
@@ -52,7 +52,7 @@ def test_photographs_become_markers_in_space(data, capsys):
     assert told["tests"][0]["markers"] == 14 and told["tests"][0]["residual_px"] < 0.5
     assert {path.name for path in (data / "overlays").iterdir()} == {"bent-left.png", "bent-right.png"}
     markers = read_campaign(data).tests[0].markers
-    error = markers.p_world - TUBE.places(DOTS)
+    error = markers.p_world - TUBE.dot_positions(DOTS)
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.1e-3  # 0.1 px at half a metre is 0.02 mm across
     square = np.einsum("ni,nij,nj->n", error, np.linalg.inv(markers.cov_world), error)
     assert np.mean(square) < 9.0  # 3 if all is as said; 14 markers share the light and the curvature
@@ -61,7 +61,7 @@ def test_photographs_become_markers_in_space(data, capsys):
     assert "add --force" in capsys.readouterr().err
 
 
-def test_an_interrupted_search_goes_on_from_what_was_done(data, capsys, monkeypatch):
+def test_an_interrupted_search_continues_from_its_cache(data, capsys, monkeypatch):
     """The second photograph is interrupted; then the first is not looked at again, unless it or an option changed."""
     looked, interrupted, found = [], {"bent-right.png"}, {}
 
@@ -82,7 +82,7 @@ def test_an_interrupted_search_goes_on_from_what_was_done(data, capsys, monkeypa
     left, right = "bent-left.png", "bent-right.png"
     status, seen, told = markers("--dots", "dark")
     assert (status, seen) == (1, [left, right])
-    assert "photographs kept: 1" in told.err and not (data / "pixels.csv").exists()
+    assert "1 photographs are cached" in told.err and not (data / "pixels.csv").exists()
     assert markers("--dots", "either")[1] == [left, right]
     assert markers("--dots", "dark")[1] == [right]
     picture = data / "images" / left
@@ -92,7 +92,7 @@ def test_an_interrupted_search_goes_on_from_what_was_done(data, capsys, monkeypa
         file.write('{"key": "half a li')
     interrupted.clear()
     status, seen, told = markers("--dots", "dark")
-    assert (status, seen) == (0, [right]) and "1 of 2 photographs were done before" in told.out
+    assert (status, seen) == (0, [right]) and "1 of 2 photographs were taken from the cache" in told.out
     kept = (data / "pixels.csv").read_text()
     assert not (data / "pixels.csv.unfinished").exists()
     status, seen, told = markers("--dots", "dark", "--force")
@@ -114,7 +114,7 @@ def swap_photographs(data):
             "camera right only has a photograph of test bent",
         ),
         (lambda data: shutil.rmtree(data / "images"), "no such folder"),
-        (lambda data: (data / "images/bent-left.png").write_bytes(b"no"), "is no picture"),
+        (lambda data: (data / "images/bent-left.png").write_bytes(b"no"), "is not an image"),
         (lambda data: (data / "control_points.csv").unlink(), "control_points.csv: is missing"),
         (lambda data: (data / "images/bent-left.jpg").write_bytes(b""), "a second photograph"),
     ],
