@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from probedesign.search.task import Task
     from probedesign.simulation.campaign_folder import SimulatedCampaign
     from probedesign.simulation.ground_truth import CampaignPlan
-    from probedesign.validation.validate import MultiProbeReport, Validation
+    from probedesign.validation.validate import MultiProbeReport, ValidationReport
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -344,7 +344,7 @@ def validate(
     exact_model: bool,
     plots: bool | None,
     tell: Callable[[str, float | None], None],
-) -> tuple["Validation", list[Path]]:
+) -> tuple["ValidationReport", list[Path]]:
     """Frozen probe, data folder → estimates beside the reference → table, page, picture.
 
     Args:

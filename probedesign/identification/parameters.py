@@ -1,4 +1,4 @@
-"""Parameters that a campaign can identify, the nuisance parameters that its tests share, and what they stand for.
+"""Parameters that a campaign can identify, the nuisance parameters of its tests, and the rod and poses they imply.
 
 All of them form one parameter vector: the blocks of `PARAMETERS` in order, then the modes of the print's dimension
 errors. A parameter is added by one entry of `PARAMETERS`: the solver, the observability analysis, the checks, the

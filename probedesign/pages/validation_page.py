@@ -6,14 +6,14 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.validation_charts import draw_inner, draw_shape, draw_sizes, draw_squares
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.validate import WHY, ErrorStatistics, Validation
+from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
 from probedesign.validation.validated_test import ValidatedTest
 
 MOST_SHAPES = 24
 """More shapes are not drawn, which the page says."""
 
 
-def validation_page(validation: Validation) -> bytes:
+def validation_page(validation: ValidationReport) -> bytes:
     """The page."""
     model, honesty = validation.estimator.model, validation.coverage
     how = (
@@ -38,7 +38,7 @@ def validation_page(validation: Validation) -> bytes:
     )
 
 
-def _summary(validation: Validation) -> TextTable:
+def _summary(validation: ValidationReport) -> TextTable:
     """Means by kind of test."""
     rows = []
     for kind, means in validation.summary.items():
@@ -64,7 +64,7 @@ def _told(mean: ErrorStatistics) -> list[str]:
     return ["—" if value is None else f"{value:.3g} mm" for value in (mean.mean, mean.rms, mean.largest)]
 
 
-def _table(validation: Validation) -> TextTable:
+def _table(validation: ValidationReport) -> TextTable:
     """Table I, with what was stated."""
     head = [
         "test",
@@ -104,7 +104,7 @@ def _mm(value: float | None) -> str:
     return "—" if value is None else f"{value:.3g} mm"
 
 
-def _figures(validation: Validation) -> list[Section]:
+def _figures(validation: ValidationReport) -> list[Section]:
     """Measured error against stated error, and the squares beside their distribution."""
     held = [trial for trial in validation.tests if trial.contact_error is not None]
     if not held:
@@ -119,7 +119,7 @@ def _figures(validation: Validation) -> list[Section]:
     ]  # fmt: skip
 
 
-def _inner(validation: Validation) -> list[Section]:
+def _inner(validation: ValidationReport) -> list[Section]:
     """Internal force and moment of the free probe and of the touch in the middle of those located."""
     free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
     located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]

@@ -8,7 +8,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.pages.validation_charts import across_of, centreline, contact_told, outline, place_known
 from probedesign.report import blank, png
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.validate import Validation
+from probedesign.validation.validate import ValidationReport
 from probedesign.validation.validated_test import ValidatedTest
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ COLUMNS, MOST = 3, 11
 """Shapes in a row, and in the picture; one place is the errors'."""
 
 
-def draw_validation(validation: Validation) -> bytes:
+def draw_validation(validation: ValidationReport) -> bytes:
     """The picture, a PNG.
 
     Raises:
@@ -73,7 +73,7 @@ def _draw_shape(ax: "Axes", trial: ValidatedTest, model: ProbeModel) -> None:
     ax.tick_params(labelsize=8)
 
 
-def _draw_errors(ax: "Axes", validation: Validation) -> None:
+def _draw_errors(ax: "Axes", validation: ValidationReport) -> None:
     """Measured against stated."""
     told = [
         (t.contact_error.expected / MM, t.contact_error.size / MM, t.kind)

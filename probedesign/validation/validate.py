@@ -64,7 +64,7 @@ class ErrorStatistics:
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class ValidationReport:
     """Result of a validation.
 
     Attributes:
@@ -174,7 +174,7 @@ def validate(
     campaign: Campaign,
     exact: bool = False,
     on_progress: Callable[[float], None] = lambda share: None,
-) -> Validation:
+) -> ValidationReport:
     """Compare a frozen probe with a campaign of its print.
 
     Args:
@@ -202,7 +202,7 @@ def validate(
         on_progress(i / len(campaign.tests))
         tests.append(validate_test(campaign, test, estimator, exact))
     tests.sort(key=_table_order)
-    return Validation(estimator, campaign, exact, tuple(tests), coverage_of(tests, exact))
+    return ValidationReport(estimator, campaign, exact, tuple(tests), coverage_of(tests, exact))
 
 
 def _table_order(one: ValidatedTest) -> tuple[int, float, float]:
@@ -229,7 +229,7 @@ class MultiProbeReport:
         validations: one per probe, in the order of the table.
     """
 
-    validations: tuple[Validation, ...]
+    validations: tuple[ValidationReport, ...]
 
     def rows(self) -> list[dict[str, Any]]:
         """Return all loaded tests: by probe, along it, from strong to weak, as Table I."""

@@ -104,6 +104,19 @@ def test_a_folder_is_read_in_si_as_its_units_say(folder):
     assert (campaign.std_base, campaign.weighing.mass) == (0.2e-3, pytest.approx(6.77e-3))
 
 
+def test_gravity_and_mean_readings_are_in_the_base_frame(folder, large):
+    """The world's x is the base's z; a reading at the sensor has the weight of the flange, one at the base has not."""
+    hang = read_campaign(folder).tests[0]
+    np.testing.assert_allclose(hang.gravity_base, [9.81, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(hang.mean_wrench_sensor(large), [0.067, 0, 0, 0, 0.004, 0], atol=1e-15)
+    at_base = hang.mean_wrench_base(large)
+    np.testing.assert_allclose(
+        at_base, large.to_base(hang.wrenches, hang.gravity_base).mean(axis=0), atol=1e-15
+    )
+    in_base = replace(hang, wrenches=at_base[None], frame="base")
+    np.testing.assert_allclose(in_base.mean_wrench_sensor(large), hang.mean_wrench, atol=1e-15)
+
+
 def test_units_of_the_header_are_converted(folder):
     before = read_campaign(folder).tests[0]
     text = (
