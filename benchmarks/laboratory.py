@@ -10,10 +10,9 @@ from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose, wrench_map
-from probedesign.identification.identify import Data
-from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import DEGREE, Shared
-from probedesign.identification.weighed import Weighed
+from probedesign.identification.identify import IdentificationData
+from probedesign.identification.parameters import DEGREE, CommonParameters
+from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
@@ -83,7 +82,7 @@ class Truth:
 
 
 def draw(model: ProbeModel, kind: Kind, seed: int, *, dimensions: bool = False, spread: float = 0.1,
-         tolerances: Tolerances | None = None, weighed: bool = False) -> tuple[Data, Truth]:  # fmt: skip
+         tolerances: Tolerances | None = None, weighed: bool = False) -> tuple[IdentificationData, Truth]:  # fmt: skip
     """A campaign and the truth behind it.
 
     Args:
@@ -98,13 +97,13 @@ def draw(model: ProbeModel, kind: Kind, seed: int, *, dimensions: bool = False, 
     rng = np.random.default_rng(seed)
     tolerances = tolerances or Tolerances.of(model)
     truth = _truth(model, tolerances, rng, dimensions, spread)
-    shared = Shared(model, tolerances, STD_BASE, STD_TILT)
+    shared = CommonParameters(model, tolerances, STD_BASE, STD_TILT)
     off = _tare(model, truth) if tolerances.tared else np.zeros(6)
     trials = [
         _measured(name, contact, truth, shared, kind, off, rng) for name, contact in _tests(truth, kind)
     ]
-    scales = Weighed(truth.rod.mass + 1e-5 * rng.normal(), 1e-5, 0.0) if weighed else None
-    return Data(shared, tuple(trials), scales, f"{kind.name} {seed}"), truth
+    scales = MassMeasurement(truth.rod.mass + 1e-5 * rng.normal(), 1e-5, 0.0) if weighed else None
+    return IdentificationData(shared, tuple(trials), scales, f"{kind.name} {seed}"), truth
 
 
 def _truth(
@@ -148,14 +147,14 @@ def _tare(model: ProbeModel, truth: Truth) -> Array:
     )
 
 
-def _measured(name: str, contact: FrictionlessContact | None, truth: Truth, shared: Shared, kind: Kind,
-              off: Array, rng: np.random.Generator) -> Trial:  # fmt: skip
+def _measured(name: str, contact: FrictionlessContact | None, truth: Truth, shared: CommonParameters, kind: Kind,
+              off: Array, rng: np.random.Generator) -> MeasuredTest:  # fmt: skip
     """One test as read: in the world, which is the base as told."""
     model, T = shared.model, truth.T_mount
     eq = truth.rod.solve(truth.gravity_base) if contact is None else contact.equilibrium
-    cov = model.noise_base() / ROWS + shared.drift
+    cov = model.noise_base() / ROWS + shared.drift_cov
     wrench = wrench_map(truth.T_seat) @ eq.wrench_base + off + np.linalg.cholesky(cov) @ rng.normal(size=6)
-    trial = Trial(name, np.eye(4), model.gravity_base, None if contact else np.zeros(3),
+    trial = MeasuredTest(name, np.eye(4), model.gravity_base, None if contact else np.zeros(3),
                   wrench_base=wrench, cov_wrench=cov)  # fmt: skip
     if contact is not None:
         reach = np.interp(eq.s_contact, truth.rod.s, truth.rod.radius) / np.hypot(

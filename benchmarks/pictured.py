@@ -16,18 +16,17 @@ from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
-from probedesign.identification.identify import Data, identify
-from probedesign.identification.trial import Trial
-from probedesign.stereo.calibrate import calibrate
-from probedesign.stereo.camera import Camera
-from probedesign.stereo.finder import find_markers
-from probedesign.stereo.picture import write_png
-from probedesign.stereo.render import Look, render
-from probedesign.stereo.triangulate import triangulate
-from probedesign.synthetic.plan import Plan
-from probedesign.synthetic.sight import SIZE_PX, Sight
-from probedesign.synthetic.world import World
+from probedesign.identification.identify import IdentificationData, identify
+from probedesign.identification.residuals import MeasuredTest
+from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
+from probedesign.simulation.stereo_render import RenderStyle, render
+from probedesign.simulation.stereo_rig import SIZE_PX, StereoRig
 from probedesign.units import MM
+from probedesign.vision.calibrate import calibrate
+from probedesign.vision.camera import Camera
+from probedesign.vision.images import write_png
+from probedesign.vision.marker_sequence import find_markers
+from probedesign.vision.triangulate import triangulate
 
 DRAWS = 40
 CLICK_PX, DOT_PX = 0.5, 0.2
@@ -46,7 +45,9 @@ TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # from the
 
 BENT, STATE = 3, 2
 """Which campaign, and which of its tests, the photographs are of."""
-LOOKS = tuple(Look(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5)))
+LOOKS = tuple(
+    RenderStyle(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5))
+)
 
 
 def report() -> None:
@@ -79,10 +80,10 @@ def _report_dots() -> None:
     print_table("Dots in synthetic photographs, both cameras", head, rows)
 
 
-def _dots(model: ProbeModel, look: Look) -> tuple[Array, Array]:
+def _dots(model: ProbeModel, look: RenderStyle) -> tuple[Array, Array]:
     """Of the dots of one bent probe in two photographs: errors (n, 2) and what is stated (n,) [px]."""
-    world = World.draw(model, Plan(seed=BENT), np.random.default_rng(BENT))
-    sight, state = Sight(world), world.states()[STATE]
+    world = GroundTruth.draw(model, CampaignPlan(seed=BENT), np.random.default_rng(BENT))
+    sight, state = StereoRig(world), world.tests()[STATE]
     tube, dots = sight.tube(state.equilibrium), sight.dots(state.equilibrium)
     errors, stds = [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -90,7 +91,7 @@ def _dots(model: ProbeModel, look: Look) -> tuple[Array, Array]:
             path = Path(folder) / f"{camera.name}.png"
             write_png(path, render(camera, tube, dots, SIZE_PX, look))
             found = find_markers(path, dots.s, camera.project(tube.p_world[:1])[0], True)
-            errors.append(found.pixels - camera.project(tube.places(dots)))
+            errors.append(found.pixels - camera.project(tube.dot_positions(dots)))
             stds.append(found.std_px)
     return np.concatenate(errors), np.concatenate(stds)
 
@@ -105,7 +106,7 @@ def _campaign(common: bool, seed: int) -> tuple[float, float]:
     return math.log(1e6 * E.value / truth.rod.youngs_modulus), E.std / E.value
 
 
-def pictured(data: Data, seed: int, *, common: bool = True) -> Data:
+def pictured(data: IdentificationData, seed: int, *, common: bool = True) -> IdentificationData:
     """A campaign of exact places as cameras have it.
 
     Args:
@@ -116,10 +117,10 @@ def pictured(data: Data, seed: int, *, common: bool = True) -> Data:
     """
     rng = np.random.default_rng(seed)
     cameras = [calibrate(c.name, BOX, c.project(BOX) + CLICK_PX * rng.normal(size=(20, 2))) for c in TRUE]
-    return replace(data, trials=tuple(_seen(trial, cameras, common, rng) for trial in data.trials))
+    return replace(data, tests=tuple(_seen(trial, cameras, common, rng) for trial in data.tests))
 
 
-def _seen(trial: Trial, cameras: list[Camera], common: bool, rng: np.random.Generator) -> Trial:
+def _seen(trial: MeasuredTest, cameras: list[Camera], common: bool, rng: np.random.Generator) -> MeasuredTest:
     points, cov = _placed(trial.p_markers_world, cameras, common, rng)
     trial = replace(trial, p_markers_world=points, cov_markers=cov)
     if trial.p_touch_world is None:

@@ -10,17 +10,17 @@ from scipy.stats import binomtest
 
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
-from probedesign.campaign import read_campaign
+from probedesign.campaigns import read_campaign
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.synthetic.folder import make_campaign
-from probedesign.synthetic.plan import Kind, Plan
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.ground_truth import CampaignKind, CampaignPlan
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.trial import Trial
 from probedesign.validation.validate import validate
+from probedesign.validation.validated_test import ValidatedTest
 
 CAMPAIGNS = 150
-KINDS: tuple[Kind, ...] = ("cameras", "stage")
+KINDS: tuple[CampaignKind, ...] = ("cameras", "stage")
 
 
 def report() -> None:
@@ -28,7 +28,9 @@ def report() -> None:
     rows, weights = [], []
     for kind in KINDS:
         for name, model in paper_models().items():
-            trials = [trial for seed in range(CAMPAIGNS) for trial in _trials(model, Plan(kind, seed))]
+            trials = [
+                trial for seed in range(CAMPAIGNS) for trial in _trials(model, CampaignPlan(kind, seed))
+            ]
             rows.append([f"{name}, {kind}", *_told([trial for trial in trials if trial.kind == "touch"])])
             for of in sorted({trial.test.name for trial in trials if trial.kind == "weight"}):
                 here = [trial for trial in trials if trial.test.name == of]
@@ -39,15 +41,15 @@ def report() -> None:
     print_table("Weights of the same campaigns", ["probe, weight", "weights", *head[2:]], weights)
 
 
-def _trials(model: ProbeModel, plan: Plan) -> tuple[Trial, ...]:
+def _trials(model: ProbeModel, plan: CampaignPlan) -> tuple[ValidatedTest, ...]:
     """One campaign, validated."""
     with tempfile.TemporaryDirectory() as folder:
         make_campaign(model, Path(folder) / "data", plan)
-        return validate(Estimator(model), read_campaign(Path(folder) / "data")).trials
+        return validate(Estimator(model), read_campaign(Path(folder) / "data")).tests
 
 
-def _told(trials: list[Trial]) -> list[str]:
-    misses = [trial.miss for trial in trials if trial.miss is not None]
+def _told(trials: list[ValidatedTest]) -> list[str]:
+    misses = [trial.contact_error for trial in trials if trial.contact_error is not None]
     within = sum(miss.within_95 for miss in misses)
     share = binomtest(within, len(misses)).proportion_ci(0.95)
     squares = np.mean([miss.nees / miss.dof for miss in misses])

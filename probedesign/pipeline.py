@@ -35,7 +35,7 @@ from probedesign.units import MM
 
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
-    from probedesign.identification.identification import Identification
+    from probedesign.identification.result import Identification
     from probedesign.pages.comparison import Compared
     from probedesign.prediction.table_one import TableOne
     from probedesign.search.found import Found
@@ -43,10 +43,9 @@ if TYPE_CHECKING:
     from probedesign.search.optimum import Search
     from probedesign.search.sweep import Swept
     from probedesign.search.task import Task
-    from probedesign.synthetic.folder import Made
-    from probedesign.synthetic.plan import Plan
-    from probedesign.validation.joined import Joined
-    from probedesign.validation.validate import Validation
+    from probedesign.simulation.campaign_folder import SimulatedCampaign
+    from probedesign.simulation.ground_truth import CampaignPlan
+    from probedesign.validation.validate import MultiProbeReport, ValidationReport
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
@@ -270,14 +269,14 @@ def identify(
         folder: for the files; exports/NAME/identification if None.
         page: make the page.
     """
-    from probedesign.campaign import read_campaign
+    from probedesign.campaigns import read_campaign
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
-    from probedesign.identification.unknowns import asked_for
+    from probedesign.identification.parameters import check_requested
     from probedesign.mounting import hanging_parts, sensor_adapter_for
 
     design = load_design(design_path)
-    names = asked_for(names)
+    names = check_requested(names)
     probe = build_probe(design)
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
     flange = hanging_parts(probe.geometry, adapter, design.density.value)["flange"]
@@ -312,11 +311,11 @@ def write_identified(
     from datetime import date
 
     from probedesign.design_edit import edited
-    from probedesign.identification.design_changes import changes_of, check_overwritable
+    from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()
-    changes = changes_of(found, design, day)
+    changes = design_changes(found, design, day)
     result = edited(text, changes, day, str(design_path))
     if not write and out is None:
         return changes, None, None
@@ -330,10 +329,10 @@ def write_identified(
 
 
 def campaign(
-    design_path: Path, out: Path, plan: "Plan", force: bool, tell: Callable[[str, float | None], None]
-) -> "Made":
+    design_path: Path, out: Path, plan: "CampaignPlan", force: bool, tell: Callable[[str, float | None], None]
+) -> "SimulatedCampaign":
     """Design → a print of it, drawn → what a laboratory would measure of that → a data folder."""
-    from probedesign.synthetic.folder import make_campaign
+    from probedesign.simulation.campaign_folder import make_campaign
 
     return make_campaign(probe_of(design_path).model, out, plan, force, tell)
 
@@ -345,7 +344,7 @@ def validate(
     exact_model: bool,
     plots: bool | None,
     tell: Callable[[str, float | None], None],
-) -> tuple["Validation", list[Path]]:
+) -> tuple["ValidationReport", list[Path]]:
     """Frozen probe, data folder → estimates beside the reference → table, page, picture.
 
     Args:
@@ -359,7 +358,7 @@ def validate(
     Returns:
         What was found and the files written.
     """
-    from probedesign.campaign import read_campaign
+    from probedesign.campaigns import read_campaign
     from probedesign.deployment import load_estimator
     from probedesign.validation.validate import validate as compare_all
 
@@ -391,7 +390,7 @@ def validate_all(
     exact_model: bool,
     plots: bool | None,
     tell: Callable[[str, float | None], None],
-) -> tuple["Joined", list[Path]]:
+) -> tuple["MultiProbeReport", list[Path]]:
     """Frozen probes, each with its data folder → one table of all, as the paper's Table I, beside the files of each.
 
     Args:
@@ -403,7 +402,7 @@ def validate_all(
         tell: likewise.
     """
     from probedesign.deployment import load_estimator
-    from probedesign.validation.joined import Joined, check_names
+    from probedesign.validation.validate import MultiProbeReport, check_names
 
     names = [load_estimator(bundle).model.name for bundle, _ in pairs]
     check_names(names)
@@ -412,7 +411,7 @@ def validate_all(
         one, written = validate(bundle, data, None if out is None else out / name, exact_model, plots, tell)
         found.append(one)
         files += written
-    joined = Joined(tuple(found))
+    joined = MultiProbeReport(tuple(found))
     files.append((EXPORTS if out is None else out) / "table1.csv")
     write_atomically(files[-1], joined.csv())
     return joined, files
@@ -436,8 +435,8 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
 
 def identified_apart(design_path: Path) -> str:
     """Design, exports/NAME/identification → which identified numbers the design does not have, in words."""
-    from probedesign.identification.unwritten import unwritten
+    from probedesign.identification.design_update import design_diff
 
     probe = probe_of(design_path)
     file = EXPORTS / probe.design.name / "identification/identification.json"
-    return unwritten(probe.design, probe.geometry.fingerprint, file)
+    return design_diff(probe.design, probe.geometry.fingerprint, file)

@@ -4,7 +4,7 @@ import re
 import shutil
 from pathlib import Path
 
-from probedesign.campaign import read_campaign
+from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 
 ROOT = Path(__file__).parent.parent

@@ -1,6 +1,13 @@
-"""A campaign: what a laboratory measured of one probe, read from a folder of tables. See docs/measurements.md."""
+"""Former name of `probedesign.campaigns`; it can be imported from here for one release."""
 
-from probedesign.campaign.campaign import Campaign, Markers, Test, Weighing
-from probedesign.campaign.reading import read_campaign
+import warnings
+
+from probedesign.campaigns import Campaign, Markers, Test, Weighing, read_campaign
 
 __all__ = ["Campaign", "Markers", "Test", "Weighing", "read_campaign"]
+
+warnings.warn(
+    "probedesign.campaign was renamed probedesign.campaigns; the former name is removed in the next release",
+    DeprecationWarning,
+    stacklevel=2,
+)

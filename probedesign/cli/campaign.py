@@ -49,13 +49,13 @@ def campaign(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.synthetic.plan import Plan
+    from probedesign.simulation.ground_truth import CampaignPlan
     from probedesign.units import MM, MPA
 
     def si(value: float | None, unit: float) -> float | None:
         return None if value is None else value * unit
 
-    plan = Plan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
+    plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
                 si(marker_noise_mm, MM), readings, exact, images,
                 friction, friction_spread)  # fmt: skip
     with telling() as tell:

@@ -10,7 +10,7 @@ from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
-    from probedesign.identification.identification import Identification, Identified
+    from probedesign.identification.result import Identification, Identified
 
 
 def identify(
@@ -89,11 +89,11 @@ def _print(found: "Identification") -> None:
         print(f"  not counted: {cause}: {', '.join(f'{one.of} {one.percent:+.2g} %' for one in of)}")
     for one in found.found:
         if any(shift.of == one.name for shift in found.shifts):
-            within = f"95 % within {one.low_in_all:.4g} ... {one.high_in_all:.4g}"
+            within = f"95 % within {one.low_total:.4g} ... {one.high_total:.4g}"
             print(
-                f"  with each of these as one standard deviation: {one.name} to {one.share_in_all:.2%}, {within}"
+                f"  with each of these as one standard deviation: {one.name} to {one.relative_std_total:.2%}, {within}"
             )
-    for note in (*found.doubts, *found.notes):
+    for note in (*found.caveats, *found.notes):
         print(f"  note: {note}")
 
 

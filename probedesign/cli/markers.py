@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from probedesign.cli.output import counted, print_json, print_table, telling
 
 if TYPE_CHECKING:
-    from probedesign.campaign.photographs import Seen
+    from probedesign.campaigns.photographs import PhotographedTest
 
 
 def markers(
@@ -36,10 +36,10 @@ def markers(
         force: replace a pixels.csv that stands there.
         as_json: print one JSON document.
     """
-    from probedesign import stereo
+    from probedesign import vision
 
-    stereo.require()
-    from probedesign.campaign.photographs import check_free, find_all, write_pixels
+    vision.require()
+    from probedesign.campaigns.photographs import check_free, find_all, write_pixels
 
     check_free(data, force)
     with telling() as tell:
@@ -58,10 +58,9 @@ def markers(
     )
 
 
-def _write_overlays(data: Path, seen: "list[Seen]") -> Path:
+def _write_overlays(data: Path, seen: "list[PhotographedTest]") -> Path:
     """Draw what was found."""
-    from probedesign.stereo.overlay import overlay
-    from probedesign.stereo.picture import read_grey, write_png
+    from probedesign.vision.images import overlay, read_grey, write_png
 
     folder = data / "overlays"
     for one in seen:
@@ -71,7 +70,7 @@ def _write_overlays(data: Path, seen: "list[Seen]") -> Path:
     return folder
 
 
-def _row(one: "Seen") -> dict[str, object]:
+def _row(one: "PhotographedTest") -> dict[str, object]:
     return {
         "test": one.test,
         "photographs": [photograph.path for photograph in one.photographs],
@@ -82,7 +81,7 @@ def _row(one: "Seen") -> dict[str, object]:
     }
 
 
-def _words(one: "Seen") -> str:
+def _words(one: "PhotographedTest") -> str:
     if one.problem:
         return f"left out: {one.problem}"
     dots, shade = counted(len(one.found[0].pixels), "dot"), "dark" if one.found[0].dark else "light"

@@ -10,7 +10,7 @@ from probedesign.cli.output import print_json, telling
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.validation.validate import Validation
+    from probedesign.validation.validate import ValidationReport
 
 
 def validate(
@@ -35,7 +35,7 @@ def validate(
     from probedesign import pipeline
 
     pairs = _pairs(bundles_and_data)
-    validations: tuple[Validation, ...]
+    validations: tuple[ValidationReport, ...]
     with telling() as tell:
         if len(pairs) == 1:
             found, files = pipeline.validate(*pairs[0], out, exact_model, plots, tell)
@@ -63,7 +63,7 @@ def _pairs(paths: tuple[Path, ...]) -> list[tuple[Path, Path]]:
     return list(zip(paths[::2], paths[1::2], strict=True))
 
 
-def _print(validations: "tuple[Validation, ...]") -> None:
+def _print(validations: "tuple[ValidationReport, ...]") -> None:
     for one in validations:
         print(
             f"{one.estimator.model.name}  geometry {one.estimator.model.fingerprint}  {one.campaign.folder}"
@@ -90,14 +90,14 @@ def _line(row: dict[str, Any]) -> str:
             f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}{row['result']}")  # fmt: skip
 
 
-def _summarise(found: "Validation", name: str) -> None:
+def _summarise(found: "ValidationReport", name: str) -> None:
     print()
     for kind, means in found.summary.items():
         shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
         print(f"  {name}{kind:<8}shape RMS mean {_mm(shape.mean)}, largest {_mm(shape.largest)}; "
               f"contact error mean {_mm(contact.mean)}, RMS {_mm(contact.rms)}")  # fmt: skip
     print()
-    for line in found.honesty.words:
+    for line in found.coverage.words:
         print(f"  {name}{line}")
 
 

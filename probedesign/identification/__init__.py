@@ -1,1 +1,1 @@
-"""From measurements to numbers: E, G and their kin by least squares on the full rod."""
+"""Identification of E, G and further parameters from a campaign of tests, by least squares on the full rod."""

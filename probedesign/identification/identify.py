@@ -1,60 +1,73 @@
-"""Identification from end to end: one campaign and one probe in, numbers with their intervals out."""
+"""Identification of a probe's parameters: one campaign and one design in, numbers with their intervals out."""
 
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from probedesign.campaign import Campaign
-from probedesign.campaign.reading import check_probe
+import numpy as np
+
+from probedesign.campaigns import Campaign, Test
+from probedesign.campaigns.reading import check_probe
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.identification import report
-from probedesign.identification.beforehand import disproved
-from probedesign.identification.contradiction import contradiction, hardly_counted
-from probedesign.identification.fit import Fit, Problem, fit
-from probedesign.identification.hedged import hedged
-from probedesign.identification.identification import Identification
-from probedesign.identification.reading import trials_of, weighed_of
-from probedesign.identification.robust import outliers, weights
-from probedesign.identification.start import first_point, standing
-from probedesign.identification.told import Untold, untold
-from probedesign.identification.trial import Trial
-from probedesign.identification.unknowns import DEFAULT, Shared, asked_for, parts_of
-from probedesign.identification.weighed import Weighed
+from probedesign.frames import Array
+from probedesign.identification import result
+from probedesign.identification.consistency import inconsistency, outlier_notes, rejected_prior
+from probedesign.identification.observability import UnobservableDirection, unobservable_direction
+from probedesign.identification.parameters import (
+    DEFAULT,
+    LOG_E,
+    CommonParameters,
+    check_requested,
+    columns_of,
+)
+from probedesign.identification.residuals import MassMeasurement, MeasuredTest
+from probedesign.identification.result import Identification, Outlier
+from probedesign.identification.solver import (
+    Fit,
+    LeastSquaresProblem,
+    fit,
+    outliers,
+    solvable_tests,
+    start_point,
+    weights,
+)
 
-APART = 3.0
-"""So many times more or less than designed, E is doubted: published values of one resin, 1.6 to 3.2 MPa, differ by
-two, and a factor on all forces passes for a factor on E."""
-PATIENT = 3.0
-"""Where the search begins a direction may be so many times worse told than at its end: the guess is rough there."""
+MIN_READINGS = 8
+"""Readings of one test from which on their scatter replaces the sensor's noise where it is larger."""
+SUSPICIOUS_FACTOR = 3.0
+"""Factor on the design's E from which on units are questioned: published values of one resin, 1.6 to 3.2 MPa, differ by
+two, and a factor on all forces cannot be distinguished from a factor on E."""
+START_TOLERANCE = 3.0
+"""Factor on the limits of observability at the start of the search, where the parameters are rough."""
 
 
 @dataclass(frozen=True)
-class Data:
-    """What is known of one probe's tests.
+class IdentificationData:
+    """Tests of one probe as the fit uses them.
 
     Attributes:
-        shared: what they share.
-        trials: the tests.
-        weighed: the probe on scales.
+        common: parameters that the tests share.
+        tests: usable tests.
+        mass: the weighing; None if there was none.
         where: names the data in messages.
-        notes: what was noticed on the way.
+        notes: lines for the user.
     """
 
-    shared: Shared
-    trials: tuple[Trial, ...]
-    weighed: Weighed | None
+    common: CommonParameters
+    tests: tuple[MeasuredTest, ...]
+    mass: MassMeasurement | None
     where: str
     notes: tuple[str, ...] = ()
 
 
-def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Data:
-    """A campaign as the fit sees it.
+def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> IdentificationData:
+    """Return a campaign's data for `identify`.
 
     Args:
-        campaign: that was read.
+        campaign: from `read_campaign`.
         model: of the probe as designed.
         flange_volume: of the printed flange below the base [m³].
 
@@ -62,112 +75,171 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Data
         InputError: it is of another probe.
     """
     check_probe(campaign, model)
-    shared = Shared(model, Tolerances.of(model), campaign.std_base, campaign.std_tilt)
-    trials, unused = trials_of(campaign, shared)
-    return Data(shared, tuple(trials), weighed_of(campaign, flange_volume), str(campaign.folder),
-                (*campaign.notes, *unused))  # fmt: skip
+    common = CommonParameters(model, Tolerances.of(model), campaign.std_base, campaign.std_tilt)
+    tests, notes = [], list(campaign.notes)
+    for test in campaign.tests:
+        measured = _measured(test, campaign, common)
+        why = _unusable(measured)
+        if why:
+            notes.append(f"{test.name}: not used: {why}")
+        else:
+            tests.append(measured)
+    weighing = campaign.weighing
+    mass = None
+    if weighing is not None:
+        flange = flange_volume if weighing.of == "probe" else 0.0
+        mass = MassMeasurement(weighing.mass, weighing.std, flange)
+    return IdentificationData(common, tuple(tests), mass, str(campaign.folder), tuple(notes))
 
 
-def identify(data: Data, names: Sequence[str] = DEFAULT) -> Identification:
-    """Least squares on the full rod.
+def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> MeasuredTest:
+    measured = MeasuredTest(
+        test.name, test.T_world_base, test.gravity_world, test.force_world, test.s_contact,
+        0.0 if np.isnan(test.std_s) else test.std_s, test.p_contact_world, test.std_contact,
+        sag=test.tip_sag, std_sag=test.std_sag,
+    )  # fmt: skip
+    if len(test.wrenches):
+        wrench, cov = _mean_reading(test, common)
+        measured = replace(measured, wrench_base=wrench, cov_wrench=cov)
+    if test.markers is None or not len(test.markers):
+        return measured
+    markers = test.markers
+    return replace(
+        measured, marker_s=campaign.marker_s[markers.numbers], p_markers_world=markers.p_world,
+        cov_markers=markers.cov_world, marker_numbers=tuple(int(i) + 1 for i in markers.numbers),
+        marker_side=campaign.marker_side,
+    )  # fmt: skip
+
+
+def _mean_reading(test: Test, common: CommonParameters) -> tuple[Array, Array]:
+    """Return the mean of a test's readings at the base, and its covariance with the drift of the bias."""
+    model, n = common.model, len(test.wrenches)
+    noise = model.noise_base()
+    if n >= MIN_READINGS:
+        scatter = np.var(test.wrenches_base(model), axis=0, ddof=1)
+        ratio = np.sqrt(np.maximum(scatter / np.diag(noise), 1.0))
+        noise = noise * np.outer(ratio, ratio)
+    return test.mean_wrench_base(model), noise / n + common.drift_cov
+
+
+def _unusable(test: MeasuredTest) -> str:
+    """Return why a test cannot be used; empty if it can."""
+    placed = np.isfinite(test.s_contact) or test.p_touch_world is not None
+    if test.touched and test.wrench_base is None:
+        return "it has neither a known force nor a wrench"
+    if not test.free and not placed and not len(test.marker_s):
+        return "it has neither the place of the load nor markers"
+    if not test.touched and not placed and not test.free and test.wrench_base is None:
+        return "the place of the known force is missing"
+    measured = test.wrench_base is not None or len(test.marker_s) or np.isfinite(test.sag)
+    if not measured and (test.free or test.p_touch_world is None):
+        return "it has no measured value"
+    return ""
+
+
+def identify(data: IdentificationData, names: Sequence[str] = DEFAULT) -> Identification:
+    """Identify parameters by robust least squares on the full rod.
 
     Args:
         data: from `data_of`.
-        names: what is asked for, of `unknowns.ASKABLE`.
+        names: requested parameters, of `parameters.REQUESTABLE`.
 
     Returns:
-        The numbers; what the tests do not tell is left at the design's value and says so.
+        The numbers; a parameter that is not observable is left at the design value and reported so.
 
     Raises:
-        InputError: an unknown name, too few tests, or tests that tell nothing of what is asked for.
+        InputError: an unknown name, too few tests, or tests in which no requested parameter is observable.
     """
     begun = time.perf_counter()
-    names = asked_for(names)
-    data, notes = _bearable(data, names)
-    _check_enough(data, names)
-    found, asked, given_up = _search(data, names)
-    quantile = report.quantile_of(found)
-    numbers, correlation, correlated = report.found_of(found, asked, given_up, names, quantile)
-    shifts = report.shifts_of(found, asked)
-    numbers = hedged(report.counted_in_all(numbers, shifts, quantile), data.shared.model.rod)
-    off = outliers(found.point.groups, found.scales)
-    problem, groups = found.point.problem, found.point.groups
+    names = check_requested(names)
+    data = _without_unsolvable(data, names)
+    _check_counts(data, names)
+    found, identified, unobservable = _search(data, names)
+    quantile = result.student_quantile(found)
+    numbers, correlation, correlated = result.identified_numbers(
+        found, identified, unobservable, names, quantile
+    )
+    effects = result.systematic_effects(found, identified)
+    numbers = result.with_caveats(result.with_systematics(numbers, effects, quantile), data.common.model.rod)
+    problem, blocks = found.point.problem, found.point.blocks
+    off = outliers(blocks, found.scales)
     whole = Identification(
-        found.result, data.shared.model.name, data.shared.model.fingerprint, data.where, len(data.trials),
-        sum(len(group.r) for group in groups), problem.size, numbers, correlation, correlated,
-        found.noise, quantile, report.outliers_of(off), shifts,
-        (*notes, *(one.words for one in given_up), *hardly_counted(groups, off), *_remarks(found)),
-        report.residuals_of(found), time.perf_counter() - begun,
+        found.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
+        sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,
+        found.noise, quantile,
+        tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off), effects,
+        (*data.notes, *(one.description for one in unobservable), *outlier_notes(blocks, off), *_remarks(found)),
+        result.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
-    why = contradiction(groups, off, found.noise) or disproved(found)
-    return whole.contradicted(why) if why else whole
+    why = inconsistency(blocks, off, found.noise) or rejected_prior(found)
+    return whole.as_inconsistent(why) if why else whole
 
 
-def _search(data: Data, names: Sequence[str]) -> tuple[Fit, tuple[str, ...], list[Untold]]:
-    """The fit of all that the tests tell of `names`, and what they do not tell."""
-    asked, given_up = tuple(names), list[Untold]()
-    while asked:
-        problem = Problem(data.shared, data.trials, data.weighed, data.shared.prior_of(asked))
-        start = first_point(problem, "E" in asked)
-        assert start is not None  # `_bearable` saw to it, test by test
-        lost = untold(start, weights(start.groups, {}), asked, PATIENT)
+def _search(
+    data: IdentificationData, names: Sequence[str]
+) -> tuple[Fit, tuple[str, ...], list[UnobservableDirection]]:
+    """Fit the observable parameters of `names`; fix the others at the design, one after the other."""
+    requested, unobservable = tuple(names), list[UnobservableDirection]()
+    while requested:
+        problem = LeastSquaresProblem(
+            data.common, data.tests, data.mass, data.common.prior_without(requested)
+        )
+        start = start_point(problem, "E" in requested)
+        assert start is not None  # by `_without_unsolvable`, test by test
+        lost = unobservable_direction(start, weights(start.blocks, {}), requested, START_TOLERANCE)
         if lost is None:
             found = fit(problem, start)
-            lost = untold(found.point, found.weight, asked)
+            lost = unobservable_direction(found.point, found.weight, requested)
             if lost is None:
-                return found, asked, given_up
-        given_up.append(lost)
-        asked = tuple(name for name in asked if name != lost.name)
+                return found, requested, unobservable
+        unobservable.append(lost)
+        requested = tuple(name for name in requested if name != lost.name)
     raise InputError(
-        f"{data.where}: too few tests, or too weak ones: {'; '.join(one.words for one in given_up)}"
+        f"{data.where}: too few tests, or too weak ones: {'; '.join(one.description for one in unobservable)}"
     )
 
 
-def _bearable(data: Data, names: Sequence[str]) -> tuple[Data, tuple[str, ...]]:
-    """Without the tests that the rod never bears, with a line for each."""
-    if not data.trials:
-        raise InputError(f"{data.where}: no test can be used{_first(data.notes)}")
-    problem = Problem(data.shared, data.trials, data.weighed, data.shared.prior_of(names))
-    free = "E" in names
-    if first_point(problem, free) is not None:
-        return data, data.notes
-    kept, lost = standing(problem, free)
-    lines = tuple(f"{one.name}: not used: the probe gives way under it" for one in lost)
-    if not kept or first_point(replace(problem, trials=tuple(kept)), free) is None:
+def _without_unsolvable(data: IdentificationData, names: Sequence[str]) -> IdentificationData:
+    """Return the data without the tests in which the rod has no stable equilibrium, with a note for each."""
+    if not data.tests:
+        first = f": {data.notes[0]}" if data.notes else ""
+        raise InputError(f"{data.where}: no test can be used{first}")
+    problem = LeastSquaresProblem(data.common, data.tests, data.mass, data.common.prior_without(names))
+    free_E = "E" in names
+    if start_point(problem, free_E) is not None:
+        return data
+    kept, lost = solvable_tests(problem, free_E)
+    if not kept or start_point(replace(problem, tests=tuple(kept)), free_E) is None:
         raise InputError(
-            f"{data.where}: the probe gives way in its tests, whatever E; is it the right design, and are forces "
-            "in their column's unit?"
+            f"{data.where}: the probe buckles in its tests for any E; is it the right design, and are forces in "
+            "their column's unit?"
         )
-    return replace(data, trials=tuple(kept)), (*data.notes, *lines)
+    notes = tuple(f"{one.name}: not used: the probe buckles under its load" for one in lost)
+    return replace(data, tests=tuple(kept), notes=(*data.notes, *notes))
 
 
-def _first(notes: Sequence[str]) -> str:
-    return f": {notes[0]}" if notes else ""
-
-
-def _check_enough(data: Data, names: Sequence[str]) -> None:
-    """Refuse what counting alone shows to be too little."""
-    told = sum(
+def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
+    """Refuse fewer measured values than unknowns."""
+    values = sum(
         6 * (one.wrench_base is not None) + 3 * len(one.marker_s) + 3 * (one.p_touch_world is not None)
-        + bool(one.sag == one.sag) + (one.slides and one.s_contact == one.s_contact) + one.touched
-        for one in data.trials
-    ) + (data.weighed is not None)  # fmt: skip
-    wanted = len(parts_of(names)) + sum(one.own for one in data.trials)
-    if told < wanted:
+        + bool(one.sag == one.sag) + (one.s_estimated and one.s_contact == one.s_contact) + one.touched
+        for one in data.tests
+    ) + (data.mass is not None)  # fmt: skip
+    unknowns = len(columns_of(names)) + sum(one.nuisance_size for one in data.tests)
+    if values < unknowns:
         raise InputError(
-            f"{data.where}: too few tests for {', '.join(names)}: {told} numbers are measured for {wanted} unknowns"
+            f"{data.where}: too few tests for {', '.join(names)}: {values} values are measured for {unknowns} unknowns"
         )
 
 
 def _remarks(found: Fit) -> list[str]:
-    """What a user should know of a fit."""
-    factor = math.exp(found.point.guess.x[0])
-    doubted = not 1.0 / APART < factor < APART
-    doubts = [
-        f"E is {factor:.3g} times the design's: are forces and moments in their columns' units?"
-    ] * doubted
-    return doubts + [
-        f"{one.kind} scatter {one.scale:.2g} times as much as stated; the intervals count that"
+    """Return notes on the fit for the user."""
+    notes = []
+    factor = math.exp(found.point.values.x[LOG_E])
+    if not 1.0 / SUSPICIOUS_FACTOR < factor < SUSPICIOUS_FACTOR:
+        notes.append(f"E is {factor:.3g} times the design's: are forces and moments in their columns' units?")
+    return notes + [
+        f"{one.kind} scatter {one.scale:.2g} times as much as stated; the intervals include it"
         for one in found.noise
         if one.measured
     ]

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from probedesign.core.csv_tables import read_text, shown
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.netft.configuration import FORCE_UNITS, TORQUE_UNITS
 from probedesign.live.netft.status import fault_of
 from probedesign.live.netft.wire import SAMPLES_PER_SECOND
 from probedesign.live.recording import Recording, check_values, gaps_in
-from probedesign.tables.text_table import read_text, shown
 
 BEGIN = "Start Time"
 HEADER = ("status(hex)", "rdtsequence", "f/tsequence", "fx", "fy", "fz", "tx", "ty", "tz", "time")

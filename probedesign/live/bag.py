@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from probedesign.core.csv_tables import plain, shown
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.live.mcap import require
-from probedesign.tables.text_table import plain, shown
 
 MCAP, SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 """How the two kinds of files begin."""

@@ -6,11 +6,11 @@ from itertools import islice
 
 import numpy as np
 
+from probedesign.core.csv_tables import plain, shown
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.bag import Bag, Channel, Message, choose
 from probedesign.live.mcap.messages import WRENCH, read_stamped
-from probedesign.tables.text_table import plain, shown
 
 AT_ONCE = 256
 """Readings to a block: few enough to be soon there, enough to be cheap."""

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.core.csv_tables import plain
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.bag import Bag
 from probedesign.live.block import Block
 from probedesign.live.mcap.messages import read_text, read_wrenches
 from probedesign.live.mcap.topics import BLOCK, RAW
-from probedesign.tables.text_table import plain
 
 LONGEST = 1_000_000
 """No source gives more readings at once: it is two minutes of the fastest."""

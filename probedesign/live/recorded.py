@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from probedesign.core.csv_tables import CEILING, Frame, plain, shown
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
@@ -17,8 +18,6 @@ from probedesign.live.bag_wrenches import Published, find_wrenches
 from probedesign.live.block import Block
 from probedesign.live.mcap.topics import OURS
 from probedesign.live.recording import Recording, read_recording
-from probedesign.tables.columns import CEILING
-from probedesign.tables.text_table import Frame, plain, shown
 from probedesign.units import MM
 
 MomentUnit = Literal["Nm", "Nmm"]

@@ -7,9 +7,9 @@ from typing import Literal, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
+from probedesign.core.csv_tables import Frame
 from probedesign.errors import InputError
 from probedesign.live.recording_columns import GRAVITY_HEADER, HEADER
-from probedesign.tables.text_table import Frame
 
 
 class Recorder:

@@ -10,11 +10,10 @@ from typing import NoReturn
 
 import numpy as np
 
+from probedesign.core.csv_tables import CEILING, NUMBER, WRENCH, Column, CsvLines, Frame, read_lines, shown
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.recording_columns import HEADER, columns_of
-from probedesign.tables.columns import CEILING, NUMBER, WRENCH, Column
-from probedesign.tables.text_table import Frame, TextTable, read_table, shown
 
 GAP = 1.5
 """A step longer than this many median steps has a sample missing."""
@@ -57,7 +56,7 @@ def read_recording(path: str | Path) -> Recording:
     Raises:
         InputError: the file cannot be read or says something wrong; one line with the line of the file.
     """
-    table = read_table(Path(path), "recording", HEADER)
+    table = read_lines(Path(path), "recording", HEADER)
     columns = columns_of(table)
     rows, notes = _whole_rows(table, columns)
     if not rows:
@@ -80,7 +79,7 @@ def read_recording(path: str | Path) -> Recording:
     )
 
 
-def _whole_rows(table: TextTable, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
+def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
     """The rows with the right number of fields, without half a line at the end, and notes for the user."""
     rows, notes = table.rows, []
     ignored = [shown(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}]
@@ -100,7 +99,7 @@ def _whole_rows(table: TextTable, columns: list[Column]) -> tuple[list[str], tup
     return rows, tuple(notes)
 
 
-def _is_cut(row: str, table: TextTable, columns: list[Column]) -> bool:
+def _is_cut(row: str, table: CsvLines, columns: list[Column]) -> bool:
     """Whether a last line without a newline lacks fields or ends in part of a number."""
     fields = row.split(",")
     if len(fields) < len(table.header):
@@ -117,7 +116,7 @@ def _is_float(text: str) -> bool:
     return True
 
 
-def _numbers(table: TextTable, rows: list[str], columns: list[Column]) -> Array:
+def _numbers(table: CsvLines, rows: list[str], columns: list[Column]) -> Array:
     """The columns' numbers in SI, (n, len(columns)); only if one is none is it searched for."""
     index = [column.index for column in columns]
     try:
@@ -129,7 +128,7 @@ def _numbers(table: TextTable, rows: list[str], columns: list[Column]) -> Array:
     return np.asarray(values * [column.factor for column in columns])
 
 
-def _name_bad_number(table: TextTable, rows: list[str], columns: list[Column]) -> NoReturn:
+def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) -> NoReturn:
     """Raise the error of the first field that is no finite number."""
     for row, number in zip(rows, table.numbers, strict=False):
         fields = row.split(",")
@@ -141,7 +140,7 @@ def _name_bad_number(table: TextTable, rows: list[str], columns: list[Column]) -
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
 
 
-def _check(table: TextTable, columns: list[Column], values: Array) -> None:
+def _check(table: CsvLines, columns: list[Column], values: Array) -> None:
     """Refuse values that no sensor reads, and time that runs backward."""
     absurd = np.abs(values) > [column.ceiling for column in columns]
     if absurd.any():

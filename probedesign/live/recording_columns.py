@@ -1,7 +1,6 @@
 """The columns of a recording: time, wrench and, if the file holds it, gravity."""
 
-from probedesign.tables.columns import WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Column, find_columns
-from probedesign.tables.text_table import TextTable
+from probedesign.core.csv_tables import WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Column, CsvLines, find_columns
 
 GRAVITY = ("gx", "gy", "gz")
 KINDS = {"time": "time", **WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
@@ -11,7 +10,7 @@ HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
 GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
 
 
-def columns_of(table: TextTable) -> list[Column]:
+def columns_of(table: CsvLines) -> list[Column]:
     """The columns to read: time, wrench and, if they are there, gravity.
 
     Raises:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import get_args
 from urllib.parse import parse_qsl, urlencode
 
+from probedesign.core.csv_tables import Frame
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.block import Block, blocks_of
@@ -12,7 +13,6 @@ from probedesign.live.flow import paced
 from probedesign.live.reading import Reading
 from probedesign.live.recorded import Choice, MomentUnit, open_recording
 from probedesign.live.spec import MOST, SPEED, TICK, Parameter, parse_parameters
-from probedesign.tables.text_table import Frame
 
 PARAMETERS = {"speed": SPEED, "other_probe": Parameter(0, 0, 1, whole=True)}
 WORDS = {"topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.stats import chi2
 
-from probedesign.identification.identification import Identification, Identified
+from probedesign.identification.result import Identification, Identified
 from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, Entry, span_of
 from probedesign.pages.page import Section, TextTable, page_of
 
@@ -31,7 +31,7 @@ def identification_page(found: Identification) -> bytes:
         f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. First that of the fit, with the design's "
         "dimensions taken as they are, as the frozen probe takes them; then with what the fit does not count, listed "
         f"below: a design gets that; then the fit's with {found.dimensions}, as of the material.",
-        *found.doubts,
+        *found.caveats,
         *found.notes,
     ]
     sections = [_by_test(found), _normal(found)] if any(one.kind in KINDS for one in found.residuals) else []
@@ -64,7 +64,7 @@ def _row(one: Identified) -> list[str]:
     design = f"{one.design:.4g} {one.unit}"
     if not one.identified:
         return [one.name, "not told", "", "", "", design, one.why]
-    ends = ((one.low, one.high), (one.low_in_all, one.high_in_all), (one.low_of_print, one.high_of_print))
+    ends = ((one.low, one.high), (one.low_total, one.high_total), (one.low_of_print, one.high_of_print))
     return [
         one.name,
         f"{one.value:.4g} {one.unit}",

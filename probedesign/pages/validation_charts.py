@@ -10,17 +10,19 @@ from probedesign.frames import Array
 from probedesign.pages.chart import COLOURS, Axis, Chart, Entry, span_of
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.units import MILLINEWTON, MM, N_MM
-from probedesign.validation.trial import Trial
+from probedesign.validation.validated_test import ValidatedTest
 
 MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
 POINTS = 80
 _Z = "z, along the undeformed axis [mm]"
 
 
-def draw_sizes(trials: Sequence[Trial]) -> bytes:
+def draw_sizes(trials: Sequence[ValidatedTest]) -> bytes:
     """Measured against stated error; an SVG."""
     told = [
-        (trial, trial.miss.expected / MM, trial.miss.size / MM) for trial in trials if trial.miss is not None
+        (trial, trial.contact_error.expected / MM, trial.contact_error.size / MM)
+        for trial in trials
+        if trial.contact_error is not None
     ]
     low, high = span_of([value for _, *pair in told for value in pair], True)
     chart = Chart(
@@ -36,11 +38,11 @@ def draw_sizes(trials: Sequence[Trial]) -> bytes:
     return chart.svg()
 
 
-def draw_squares(trials: Sequence[Trial]) -> bytes:
+def draw_squares(trials: Sequence[ValidatedTest]) -> bytes:
     """Sorted squares against the quantiles of their χ²; an SVG."""
     from scipy.stats import chi2
 
-    misses = [trial.miss for trial in trials if trial.counts and trial.miss is not None]
+    misses = [trial.contact_error for trial in trials if trial.counts and trial.contact_error is not None]
     scaled = sorted(miss.nees / miss.dof for miss in misses)
     dof = misses[0].dof if misses else 3
     ranks = [(i + 0.5) / len(scaled) for i in range(len(scaled))]
@@ -75,7 +77,7 @@ def inner(shape: Equilibrium, what: str) -> tuple[Array, Array]:
     return s, np.asarray(values)
 
 
-def across_of(trial: Trial) -> int:
+def across_of(trial: ValidatedTest) -> int:
     """The axis that is drawn beside z: the one that the probe leaves more, 0 for x, 1 for y; x of a free probe."""
     if trial.test.direction[1:] in ("x", "y"):
         return "xy".index(trial.test.direction[1:])
@@ -84,14 +86,14 @@ def across_of(trial: Trial) -> int:
     return int(np.argmax(np.abs(trial.shape.load[0:2])))
 
 
-def centreline(trial: Trial) -> Array:
+def centreline(trial: ValidatedTest) -> Array:
     """Of the shape [m], (k, 3); empty without one."""
     if trial.shape is None:
         return np.zeros((0, 3))
     return trial.shape.p_at(np.linspace(0.0, float(trial.shape.s[-1]), POINTS))
 
 
-def outline(trial: Trial, model: ProbeModel) -> Array:
+def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
     """Of the shape as seen from the side, base, flank, tip and the other flank [m], (2 k, 3); empty without one."""
     if trial.shape is None:
         return np.zeros((0, 3))
@@ -102,7 +104,7 @@ def outline(trial: Trial, model: ProbeModel) -> Array:
     return np.concatenate([line + aside, (line - aside)[::-1]])
 
 
-def contact_told(trial: Trial) -> Array | None:
+def contact_told(trial: ValidatedTest) -> Array | None:
     """The contact as estimated [m], (3,): of the axis where only s is known to compare with, else of the surface."""
     if trial.estimate is None or not trial.estimate.ok:
         return None
@@ -110,14 +112,14 @@ def contact_told(trial: Trial) -> Array | None:
     return trial.estimate.p_contact_base if on_axis else trial.estimate.p_surface_base
 
 
-def place_known(trial: Trial) -> Array | None:
+def place_known(trial: ValidatedTest) -> Array | None:
     """Where along the shape's axis the force is known to act [m], (3,); None where it is not known."""
     if trial.shape is None or math.isnan(trial.test.s_contact):
         return None
     return np.asarray(trial.shape.p_at(np.array([trial.test.s_contact]))[0])
 
 
-def draw_shape(trial: Trial, model: ProbeModel) -> bytes:
+def draw_shape(trial: ValidatedTest, model: ProbeModel) -> bytes:
     """Measured markers and contact, estimated outline, centreline and contact, from the side; an SVG."""
     across = across_of(trial)
     line, body = centreline(trial), outline(trial, model)

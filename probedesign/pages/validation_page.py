@@ -6,27 +6,27 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.validation_charts import draw_inner, draw_shape, draw_sizes, draw_squares
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.trial import Trial
-from probedesign.validation.validate import WHY, Mean, Validation
+from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
+from probedesign.validation.validated_test import ValidatedTest
 
 MOST_SHAPES = 24
 """More shapes are not drawn, which the page says."""
 
 
-def validation_page(validation: Validation) -> bytes:
+def validation_page(validation: ValidationReport) -> bytes:
     """The page."""
-    model, honesty = validation.estimator.model, validation.honesty
+    model, honesty = validation.estimator.model, validation.coverage
     how = (
         "the probe taken for exactly what its file says"
         if validation.exact
         else "with the probe's tolerances"
     )
     about = [
-        f"{len(validation.trials)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
+        f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
         f"assumed of the probe: {', '.join(model.assumptions) or 'nothing'}",
         *honesty.words,
     ]
-    drawn = [trial for trial in validation.trials if trial.shape is not None or len(trial.markers_base)]
+    drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
     shapes = (_shape(trial, model) for trial in drawn[:MOST_SHAPES])
     sections = [*_figures(validation), *_inner(validation), *shapes]
     after = [("Which tests tell what", _table(validation))]
@@ -38,11 +38,11 @@ def validation_page(validation: Validation) -> bytes:
     )
 
 
-def _summary(validation: Validation) -> TextTable:
+def _summary(validation: ValidationReport) -> TextTable:
     """Means by kind of test."""
     rows = []
     for kind, means in validation.summary.items():
-        here = [trial for trial in validation.trials if trial.kind == kind]
+        here = [trial for trial in validation.tests if trial.kind == kind]
         located = sum(trial.result == "ok" for trial in here)
         shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
         rows.append([kind, f"{len(here)}", f"{located}", *_told(shape), *_told(contact)])
@@ -60,11 +60,11 @@ def _summary(validation: Validation) -> TextTable:
     return TextTable(head, rows, "Shape: equation 6 of the paper. The reference's own errors are in both.")
 
 
-def _told(mean: Mean) -> list[str]:
+def _told(mean: ErrorStatistics) -> list[str]:
     return ["—" if value is None else f"{value:.3g} mm" for value in (mean.mean, mean.rms, mean.largest)]
 
 
-def _table(validation: Validation) -> TextTable:
+def _table(validation: ValidationReport) -> TextTable:
     """Table I, with what was stated."""
     head = [
         "test",
@@ -104,9 +104,9 @@ def _mm(value: float | None) -> str:
     return "—" if value is None else f"{value:.3g} mm"
 
 
-def _figures(validation: Validation) -> list[Section]:
+def _figures(validation: ValidationReport) -> list[Section]:
     """Measured error against stated error, and the squares beside their distribution."""
-    held = [trial for trial in validation.trials if trial.miss is not None]
+    held = [trial for trial in validation.tests if trial.contact_error is not None]
     if not held:
         return []
     return [
@@ -119,10 +119,10 @@ def _figures(validation: Validation) -> list[Section]:
     ]  # fmt: skip
 
 
-def _inner(validation: Validation) -> list[Section]:
+def _inner(validation: ValidationReport) -> list[Section]:
     """Internal force and moment of the free probe and of the touch in the middle of those located."""
-    free = next((t for t in validation.trials if t.kind == "free" and t.shape is not None), None)
-    located = [t for t in validation.trials if t.kind != "free" and t.shape is not None]
+    free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
+    located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]
     shown = [trial for trial in (free, located[len(located) // 2] if located else None) if trial is not None]
     found = []
     for trial in shown:
@@ -144,7 +144,7 @@ def _inner(validation: Validation) -> list[Section]:
     return found
 
 
-def _words(trial: Trial) -> str:
+def _words(trial: ValidatedTest) -> str:
     if trial.kind == "free":
         return "free"
     force = f"{trial.force / MILLINEWTON:.3g} mN"
@@ -152,16 +152,16 @@ def _words(trial: Trial) -> str:
     return f"{force}{place}{', ' if trial.test.direction else ''}{trial.test.direction}"
 
 
-def _shape(trial: Trial, model: ProbeModel) -> Section:
+def _shape(trial: ValidatedTest, model: ProbeModel) -> Section:
     """One probe as measured and as estimated."""
     parts = []
     if not math.isnan(trial.shape_rms):
         parts.append(
             f"RMS {trial.shape_rms / MM:.3g} mm, the reference alone {trial.reference_rms / MM:.3g} mm"
         )
-    if trial.miss is not None:
+    if trial.contact_error is not None:
         parts.append(
-            f"contact off by {trial.miss.size / MM:.3g} mm, stated {trial.miss.expected / MM:.3g} mm"
+            f"contact off by {trial.contact_error.size / MM:.3g} mm, stated {trial.contact_error.expected / MM:.3g} mm"
         )
     if not math.isnan(trial.predicted):
         parts.append(f"predicted beforehand {trial.predicted / MM:.3g} mm")

@@ -8,8 +8,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.pages.validation_charts import across_of, centreline, contact_told, outline, place_known
 from probedesign.report import blank, png
 from probedesign.units import MILLINEWTON, MM
-from probedesign.validation.trial import Trial
-from probedesign.validation.validate import Validation
+from probedesign.validation.validate import ValidationReport
+from probedesign.validation.validated_test import ValidatedTest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,13 +18,13 @@ COLUMNS, MOST = 3, 11
 """Shapes in a row, and in the picture; one place is the errors'."""
 
 
-def draw_validation(validation: Validation) -> bytes:
+def draw_validation(validation: ValidationReport) -> bytes:
     """The picture, a PNG.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    shown = [t for t in validation.trials if t.shape is not None and t.kind != "free"]
+    shown = [t for t in validation.tests if t.shape is not None and t.kind != "free"]
     chosen = (
         shown
         if len(shown) <= MOST
@@ -38,7 +38,7 @@ def draw_validation(validation: Validation) -> bytes:
     _draw_errors(axes[len(chosen)], validation)
     for ax in axes[len(chosen) + 1 :]:
         ax.set_axis_off()
-    honesty = validation.honesty
+    honesty = validation.coverage
     left_out = f", {len(shown) - len(chosen)} more not drawn" if len(shown) > len(chosen) else ""
     figure.suptitle(f"{validation.estimator.model.name}: measured (crosses, ●; ♦ known s) and estimated (line, ■); "
                     f"{honesty.within} of {honesty.touches} touches within their 95 % ellipsoid{left_out}",
@@ -46,7 +46,7 @@ def draw_validation(validation: Validation) -> bytes:
     return png(figure)
 
 
-def _draw_shape(ax: "Axes", trial: Trial, model: ProbeModel) -> None:
+def _draw_shape(ax: "Axes", trial: ValidatedTest, model: ProbeModel) -> None:
     across = across_of(trial)
     body, known = outline(trial, model) / MM, place_known(trial)
     ax.fill(body[:, 2], body[:, across], color="#0072B2", alpha=0.2, lw=0)
@@ -64,7 +64,7 @@ def _draw_shape(ax: "Axes", trial: Trial, model: ProbeModel) -> None:
         ax.invert_yaxis()
     ax.set_aspect("equal", adjustable="datalim")
     ax.grid(True, alpha=0.25)
-    off = "" if trial.miss is None else f", off {trial.miss.size / MM:.2g} mm"
+    off = "" if trial.contact_error is None else f", off {trial.contact_error.size / MM:.2g} mm"
     ax.set_title(
         f"{trial.test.name}: {trial.force / MILLINEWTON:.3g} mN at {trial.fraction:.2g} L{off}", fontsize=9
     )
@@ -73,9 +73,13 @@ def _draw_shape(ax: "Axes", trial: Trial, model: ProbeModel) -> None:
     ax.tick_params(labelsize=8)
 
 
-def _draw_errors(ax: "Axes", validation: Validation) -> None:
+def _draw_errors(ax: "Axes", validation: ValidationReport) -> None:
     """Measured against stated."""
-    told = [(t.miss.expected / MM, t.miss.size / MM, t.kind) for t in validation.trials if t.miss is not None]
+    told = [
+        (t.contact_error.expected / MM, t.contact_error.size / MM, t.kind)
+        for t in validation.tests
+        if t.contact_error is not None
+    ]
     for kind, mark in (("touch", "o"), ("weight", "d")):
         here = np.array([(x, y) for x, y, of in told if of == kind]).reshape(-1, 2)
         if len(here):

@@ -1,15 +1,16 @@
-"""Cameras as a reference: calibrated from control points, they place dots on a probe in space, with covariance."""
+"""Former name of `probedesign.vision`; its documented modules can be imported from here for one release."""
 
-from importlib.util import find_spec
+import importlib
+import sys
+import warnings
 
-from probedesign.errors import MissingDependencyError
+ALIASES = ("calibrate", "camera", "triangulate")
+"""Modules whose former import path the documentation named."""
 
-
-def require() -> None:
-    """Refuse to go on without the package that reads photographs.
-
-    Raises:
-        MissingDependencyError: it is not installed.
-    """
-    if find_spec("cv2") is None:
-        raise MissingDependencyError('photographs need: pip install "probedesign[vision]"')
+warnings.warn(
+    "probedesign.stereo was renamed probedesign.vision; the former name is removed in the next release",
+    DeprecationWarning,
+    stacklevel=2,
+)
+for _name in ALIASES:
+    sys.modules[f"{__name__}.{_name}"] = importlib.import_module(f"probedesign.vision.{_name}")

@@ -1,1 +1,1 @@
-"""Errors of a frozen probe against a reference, as Table I of the paper has them, and whether stated errors hold."""
+"""Validation of a frozen probe against a reference, as Table I of the paper, and of its stated covariances."""

@@ -1,4 +1,4 @@
-"""All tests of a campaign beside what a frozen probe estimates of them."""
+"""Validation of frozen probes: all tests of a campaign beside their estimates, several probes in one table."""
 
 import csv
 import io
@@ -9,41 +9,44 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.campaign.campaign import Campaign
-from probedesign.campaign.reading import check_probe
+from probedesign.campaigns.campaign import Campaign
+from probedesign.campaigns.reading import check_probe
 from probedesign.errors import InputError
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.units import MM
-from probedesign.validation.honesty import Honesty, honesty_of
-from probedesign.validation.trial import Trial, trial_of
+from probedesign.validation.coverage import Coverage, coverage_of
+from probedesign.validation.validated_test import ValidatedTest, validate_test
 
 COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
            "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
            "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
            "tares", "force_normal_N", "force_tangential_N", "friction_ratio")  # fmt: skip
-"""Of validation.csv; those of the paper's Table I keep their names."""
+"""Columns of validation.csv; those of the paper's Table I keep their names."""
+TABLE1_COLUMNS = ("probe", "length_mm", "force_N", "contact_fraction", "shape_rms_mm", "shape_rms_percent",
+                  "contact_error_mm", "direction", "kind", "test", "method", "result", "stated_error_mm",
+                  "predicted_error_mm", "within_95")  # fmt: skip
+"""Columns of table1.csv; the first seven are the paper's."""
 WHY: dict[str, str] = {
     **{str(code): words for code, words in RESULTS.items()},
     "no_reading": "the sensor was not read",
 }
-"""Codes in words."""
-AS_IT_SHOULD = {
+"""Result codes in words."""
+EXPECTED_RESULTS = {
     "free": ("no_contact", "too_light", "out_of_range", "unobservable", "no_reading"),
     "weight": ("ok",),
     "touch": ("ok",),
 }
-"""Codes that a test of a kind should have. Where nothing touches, the drift of the bias may be felt, but no place
-told."""
+"""Result codes expected of each kind. For a free probe the drift of the bias may be detected, but not located."""
 
 
 @dataclass(frozen=True)
-class Mean:
-    """Of several numbers.
+class ErrorStatistics:
+    """Mean, RMS and largest of several errors.
 
     Attributes:
-        count: how many.
-        mean, rms, largest: of them; None of none.
+        count: number of them.
+        mean, rms, largest: None if there are none.
     """
 
     count: int
@@ -52,8 +55,8 @@ class Mean:
     largest: float | None
 
     @classmethod
-    def of(cls, values: Iterable[float]) -> "Mean":
-        """Of those that are numbers."""
+    def of(cls, values: Iterable[float]) -> "ErrorStatistics":
+        """Return the statistics of the values that are not NaN."""
         known = np.array([value for value in values if not math.isnan(value)])
         if not len(known):
             return cls(0, None, None, None)
@@ -61,86 +64,86 @@ class Mean:
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
-    """What `validate` found.
+class ValidationReport:
+    """Result of a validation.
 
     Attributes:
         estimator: of the frozen probe.
         campaign: the data.
-        exact: the probe was taken for exactly what its model says.
-        trials: free ones first, then along the probe and from strong to weak, as Table I.
-        honesty: whether stated errors come true.
+        exact: whether the probe was taken as exactly known.
+        tests: free ones first, then along the probe and from strong to weak, as Table I.
+        coverage: of the stated covariances.
     """
 
     estimator: Estimator
     campaign: Campaign
     exact: bool
-    trials: tuple[Trial, ...]
-    honesty: Honesty
+    tests: tuple[ValidatedTest, ...]
+    coverage: Coverage
 
     @property
-    def astray(self) -> tuple[Trial, ...]:
-        """Tests with another code than they should have."""
-        return tuple(trial for trial in self.trials if trial.result not in AS_IT_SHOULD[trial.kind])
+    def unexpected(self) -> tuple[ValidatedTest, ...]:
+        """Tests with a result that is not expected of their kind."""
+        return tuple(test for test in self.tests if test.result not in EXPECTED_RESULTS[test.kind])
 
     @property
-    def summary(self) -> dict[str, dict[str, Mean]]:
+    def summary(self) -> dict[str, dict[str, ErrorStatistics]]:
         """Shape and contact errors [mm] by kind of test."""
         found = {}
         for kind in ("free", "weight", "touch"):
-            here = [trial for trial in self.trials if trial.kind == kind]
+            here = [test for test in self.tests if test.kind == kind]
             if here:
                 found[kind] = {
-                    "shape_rms_mm": Mean.of(trial.shape_rms / MM for trial in here),
-                    "contact_error_mm": Mean.of(t.miss.size / MM for t in here if t.miss is not None),
+                    "shape_rms_mm": ErrorStatistics.of(test.shape_rms / MM for test in here),
+                    "contact_error_mm": ErrorStatistics.of(
+                        t.contact_error.size / MM for t in here if t.contact_error is not None
+                    ),
                 }
         return found
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know, each one line."""
-        told = list(self.campaign.notes)
-        for trial in self.astray:
-            told.append(f"{trial.test.name} ({trial.kind}): {trial.result}: {WHY[trial.result]}")
-        untared = [
-            trial for trial in self.trials if not trial.tares and trial.readings and trial.kind != "free"
-        ]
+        """Notes for the user, each one line."""
+        lines = list(self.campaign.notes)
+        for one in self.unexpected:
+            lines.append(f"{one.test.name} ({one.kind}): {one.result}: {WHY[one.result]}")
+        untared = [test for test in self.tests if not test.tares and test.readings and test.kind != "free"]
         if untared:
-            told.append(f"{len(untared)} tests had no free test with readings to be tared by: what print and mount "
-                        "make the free probe read otherwise is in their errors")  # fmt: skip
-        if all(trial.test.markers is None for trial in self.trials):
-            told.append("no markers: no shape errors")
-        return tuple(told)
+            lines.append(f"{len(untared)} tests were not tared, for lack of a free test with readings: their errors "
+                         "include those of print and mount in the free probe's reading")  # fmt: skip
+        if all(one.test.markers is None for one in self.tests):
+            lines.append("no markers: no shape errors")
+        return tuple(lines)
 
     def rows(self) -> list[dict[str, Any]]:
-        """One a test, by `COLUMNS`; None where there is no number."""
-        return [self._row(trial) for trial in self.trials]
+        """Return one row per test, with `COLUMNS`; None where there is no number."""
+        return [self._row(test) for test in self.tests]
 
-    def _row(self, trial: Trial) -> dict[str, Any]:
-        miss, length = trial.miss, self.estimator.model.rod.length
-        z = list(miss.z) if miss is not None and miss.dof == 3 else [math.nan] * 3
-        found = trial.estimate or Estimate("out_of_range")
+    def _row(self, one: ValidatedTest) -> dict[str, Any]:
+        error, length = one.contact_error, self.estimator.model.rod.length
+        z = list(error.z) if error is not None and error.dof == 3 else [math.nan] * 3
+        found = one.estimate or Estimate("out_of_range")
         friction = (found.force_normal, found.force_tangential, found.friction_ratio)
         stated = (
-            (miss.size, miss.expected, trial.predicted, math.sqrt(np.trace(miss.cov_reference)))
-            if miss
-            else (math.nan, math.nan, trial.predicted, math.nan)
+            (error.size, error.expected, one.predicted, math.sqrt(np.trace(error.cov_reference)))
+            if error
+            else (math.nan, math.nan, one.predicted, math.nan)
         )
         values = (
-            self.estimator.model.name, length / MM, trial.test.name, trial.kind, trial.force, trial.fraction,
-            trial.way, trial.method, trial.result, trial.shape_rms / MM,
-            100.0 * trial.shape_rms / length, trial.reference_rms / MM, *(value / MM for value in stated),
-            miss.within_95 if miss else None, miss.nees if miss else None, *z, len(trial.markers_base),
-            trial.readings, trial.tares, *friction,
+            self.estimator.model.name, length / MM, one.test.name, one.kind, one.force, one.fraction,
+            one.push_direction, one.method, one.result, one.shape_rms / MM,
+            100.0 * one.shape_rms / length, one.reference_rms / MM, *(value / MM for value in stated),
+            error.within_95 if error else None, error.nees if error else None, *z, len(one.markers_base),
+            one.readings, one.tares, *friction,
         )  # fmt: skip
         return {name: _plain(value) for name, value in zip(COLUMNS, values, strict=True)}
 
     def csv(self) -> bytes:
-        """The rows as CSV with a header."""
+        """Return the rows as CSV with a header."""
         return csv_of(self.rows(), COLUMNS)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return {
             "schema": 1,
             "probe": self.estimator.model.name,
@@ -149,15 +152,15 @@ class Validation:
             "data": str(self.campaign.folder),
             "exact_model": self.exact,
             "tests": self.rows(),
-            "summary": {kind: {name: asdict(mean) for name, mean in means.items()}
-                        for kind, means in self.summary.items()},
-            "honesty": {name: _plain(value) for name, value in asdict(self.honesty).items()},
+            "summary": {kind: {name: asdict(statistics) for name, statistics in errors.items()}
+                        for kind, errors in self.summary.items()},
+            "honesty": {name: _plain(value) for name, value in asdict(self.coverage).items()},
             "notes": self.notes,
         }  # fmt: skip
 
 
 def csv_of(rows: Iterable[dict[str, Any]], columns: Sequence[str]) -> bytes:
-    """Some columns of rows as CSV with a header."""
+    """Return some columns of rows as CSV with a header."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -170,47 +173,86 @@ def validate(
     estimator: Estimator,
     campaign: Campaign,
     exact: bool = False,
-    tell: Callable[[float], None] = lambda share: None,
-) -> Validation:
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> ValidationReport:
     """Compare a frozen probe with a campaign of its print.
 
     Args:
         estimator: as `load_estimator` gives it.
         campaign: from `read_campaign`.
-        exact: take probe, mount and bench for exactly what the model says; else all tolerances count.
-        tell: told the share done.
+        exact: take probe, mount and bench as exactly known; else all tolerances count.
+        on_progress: called with the fraction done.
 
     Raises:
-        InputError: the campaign is of another probe, or holds nothing to compare.
+        InputError: the campaign is of another probe, or has nothing to compare.
     """
     model = estimator.model
     check_probe(campaign, model)
     if not any(len(test.wrenches) for test in campaign.tests):
-        raise InputError(f"{campaign.folder}: holds no wrenches.csv; there is nothing to estimate from")
-    if not any(_seen(test.markers, test.p_contact_world, test.s_contact) for test in campaign.tests):
+        raise InputError(f"{campaign.folder}: has no wrenches.csv; there is nothing to estimate from")
+    if not any(
+        test.markers is not None or test.p_contact_world is not None or not math.isnan(test.s_contact)
+        for test in campaign.tests
+    ):
         raise InputError(
             f"{campaign.folder}: no test has markers, a contact or s_contact_mm; nothing to compare with"
         )
-    trials = []
+    tests = []
     for i, test in enumerate(campaign.tests):
-        tell(i / len(campaign.tests))
-        trials.append(trial_of(campaign, test, estimator, exact))
-    trials.sort(key=_place)
-    return Validation(estimator, campaign, exact, tuple(trials), honesty_of(trials, exact))
+        on_progress(i / len(campaign.tests))
+        tests.append(validate_test(campaign, test, estimator, exact))
+    tests.sort(key=_table_order)
+    return ValidationReport(estimator, campaign, exact, tuple(tests), coverage_of(tests, exact))
 
 
-def _seen(markers: object, contact: object, s_contact: float) -> bool:
-    return markers is not None or contact is not None or not math.isnan(s_contact)
-
-
-def _place(trial: Trial) -> tuple[int, float, float]:
-    """As Table I orders them; what has no place comes last."""
+def _table_order(one: ValidatedTest) -> tuple[int, float, float]:
+    """Return the sort key of Table I; a test without a place comes last."""
     kinds = ("free", "weight", "touch")
-    fraction = 2.0 if math.isnan(trial.fraction) else round(trial.fraction, 2)
-    return kinds.index(trial.kind), fraction, -trial.force
+    fraction = 2.0 if math.isnan(one.fraction) else round(one.fraction, 2)
+    return kinds.index(one.kind), fraction, -one.force
 
 
 def _plain(value: Any) -> Any:
-    """No number as None, numpy's own as Python's."""
+    """Return NaN as None, and NumPy scalars as Python's."""
     value = value.item() if hasattr(value, "item") else value
     return None if isinstance(value, float) and math.isnan(value) else value
+
+
+# several probes
+
+
+@dataclass(frozen=True)
+class MultiProbeReport:
+    """Validations of several probes in one table, laid out as the paper's Table I.
+
+    Attributes:
+        validations: one per probe, in the order of the table.
+    """
+
+    validations: tuple[ValidationReport, ...]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return all loaded tests: by probe, along it, from strong to weak, as Table I."""
+        return [row for one in self.validations for row in one.rows() if row["kind"] != "free"]
+
+    def csv(self) -> bytes:
+        """Return the table as CSV with a header."""
+        return csv_of(self.rows(), TABLE1_COLUMNS)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        table = [{name: row[name] for name in TABLE1_COLUMNS} for row in self.rows()]
+        return {"schema": 1, "table": table, "probes": [one.as_dict() for one in self.validations]}
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Refuse a probe that occurs twice, whose files and rows could not be distinguished.
+
+    Raises:
+        InputError: one does.
+    """
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(
+                f"probe {name} is named twice; validate its second campaign by itself, with --out"
+            )

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from probedesign import build_probe, load_design
-from probedesign.campaign import Campaign, read_campaign
+from probedesign.campaigns import Campaign, read_campaign
 from probedesign.estimation.model import ProbeModel
-from probedesign.synthetic.folder import make_campaign
-from probedesign.synthetic.plan import Plan
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.ground_truth import CampaignPlan
 
 ROOT = Path(__file__).parents[2]
 LARGE = ROOT / "designs/large.toml"
@@ -25,7 +25,7 @@ def model() -> ProbeModel:
 def stage_folder(model: ProbeModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Places to 0.05 mm; the print is as designed but for E."""
     folder = tmp_path_factory.mktemp("data") / "stage"
-    plan = Plan("stage", 5, TRUE_E, None, None, 5, True, False)
+    plan = CampaignPlan("stage", 5, TRUE_E, None, None, 5, True, False)
     make_campaign(model, folder, plan)
     return folder
 
@@ -39,6 +39,6 @@ def stage(stage_folder: Path) -> Campaign:
 def cameras(model: ProbeModel, tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     """Markers to 1 mm on each axis, weights and touches; the print is as designed but for E."""
     folder = tmp_path_factory.mktemp("data") / "cameras"
-    plan = Plan("cameras", 6, TRUE_E, None, 1e-3, 5, True, False)
+    plan = CampaignPlan("cameras", 6, TRUE_E, None, 1e-3, 5, True, False)
     make_campaign(model, folder, plan)
     return read_campaign(folder)

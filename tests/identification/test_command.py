@@ -8,7 +8,7 @@ import pytest
 
 from probedesign import load_design, load_estimator, pipeline
 from probedesign.cli.main import run
-from probedesign.identification.identification import UNITS
+from probedesign.identification.result import UNITS
 from tests.identification.conftest import LARGE, TRUE_E
 from tests.test_pages import assert_whole
 
@@ -21,12 +21,12 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_dry_run_changes_nothing_and_says_what_would_change(here: Path, stage_folder: Path, capsys) -> None:
+def test_a_dry_run_changes_nothing_and_prints_the_changes(here: Path, stage_folder: Path, capsys) -> None:
     before = (here / "large.toml").read_bytes()
     assert run(["identify", "large.toml", str(stage_folder), "--for", "E"]) == 0
-    said = capsys.readouterr().out
-    assert "--write would change large.toml" in said and "[material] youngs_modulus_mpa = 2." in said
-    assert "deploy would freeze large.toml as it is" in said
+    output = capsys.readouterr().out
+    assert "--write would change large.toml" in output and "[material] youngs_modulus_mpa = 2." in output
+    assert "deploy would freeze large.toml as it is" in output
     assert (here / "large.toml").read_bytes() == before
     assert run(["deploy", "large.toml"]) == 0  # with the old E, and not without a word
     assert ", where the design has 2.32: identify writes" in capsys.readouterr().out
@@ -77,7 +77,7 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     assert model.tolerances.youngs_modulus_by_diameter == pytest.approx(found["by_diameter"], abs=0.005)
 
 
-def test_a_contradiction_is_told_and_ends_as_an_error(
+def test_inconsistent_results_are_printed_and_end_as_an_error(
     here: Path, stage_folder: Path, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was found is printed all the same; a script must not take it for a success."""
@@ -85,13 +85,17 @@ def test_a_contradiction_is_told_and_ends_as_an_error(
 
     def contradicted(*arguments):
         found, files = whole(*arguments)
-        return found.contradicted("touches: 9 of 9 hardly count"), files
+        return found.as_inconsistent("touches: 9 of 9 are outliers with little weight"), files
 
     monkeypatch.setattr(pipeline, "identify", contradicted)
     for more in ((), ("--json",)):
         assert run(["identify", "large.toml", str(stage_folder), "--for", "E", "--no-page", *more]) == 2
-        said = capsys.readouterr()
-        assert "inconsistent" in said.out and "hardly count" in said.err and said.err.count("\n") == 1
+        output = capsys.readouterr()
+        assert (
+            "inconsistent" in output.out
+            and "outliers with little weight" in output.err
+            and output.err.count("\n") == 1
+        )
 
 
 def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:
@@ -110,19 +114,19 @@ def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "output"),
     [
         (["--for", "E,densty"], "did you mean 'density'?"),
-        (["--for", ","], "nothing is asked for"),
+        (["--for", ","], "no parameter is named"),
         (["--write", "--out", "x.toml"], "choose one"),
     ],
 )
 def test_wrong_options_are_one_line(
-    arguments: list[str], said: str, here: Path, stage_folder: Path, capsys
+    arguments: list[str], output: str, here: Path, stage_folder: Path, capsys
 ) -> None:
     assert run(["identify", "large.toml", str(stage_folder), *arguments]) == 2
     error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1
+    assert output in error and error.count("\n") == 1
 
 
 def test_data_of_another_probe_are_one_line(here: Path, stage_folder: Path, capsys) -> None:

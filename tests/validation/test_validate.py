@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign.campaign import read_campaign
+from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
@@ -18,9 +18,9 @@ from probedesign.pages.validation_page import validation_page
 from probedesign.prediction.paper_probes import paper_design
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
-from probedesign.synthetic.folder import make_campaign
-from probedesign.synthetic.plan import Plan
-from probedesign.validation.honesty import honesty_of
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.ground_truth import CampaignPlan
+from probedesign.validation.coverage import coverage_of
 from probedesign.validation.validate import COLUMNS, validate
 from tests.test_pages import assert_whole
 
@@ -36,7 +36,7 @@ def large():
 @pytest.fixture(scope="module")
 def made(large, tmp_path_factory):
     """A campaign of a drawn print, seen by cameras; its folder."""
-    return make_campaign(large, tmp_path_factory.mktemp("made") / "data", Plan(seed=3)).folder
+    return make_campaign(large, tmp_path_factory.mktemp("made") / "data", CampaignPlan(seed=3)).folder
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +47,13 @@ def found(large, made):
 
 @pytest.fixture(scope="module")
 def exact(large, tmp_path_factory):
-    """A print that is as designed, and stands as it is said to."""
+    """A print as designed, at the stated pose; its folder."""
     folder = tmp_path_factory.mktemp("exact") / "data"
-    return make_campaign(large, folder, Plan(seed=4, exact=True, marker_noise=1e-3)).folder
+    return make_campaign(large, folder, CampaignPlan(seed=4, exact=True, marker_noise=1e-3)).folder
 
 
 def test_the_same_seed_makes_the_same_campaign(large, made, tmp_path):
-    again = make_campaign(large, tmp_path / "again", Plan(seed=3)).folder
+    again = make_campaign(large, tmp_path / "again", CampaignPlan(seed=3)).folder
     for name in (
         "campaign.toml",
         "tests.csv",
@@ -63,11 +63,11 @@ def test_the_same_seed_makes_the_same_campaign(large, made, tmp_path):
         "truth.json",
     ):
         assert (again / name).read_bytes() == (made / name).read_bytes()
-    other = make_campaign(large, tmp_path / "other", Plan(seed=5)).folder
+    other = make_campaign(large, tmp_path / "other", CampaignPlan(seed=5)).folder
     assert (other / "wrenches.csv").read_bytes() != (made / "wrenches.csv").read_bytes()
 
 
-def test_the_truth_feeds_nobody(made, tmp_path, large):
+def test_results_do_not_depend_on_the_truth_file(made, tmp_path, large):
     copied = tmp_path / "copied"
     copied.mkdir()
     for path in made.iterdir():
@@ -78,7 +78,7 @@ def test_the_truth_feeds_nobody(made, tmp_path, large):
 
 
 def test_named_moduli_are_the_truth(large, tmp_path):
-    plan = Plan("stage", 1, youngs_modulus=2.0e6, shear_modulus=0.7e6)
+    plan = CampaignPlan("stage", 1, youngs_modulus=2.0e6, shear_modulus=0.7e6)
     made = make_campaign(large, tmp_path / "data", plan)
     truth = json.loads((made.folder / "truth.json").read_text())
     assert truth["youngs_modulus_mpa"] == pytest.approx(2.0, rel=1e-12)
@@ -97,16 +97,18 @@ def test_readings_err_as_the_sensor_does(large, exact):
 
 def test_an_exact_print_is_off_by_the_reference_alone(large, exact):
     found = validate(Estimator(large), read_campaign(exact), exact=True)
-    free = [trial for trial in found.trials if trial.kind == "free"]
-    # 14 markers, 1 mm on each axis: 42 numbers, RMS √3 mm ± 11 %, four of those; the base stands as said.
+    free = [trial for trial in found.tests if trial.kind == "free"]
+    # 14 markers, 1 mm on each axis: 42 numbers, RMS √3 mm ± 11 %, four of those; the base is at the stated pose.
     assert [t.shape_rms for t in free] == pytest.approx([math.sqrt(3.0) * 1e-3] * 2, rel=0.44)
-    strong = [trial for trial in found.trials if trial.kind == "touch" and trial.force > 0.05]
-    assert len(strong) >= 4 and all(trial.result == "ok" and trial.miss.size < 4e-3 for trial in strong)
-    assert found.honesty.nees_low < found.honesty.nees_ratio < found.honesty.nees_high
+    strong = [trial for trial in found.tests if trial.kind == "touch" and trial.force > 0.05]
+    assert len(strong) >= 4 and all(
+        trial.result == "ok" and trial.contact_error.size < 4e-3 for trial in strong
+    )
+    assert found.coverage.nees_low < found.coverage.nees_ratio < found.coverage.nees_high
 
 
 def test_rms_is_equation_6(found):
-    for trial in found.trials:
+    for trial in found.tests:
         if trial.shape is None:
             assert math.isnan(trial.shape_rms) and not len(trial.markers_hat)
             continue
@@ -126,13 +128,13 @@ def test_the_table_is_ordered_as_the_papers_and_drops_nothing(found, made):
             assert row["contact_error_mm"] is None
         else:
             assert row["shape_rms_percent"] == pytest.approx(row["shape_rms_mm"] / 1.5)  # of 150 mm
-    told = "\n".join(found.notes)
-    assert all(f"{trial.test.name} ({trial.kind}): {trial.result}" in told for trial in found.astray)
+    notes = "\n".join(found.notes)
+    assert all(f"{trial.test.name} ({trial.kind}): {trial.result}" in notes for trial in found.unexpected)
 
 
 def test_force_and_moment_jump_by_the_contact_force_and_its_couple(found):
     """The force acts on the surface: about the touched section's centre it has the couple ρ × F."""
-    trial = next(t for t in found.trials if t.kind == "touch" and t.shape is not None)
+    trial = next(t for t in found.tests if t.kind == "touch" and t.shape is not None)
     s, force = inner(trial.shape, "force")
     _, moment = inner(trial.shape, "moment")
     at = int(np.argmin(np.abs(s - trial.shape.s_contact)))
@@ -144,18 +146,18 @@ def test_force_and_moment_jump_by_the_contact_force_and_its_couple(found):
     np.testing.assert_allclose(moment[-1], 0.0, atol=1e-9)  # shot from the free tip
 
 
-def test_a_probe_known_worse_than_stated_is_told(large, tmp_path):
+def test_a_wrong_modulus_shows_in_the_coverage(large, tmp_path):
     """E a fifth lower than the file says, on a stage: no ellipsoid of noise alone holds that."""
-    plan = Plan("stage", 2, youngs_modulus=0.8 * large.rod.youngs_modulus)
+    plan = CampaignPlan("stage", 2, youngs_modulus=0.8 * large.rod.youngs_modulus)
     folder = make_campaign(large, tmp_path / "data", plan).folder
     found = validate(Estimator(large), read_campaign(folder), exact=True)
-    assert found.honesty.nees_ratio > found.honesty.nees_high or len(found.astray) > 4
-    assert any("too much was promised" in line or "too few" in line for line in found.honesty.words)
-    lost = sum(trial.kind == "touch" and not trial.counts for trial in found.trials)
-    assert lost == 0 or any(line.startswith(f"{lost} more were not located") for line in found.honesty.words)
+    assert found.coverage.nees_ratio > found.coverage.nees_high or len(found.unexpected) > 4
+    assert any("covariance too small" in line or "coverage too low" in line for line in found.coverage.words)
+    lost = sum(trial.kind == "touch" and not trial.counts for trial in found.tests)
+    assert lost == 0 or any(line.startswith(f"{lost} more were not located") for line in found.coverage.words)
 
 
-def test_stated_errors_come_true_over_prints(tmp_path):
+def test_coverage_over_prints(tmp_path):
     """A dozen drawn prints of the small probe on a stage, whose reference hides nothing.
 
     Touches of one print err together: counted as 36 squares for 12 prints, their mean errs by √(2/36) = 0.24, four of
@@ -164,9 +166,9 @@ def test_stated_errors_come_true_over_prints(tmp_path):
     model = build_probe(paper_design("small")).model
     misses = []
     for seed in range(12):
-        folder = make_campaign(model, tmp_path / "data", Plan("stage", seed), force=True).folder
+        folder = make_campaign(model, tmp_path / "data", CampaignPlan("stage", seed), force=True).folder
         found = validate(Estimator(model), read_campaign(folder))
-        misses += [trial.miss for trial in found.trials if trial.counts]
+        misses += [trial.contact_error for trial in found.tests if trial.counts]
     assert len(misses) == 84
     assert np.mean([miss.nees / 3 for miss in misses]) == pytest.approx(1.0, abs=0.96)
     assert sum(miss.within_95 for miss in misses) >= 72
@@ -174,92 +176,100 @@ def test_stated_errors_come_true_over_prints(tmp_path):
 
 def test_weights_are_located_by_the_method_that_takes_them(found):
     """A thread's load is a dead load on the centreline, of any direction."""
-    weights = [trial for trial in found.trials if trial.kind == "weight"]
+    weights = [trial for trial in found.tests if trial.kind == "weight"]
     located = [trial for trial in weights if trial.result == "ok"]
     assert len(weights) == 4 and len(located) >= 3 and {trial.method for trial in weights} == {"force_moment"}
-    assert all(trial.miss.within_95 and trial.shape_rms < 2e-3 for trial in located)
+    assert all(trial.contact_error.within_95 and trial.shape_rms < 2e-3 for trial in located)
     assert not any(trial.counts for trial in weights)
-    told = f"{len(located)} of {len(located)} weights lie within their 95 % interval"
-    assert any(line.endswith(told) for line in found.honesty.words)
+    line_end = f"{len(located)} of {len(located)} weights lie within their 95 % interval"
+    assert any(line.endswith(line_end) for line in found.coverage.words)
 
 
-def test_stated_errors_of_weights_come_true_over_prints(large, tmp_path):
+def test_coverage_of_weights_over_prints(large, tmp_path):
     """The three weights of ten drawn prints that are well above what is located at all: of 30 squares the mean errs by
     √(2/30) = 0.26 by chance, four of those; 28 lie within, and 23 where one print in six misses with all."""
     misses = []
     for seed in range(10):
         folder = make_campaign(
-            large, tmp_path / "data", Plan(seed=seed, marker_noise=1e-3), force=True
+            large, tmp_path / "data", CampaignPlan(seed=seed, marker_noise=1e-3), force=True
         ).folder
-        trials = validate(Estimator(large), read_campaign(folder)).trials
-        misses += [t.miss for t in trials if t.kind == "weight" and t.force > 0.008 and t.miss is not None]
+        trials = validate(Estimator(large), read_campaign(folder)).tests
+        misses += [
+            t.contact_error
+            for t in trials
+            if t.kind == "weight" and t.force > 0.008 and t.contact_error is not None
+        ]
     assert len(misses) >= 28  # one in five hundred is called inconsistent
     assert np.mean([miss.nees for miss in misses]) == pytest.approx(1.0, abs=1.04)
     assert sum(miss.within_95 for miss in misses) >= 23
 
 
-def test_what_was_predicted_stands_beside_what_came(found, large):
+def test_predicted_errors_are_those_of_predict(found, large):
     """As `predict` says it of the same touch; not of weights, which it takes to be without friction."""
-    for trial in found.trials:
+    for trial in found.tests:
         if trial.kind != "touch":
             assert math.isnan(trial.predicted)
             continue
-        told = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
-        assert 1e3 * trial.predicted == pytest.approx(told.total_error_mm)
+        predicted = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
+        assert 1e3 * trial.predicted == pytest.approx(predicted.total_error_mm)
     assert sum(row["predicted_error_mm"] is not None for row in found.rows()) == 9
 
 
-def test_the_way_of_a_touch_that_is_not_said_is_that_of_its_force(found, large, made):
+def test_a_missing_push_direction_is_that_of_the_force(found, large, made):
     campaign = read_campaign(made)
-    unsaid = replace(campaign, tests=tuple(replace(test, direction="") for test in campaign.tests))
-    again = {t.test.name: t for t in validate(Estimator(large), unsaid).trials}
-    assert all(again[t.test.name].way == t.test.direction for t in found.trials if t.kind == "touch")
-    assert {t.way for t in again.values() if t.kind == "weight"} == {"+x"}  # gravity's in a horizontal mount
-    assert {t.way for t in again.values() if t.kind == "free"} == {""}
+    without = replace(campaign, tests=tuple(replace(test, direction="") for test in campaign.tests))
+    again = {t.test.name: t for t in validate(Estimator(large), without).tests}
+    assert all(
+        again[t.test.name].push_direction == t.test.direction for t in found.tests if t.kind == "touch"
+    )
+    assert {t.push_direction for t in again.values() if t.kind == "weight"} == {
+        "+x"
+    }  # gravity's in a horizontal mount
+    assert {t.push_direction for t in again.values() if t.kind == "free"} == {""}
 
 
 def test_the_outline_is_as_wide_as_the_probe(found, large):
-    trial = next(t for t in found.trials if t.kind == "weight")
+    trial = next(t for t in found.tests if t.kind == "weight")
     body, line = outline(trial, large), centreline(trial)
     width = np.linalg.norm(body[: len(line)] - body[: len(line) - 1 : -1], axis=1)
     assert width[[0, -1]] == pytest.approx([12e-3, 2e-3])
     assert np.linalg.norm(place_known(trial) - contact_told(trial)) == pytest.approx(
-        trial.miss.size, rel=1e-2
+        trial.contact_error.size, rel=1e-2
     )
 
 
-def test_few_touches_prove_nothing_and_none_say_so(found):
-    assert "so few do not tell" in " ".join(found.honesty.words)
-    none = honesty_of([], False)
-    assert none.touches == 0 and none.words == ("no touch was located that the reference saw too",)
+def test_small_and_empty_samples_are_reported(found):
+    assert "sample too small" in " ".join(found.coverage.words)
+    none = coverage_of([], False)
+    assert none.touches == 0 and none.words == ("no touch was both located and measured by the reference",)
 
 
-def test_without_a_free_reading_the_tare_is_missed(large, made):
+def test_a_missing_tare_is_noted(large, made):
     campaign = read_campaign(made)
     tests = tuple(replace(t, wrenches=np.zeros((0, 6))) if t.free else t for t in campaign.tests)
     found = validate(Estimator(large), replace(campaign, tests=tests))
-    assert any("no free test with readings to be tared by" in note for note in found.notes)
-    assert {t.result for t in found.trials if t.kind == "free"} == {"no_reading"}
-    assert all(not math.isnan(t.shape_rms) for t in found.trials if t.kind == "free")
+    assert any("were not tared" in note for note in found.notes)
+    assert {t.result for t in found.tests if t.kind == "free"} == {"no_reading"}
+    assert all(not math.isnan(t.shape_rms) for t in found.tests if t.kind == "free")
 
 
-def test_what_cannot_be_compared_is_refused(large, made):
+def test_incomparable_data_are_refused(large, made):
     campaign = read_campaign(made)
     bare = tuple(replace(t, markers=None, p_contact_world=None, s_contact=math.nan) for t in campaign.tests)
     with pytest.raises(InputError, match="no test has markers, a contact or s_contact_mm"):
         validate(Estimator(large), replace(campaign, tests=bare))
     mute = tuple(replace(t, wrenches=np.zeros((0, 6))) for t in campaign.tests)
-    with pytest.raises(InputError, match=r"holds no wrenches\.csv"):
+    with pytest.raises(InputError, match=r"has no wrenches\.csv"):
         validate(Estimator(large), replace(campaign, tests=mute))
     with pytest.raises(InputError, match="data are of another probe: fingerprint"):
         validate(Estimator(build_probe(paper_design("small")).model), campaign)
 
 
-def test_the_page_draws_every_test_and_asks_nothing_of_a_network(found):
+def test_the_page_draws_every_test_and_is_self_contained(found):
     page = validation_page(found).decode()
     seen = assert_whole(page)
-    assert seen.seen["svg"] == len(found.trials) + 2 + 4  # two of errors, force and moment of two
-    for trial in found.trials:
+    assert seen.seen["svg"] == len(found.tests) + 2 + 4  # two of errors, force and moment of two
+    for trial in found.tests:
         assert f"<td>{trial.test.name}</td>" in page
 
 
@@ -267,13 +277,13 @@ def test_a_design_that_hangs_straight_down_has_a_campaign_too(tmp_path):
     design = paper_design("small").model_dump(by_alias=True)
     design["mount"]["gravity_base_m_s2"] = (0.0, 0.0, 9.81)
     model = build_probe(check_design(design)).model
-    folder = make_campaign(model, tmp_path / "data", Plan(seed=1, marker_noise=5e-4)).folder
+    folder = make_campaign(model, tmp_path / "data", CampaignPlan(seed=1, marker_noise=5e-4)).folder
     campaign = read_campaign(folder)
     np.testing.assert_allclose(
         campaign.T_world_base[:3, 2], [0.0, 0.0, -1.0], atol=1e-5
     )  # written to a µdegree
     assert all(
-        trial.result == "ok" for trial in validate(Estimator(model), campaign).trials if trial.force > 0.05
+        trial.result == "ok" for trial in validate(Estimator(model), campaign).tests if trial.force > 0.05
     )
 
 
@@ -289,7 +299,7 @@ def call(capsys):
     return call
 
 
-def test_nothing_is_overwritten_unasked(call, tmp_path, monkeypatch):
+def test_existing_campaigns_are_not_overwritten(call, tmp_path, monkeypatch):
     design = tmp_path / "small.toml"
     design.write_bytes((DESIGNS / "small.toml").read_bytes())
     assert load_design(design).name == "small"
@@ -303,7 +313,7 @@ def test_nothing_is_overwritten_unasked(call, tmp_path, monkeypatch):
     assert (data / "wrenches.csv").read_bytes() != before
     (data / "truth.json").unlink()  # then it may be somebody's own
     status, _, err = call("campaign", design, data, "--stage", "--force")
-    assert status == 2 and "holds no truth.json, so it is no synthetic campaign" in err
+    assert status == 2 and "has no truth.json, so it is not a synthetic campaign" in err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "small.toml"]
 
 
@@ -369,8 +379,10 @@ def test_the_markers_of_a_flattened_probe_lie_on_its_surface(tmp_path):
     design = paper_design("large")
     probe = design.probe.model_copy(update={"section": "elliptic", "flatness": 0.5})
     model = build_probe(design.model_copy(update={"probe": probe})).model
-    folder = make_campaign(model, tmp_path / "flat", Plan(seed=4, exact=True, marker_noise=1e-6)).folder
+    folder = make_campaign(
+        model, tmp_path / "flat", CampaignPlan(seed=4, exact=True, marker_noise=1e-6)
+    ).folder
     free = [
-        trial for trial in validate(Estimator(model), read_campaign(folder)).trials if trial.kind == "free"
+        trial for trial in validate(Estimator(model), read_campaign(folder)).tests if trial.kind == "free"
     ]
     assert free and max(trial.shape_rms for trial in free) < 0.2e-3

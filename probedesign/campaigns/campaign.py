@@ -1,0 +1,159 @@
+"""Data of a campaign: the tests of one probe, in SI."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.core.csv_tables import Frame
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Positions of the markers of one test.
+
+    Attributes:
+        numbers: indices of the campaign's markers, from 0, increasing, (m,).
+        p_world: [m], (m, 3).
+        cov_world: of each [m²], (m, 3, 3).
+        file: name of the table they are from.
+    """
+
+    numbers: NDArray[np.intp]
+    p_world: Array
+    cov_world: Array
+    file: str
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One state of the probe, hanging free or touched, and what was measured of it.
+
+    Attributes:
+        name: of the test.
+        T_world_base: pose of the base, (4, 4).
+        gravity_world: [m/s²], (3,).
+        force_world: known force of the object on the probe [N], (3,); zero for a free probe; None if not known.
+        s_contact: known arclength of the contact force on the axis [m]; NaN if not known.
+        std_s: standard deviation of it [m].
+        p_contact_world: touched point of the surface by the reference [m], (3,); None if not measured.
+        std_contact: of it, on each axis [m].
+        direction: of the push, as +y; empty if not given.
+        tip_sag: displacement of the tip along gravity from its undeformed place [m]; NaN if not measured.
+        std_sag: of it [m].
+        wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
+        frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
+        markers: None if none were measured.
+    """
+
+    name: str
+    T_world_base: Array
+    gravity_world: Array
+    force_world: Array | None
+    s_contact: float
+    std_s: float
+    p_contact_world: Array | None
+    std_contact: float
+    direction: str
+    tip_sag: float
+    std_sag: float
+    wrenches: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    frame: Frame = "base"
+    markers: Markers | None = None
+
+    @property
+    def free(self) -> bool:
+        """Whether nothing is known to touch the probe."""
+        return self.force_world is not None and not self.force_world.any()
+
+    @cached_property
+    def gravity_base(self) -> Array:
+        """Gravity in base axes [m/s²], (3,)."""
+        return np.asarray(self.T_world_base[:3, :3].T @ self.gravity_world)
+
+    @property
+    def force_base(self) -> Array | None:
+        """Known force on the probe in base axes [N], (3,); None if not known."""
+        return (
+            None if self.force_world is None else np.asarray(self.T_world_base[:3, :3].T @ self.force_world)
+        )
+
+    @cached_property
+    def mean_wrench(self) -> Array:
+        """Mean of the readings in their own frame [N, N·m], (6,); NaN without readings."""
+        return self.wrenches.mean(axis=0) if len(self.wrenches) else np.full(6, np.nan)
+
+    def wrenches_base(self, model: ProbeModel) -> Array:
+        """Return the readings about the base, without the weight between base and sensor [N, N·m], (n, 6)."""
+        return self.wrenches if self.frame == "base" else model.to_base(self.wrenches, self.gravity_base)
+
+    def mean_wrench_base(self, model: ProbeModel) -> Array:
+        """Return the mean reading about the base, without the weight between base and sensor [N, N·m], (6,)."""
+        return (
+            self.mean_wrench if self.frame == "base" else model.to_base(self.mean_wrench, self.gravity_base)
+        )
+
+    def mean_wrench_sensor(self, model: ProbeModel) -> Array:
+        """Return the mean reading as the sensor measures it [N, N·m], (6,)."""
+        return (
+            self.mean_wrench
+            if self.frame == "sensor"
+            else model.to_sensor(self.mean_wrench, self.gravity_base)
+        )
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """Mass of the probe on a balance.
+
+    Attributes:
+        mass: [kg].
+        std: of it [kg].
+        of: "flexible", the soft part cut off at its base, or "probe", with its printed flange.
+    """
+
+    mass: float
+    std: float
+    of: Literal["flexible", "probe"]
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Tests of one probe.
+
+    Attributes:
+        name: of the probe's design.
+        fingerprint: of its geometry; None if the campaign does not state it.
+        T_world_base: pose of the base in tests without a pose of their own, (4, 4).
+        std_base: standard deviation of its position, on each axis [m].
+        std_tilt: of its rotation, about each axis [rad].
+        gravity_world: [m/s²], (3,).
+        marker_s: arclength of each marker, increasing [m], (k,).
+        marker_side: side of the section with the markers, from the base's x axis about z [rad]; None for markers on
+            the axis.
+        tests: in the order of their table.
+        weighing: None if it was not weighed.
+        folder: it was read from.
+        notes: lines for the user.
+    """
+
+    name: str
+    fingerprint: str | None
+    T_world_base: Array
+    std_base: float
+    std_tilt: float
+    gravity_world: Array
+    marker_s: Array
+    marker_side: float | None
+    tests: tuple[Test, ...]
+    weighing: Weighing | None
+    folder: Path
+    notes: tuple[str, ...] = ()

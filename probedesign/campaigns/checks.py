@@ -1,0 +1,401 @@
+"""Checks of a campaign before anything is fitted to it: marker order, plausible values, agreement of its tables.
+
+A column in a wrong unit is off by a thousand; a sign, a factor or a count that is wrong throughout makes readings,
+known loads and markers contradict each other. Each refusal is one line that names file, test, value and remedy.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from probedesign.campaigns.campaign import Campaign, Markers, Test
+from probedesign.campaigns.manifest import FILE as MANIFEST
+from probedesign.campaigns.tables import PUSH_DIRECTIONS, TESTS, WRENCHES
+from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
+from probedesign.units import GRAM, MM, N_MM
+
+DEVIATIONS = 5.0
+"""Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair
+in 3 million."""
+STRETCH = 0.05
+"""Relative elongation of a probe: it stretches by a percent or two under its own weight, and markers are set by hand
+(assumed)."""
+SURFACE_STRETCH, SURFACE_OFFSET = 0.10, 6.0 * MM
+"""On the surface a bent probe is longer than on its axis, and the base's centre is a radius away [m]: those of the
+paper's large probe."""
+SETTING_ERROR = 1.0 * MM
+"""Of a marker on the probe [m]: assumed."""
+UNIT_FACTOR = 100.0
+"""Factor that no error of measurement makes, and a wrong unit exceeds tenfold (assumed)."""
+SAG_FACTOR = 5.0
+"""Factor between a print's sag and the design's: published moduli of one resin differ by two (assumed)."""
+MAX_LEVER = 3.0
+"""Distance from the base, in lengths of the probe, at which a contact force may seem to act, even if part of it is
+lifted by another (assumed)."""
+HALF = 0.5
+"""Fraction of a load, or of the distance from marker to marker, by which a reading may differ: gains, slopes and
+markers set by hand stay far below, wrong units and counts do not (assumed)."""
+NEAR_BASE = 0.3
+"""Fraction of the length up to which a probe is thick and hardly bent. The first two markers count in any case: bent
+by a right angle up to the second, the distance to it is shorter by a fifth of the marker spacing."""
+TINY = 1e-12
+"""A force that no sensor distinguishes from zero [N]."""
+METRES = "metres in a column of millimetres?"
+
+
+# order of the markers
+
+
+def check_marker_order(
+    where: str, markers: Markers, marker_s: Array, marker_side: float | None, p_base: Array, std_base: float
+) -> None:
+    """Refuse markers that cannot be on one probe with this base: no two are farther apart than the probe between them.
+
+    Args:
+        where: names the test in errors.
+        markers: of the test.
+        marker_s: arclength of each of the campaign's markers [m].
+        marker_side: as the campaign has it; on the surface a pair may be farther apart than along the axis.
+        p_base: stated position of the base [m], (3,).
+        std_base: of it [m].
+
+    Raises:
+        InputError: two markers are too far apart; their numbers are in another order, or their unit is another.
+    """
+    s = np.concatenate([[0.0], marker_s[markers.numbers]])
+    p = np.vstack([p_base, markers.p_world])
+    variance = np.concatenate([[std_base**2], np.linalg.eigvalsh(markers.cov_world)[:, -1]])
+    distance = np.linalg.norm(p[:, None] - p[None], axis=2)
+    arc = np.abs(s[:, None] - s[None])
+    stretch = STRETCH if marker_side is None else SURFACE_STRETCH
+    margin = DEVIATIONS * np.sqrt(variance[:, None] + variance[None]) + stretch * arc + SETTING_ERROR
+    margin[0] += 0.0 if marker_side is None else SURFACE_OFFSET
+    excess = np.where(np.triu(np.ones_like(arc), 1) > 0, distance - arc - margin, -np.inf)
+    if len(s) >= 3:
+        spacing, on_probe = (
+            np.median(np.linalg.norm(np.diff(p[1:], axis=0), axis=1)),
+            np.median(np.diff(s[1:])),
+        )
+        if not 0.05 < spacing / on_probe < 20.0:
+            what = f"markers lie {spacing / MM:.4g} mm apart, on the probe {on_probe / MM:.4g}"
+            raise InputError(f"{where}: {what}; metres in a column of millimetres, or the other way round?")
+    if excess.max() <= 0.0:
+        return
+    reverse = np.concatenate([[0], np.arange(len(s) - 1, 0, -1)])
+    if len(s) > 2 and (distance[np.ix_(reverse, reverse)] <= arc + margin).all():
+        raise InputError(
+            f"{where}: markers out of order: they count from the tip; marker 1 is nearest to the base"
+        )
+    i, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    first = "the base" if i == 0 else f"marker {markers.numbers[i - 1] + 1}"
+    lie = f"{distance[i, j] / MM:.4g} mm apart, on the probe {arc[i, j] / MM:.4g}"
+    base_wrong = bool(i == 0 and (excess > 0)[0, 1:].all())
+    why = "is the pose of the base right?" if base_wrong else "markers out of order, or one of them wrong"
+    raise InputError(f"{where}: {first} and marker {markers.numbers[j - 1] + 1} lie {lie}; {why}")
+
+
+# plausible values
+
+
+def check_plausible(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse values that cannot be of a probe of this length on its sensor.
+
+    Single readings beyond the sensor's range pass: the estimate of their test has the result `out_of_range`.
+
+    Args:
+        campaign: the data.
+        model: of the probe.
+
+    Raises:
+        InputError: places, a sag, forces or moments are not plausible; one line.
+    """
+    _check_mass(campaign, model)
+    _check_arclengths(campaign, model)
+    _check_sag(campaign, model)
+    _check_contacts(campaign, model)
+    _check_marker_distances(campaign, model)
+    _check_known_forces(campaign, model)
+    _check_range(campaign, model)
+    _check_lever(campaign, model)
+
+
+def _refuse(campaign: Campaign, file: str, test: str, problem: str) -> NoReturn:
+    raise InputError(f"{campaign.folder / file}: test {test}: {problem}")
+
+
+def _length(model: ProbeModel) -> str:
+    return f"{model.name} is {model.rod.length / MM:g} mm long"
+
+
+def _check_mass(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a mass far from the designed flexible part's; a whole print weighs a few times as much."""
+    if campaign.weighing is None:
+        return
+    mass = campaign.weighing.mass
+    if not model.mass / UNIT_FACTOR < mass < model.mass * UNIT_FACTOR:
+        raise InputError(
+            f"{campaign.folder}/{MANIFEST}: weighing: mass_g = {mass / GRAM:.4g}, of a probe whose flexible part "
+            f"weighs {model.mass / GRAM:.4g} g as designed; grams?"
+        )
+
+
+def _check_arclengths(campaign: Campaign, model: ProbeModel) -> None:
+    s = {test.name: test.s_contact for test in campaign.tests if not np.isnan(test.s_contact)}
+    if s and max(s.values()) < model.rod.length / UNIT_FACTOR:
+        name = max(s, key=lambda test: s[test])
+        _refuse(
+            campaign,
+            TESTS,
+            name,
+            f"s_contact_mm = {s[name] / MM:.4g} is the largest, {_length(model)}; {METRES}",
+        )
+
+
+def _check_sag(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a sag longer than the probe, of the wrong sign, or far from the design's."""
+    for test in campaign.tests:
+        sag, margin = test.tip_sag, DEVIATIONS * test.std_sag
+        if np.isnan(sag):
+            continue
+        value = f"tip_sag_mm = {sag / MM:.4g}"
+        if abs(sag) > model.rod.length * (1.0 + SURFACE_STRETCH) + margin:
+            _refuse(campaign, TESTS, test.name, f"{value}, {_length(model)}; a wrong unit?")
+        if sag < -margin:
+            _refuse(
+                campaign,
+                TESTS,
+                test.name,
+                f"{value}: a tip hangs below its undeformed place, which is positive",
+            )
+        designed = _design_sag(test.gravity_base, model) if test.free else 0.0
+        if not designed / SAG_FACTOR - margin < sag < designed * SAG_FACTOR + margin and designed > margin:
+            problem = f"{value}, of a probe with a sag of {designed / MM:.3g} mm as designed"
+            _refuse(campaign, TESTS, test.name, f"{problem}; centimetres, or another pose of the base?")
+
+
+def _design_sag(gravity: Array, model: ProbeModel) -> float:
+    """Return the displacement of the free tip along gravity [m]; 0 where the design has no stable equilibrium."""
+    free = model.rod.solve(gravity)
+    if not free.ok or not gravity.any():
+        return 0.0
+    displacement = free.p_at(model.rod.length) - np.array([0.0, 0.0, model.rod.length])
+    return float(displacement @ gravity / np.linalg.norm(gravity))
+
+
+def _check_contacts(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a touched point beyond the probe, and touched points that are all at the base."""
+    distances: dict[str, float] = {}
+    for test in campaign.tests:
+        if test.p_contact_world is None:
+            continue
+        distance = float(np.linalg.norm(test.p_contact_world - test.T_world_base[:3, 3]))
+        distances[test.name] = distance
+        margin = SURFACE_STRETCH * model.rod.length + float(model.rod.radius.max())
+        margin += DEVIATIONS * (test.std_contact + campaign.std_base)
+        if distance > model.rod.length + margin:
+            problem = f"contact is {distance / MM:.4g} mm from the base, {_length(model)}"
+            _refuse(campaign, TESTS, test.name, f"{problem}; a wrong unit, or another pose of the base?")
+    if distances and max(distances.values()) < model.rod.length / UNIT_FACTOR:
+        name = max(distances, key=lambda test: distances[test])
+        problem = f"contact is {distances[name] / MM:.4g} mm from the base, the farthest, {_length(model)}"
+        _refuse(campaign, TESTS, name, f"{problem}; {METRES}")
+
+
+def _check_marker_distances(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse markers that are all at the base; `check_marker_order` refuses those beyond the probe."""
+    seen = [(test, test.markers) for test in campaign.tests if test.markers is not None]
+    farthest = [float(np.linalg.norm(m.p_world - t.T_world_base[:3, 3], axis=1).max()) for t, m in seen]
+    if seen and max(farthest) < model.rod.length / UNIT_FACTOR:
+        test, markers = seen[int(np.argmax(farthest))]
+        problem = f"a marker is {max(farthest) / MM:.4g} mm from the base, the farthest, {_length(model)}"
+        _refuse(campaign, markers.file, test.name, f"{problem}; {METRES}")
+
+
+def _check_known_forces(campaign: Campaign, model: ProbeModel) -> None:
+    for test in campaign.tests:
+        known = 0.0 if test.force_world is None else float(np.linalg.norm(test.force_world))
+        if known > model.wrench_range[:3].max():
+            problem = f"known force of {known:.4g} N exceeds the sensor's range"
+            _refuse(campaign, TESTS, test.name, f"{problem}; millinewtons in a column of newtons?")
+
+
+def _check_range(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse readings of which most loaded tests exceed the sensor's range: then the unit is another."""
+    read = [test for test in campaign.tests if len(test.wrenches)]
+    loaded = [test for test in read if not test.free] or read
+    ratios = {test.name: np.abs(test.mean_wrench_sensor(model)) / model.wrench_range for test in loaded}
+    beyond = [name for name, ratio in ratios.items() if ratio.max() > 1.0]
+    if 2 * len(beyond) > len(loaded):
+        name = max(beyond, key=lambda test: float(ratios[test].max()))
+        axis = int(np.argmax(ratios[name]))
+        value, unit = ratios[name][axis] * model.wrench_range[axis], "N" if axis < 3 else "N·m"
+        channel = f"|{'FM'[axis // 3]}{'xyz'[axis % 3]}| = {value:.4g} {unit}"
+        problem = f"{channel} exceeds the sensor's range, as in {len(beyond)} of {len(loaded)} tests"
+        _refuse(campaign, WRENCHES, name, f"{problem}; {'mN' if axis < 3 else 'N·mm'} in a column of {unit}?")
+
+
+def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse moments of most tests that no force on this probe makes. In one test weight and touch may cancel out."""
+    read = [test for test in campaign.tests if len(test.wrenches)]
+    # the drift is as large as the noise of a reading
+    noise = DEVIATIONS * float(np.sqrt(3.0 * model.averaging_samples)) * model.noise.moment
+    over = []
+    for test in read:
+        arm = 0.0 if test.frame == "base" else float(np.linalg.norm(model.T_sensor_base[:3, 3]))
+        force, moment = (float(np.linalg.norm(part)) for part in (test.mean_wrench[:3], test.mean_wrench[3:]))
+        if moment > MAX_LEVER * (model.rod.length + arm) * force + noise:
+            over.append((test.name, force, moment))
+    if 2 * len(over) > len(read):
+        name, force, moment = over[0]
+        lever = moment / max(force, TINY)
+        problem = (
+            f"{force:.4g} N with {moment / N_MM:.4g} N·mm act {lever / MM:.4g} mm away, {_length(model)}"
+        )
+        _refuse(campaign, WRENCHES, name, f"{problem}; are forces and moments in the units of their columns?")
+
+
+# agreement of the tables
+
+
+@dataclass(frozen=True)
+class MeasuredPush:
+    """Force on the probe by the readings of one loaded test.
+
+    Attributes:
+        test: which.
+        force: by the sensor, less weight and readings of the free probe, in base axes [N], (3,).
+        margin: for noise and drift [N].
+    """
+
+    test: Test
+    force: Array
+    margin: float
+
+    def contradicts(self, known: Array) -> bool:
+        """Return whether the force cannot be the known one [N], (3,)."""
+        return bool(np.linalg.norm(self.force - known) > HALF * np.linalg.norm(known) + self.margin)
+
+
+def check_agreement(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a campaign most of whose tests contradict themselves.
+
+    Args:
+        campaign: the data.
+        model: of the probe.
+
+    Raises:
+        InputError: known loads or push directions contradict the readings, or markers are numbered too high; one line.
+    """
+    pushes = _pushes(campaign, model)
+    _check_loads(campaign, pushes)
+    _check_directions(campaign, pushes)
+    _check_numbering(campaign, model)
+
+
+def _pushes(campaign: Campaign, model: ProbeModel) -> list[MeasuredPush]:
+    """Return the measured push of every loaded test with readings."""
+    off = {test.name: test.mean_wrench_base(model)[:3] - model.mass * test.gravity_base
+           for test in campaign.tests if len(test.wrenches)}  # fmt: skip
+    free = [off[test.name] for test in campaign.tests if test.free and test.name in off]
+    zero = np.mean(free, axis=0) if free else np.zeros(3)
+    # Without a free test, a tare may have removed the whole weight.
+    weight = 0.0 if free else model.mass * float(np.linalg.norm(campaign.gravity_world))
+    drift = Tolerances.of(model).drift_steps ** 2 * model.averaging_samples
+    found = []
+    for test in campaign.tests:
+        if test.name in off and not test.free:
+            std = model.noise.force * math.sqrt(2.0 * (1.0 / len(test.wrenches) + drift))
+            found.append(MeasuredPush(test, off[test.name] - zero, DEVIATIONS * std + weight))
+    return found
+
+
+def _check_loads(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
+    """Refuse known loads that differ from the readings in most tests."""
+    loads = [
+        (push, force)
+        for push in pushes
+        if (force := push.test.force_base) is not None
+        and max(np.linalg.norm(force), np.linalg.norm(push.force)) > 2.0 * push.margin
+    ]
+    wrong = [(push, force) for push, force in loads if push.contradicts(force)]
+    if 2 * len(wrong) > len(loads):
+        push, force = max(wrong, key=lambda pair: float(pair[1] @ pair[1]))
+        problem = f"known force of {float(np.linalg.norm(force)):.4g} N is {_comparison(push.force, force)}"
+        _refuse(campaign, TESTS, push.test.name, f"{problem} (in {len(wrong)} of {len(loads)} tests)")
+
+
+def _comparison(measured: Array, known: Array) -> str:
+    """Return the relation of a known force to the measured one, and what may be wrong."""
+    size, known_size = float(np.linalg.norm(measured)), float(np.linalg.norm(known))
+    cosine = float(measured @ known) / max(size * known_size, TINY)
+    if size < HALF * known_size:
+        unit = (
+            "millinewtons in a column of newtons?"
+            if UNIT_FACTOR * size < known_size
+            else "is it the right weight, and are both in newtons?"
+        )
+        return f"{known_size / max(size, TINY):.4g} times what the sensor read; {unit}"
+    if cosine < -HALF:
+        return (
+            "the opposite of what the sensor read; known forces act on the probe, and readings are what it does to "
+            "its mount: change the sign of one"
+        )
+    if cosine < HALF:
+        return (
+            "in another direction than was read; check the base's rotation in campaign.toml, and the columns"
+        )
+    return f"{known_size / size:.4g} times what the sensor read; are both in newtons?"
+
+
+def _check_directions(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
+    """Refuse push directions that are opposite to the readings in most tests."""
+    along = [
+        (push, float(push.force @ np.array(PUSH_DIRECTIONS[push.test.direction])))
+        for push in pushes
+        if push.test.direction in PUSH_DIRECTIONS and np.linalg.norm(push.force) > 2.0 * push.margin
+    ]
+    opposite = [(push, value) for push, value in along if value < -HALF * np.linalg.norm(push.force)]
+    if 2 * len(opposite) > len(along):
+        push, value = min(opposite, key=lambda pair: pair[1])
+        direction = push.test.direction
+        problem = f"pushed towards {direction}, the sensor read {value:.4g} N along {direction}"
+        problem += f", and the opposite in {len(opposite)} of {len(along)} tests"
+        _refuse(
+            campaign, WRENCHES, push.test.name, f"{problem}; change the sign of the columns, or of direction"
+        )
+
+
+def _check_numbering(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse markers near the base that are nearer to it than their numbers imply."""
+    start = np.zeros(3)  # of the line of markers, in base axes
+    if campaign.marker_side is not None:
+        side = campaign.marker_side
+        radius = float(model.rod.radius[0]) * model.cross_section.reach(side)
+        start = np.array([radius * math.cos(side), radius * math.sin(side), 0.0])
+    short, variance, first = [], [], None
+    for test in campaign.tests:
+        if test.markers is None:
+            continue
+        s = campaign.marker_s[test.markers.numbers]
+        near = (s < NEAR_BASE * model.rod.length) | (test.markers.numbers < 2)
+        start_world = (test.T_world_base @ np.append(start, 1.0))[:3]
+        short += list(s[near] - np.linalg.norm(test.markers.p_world[near] - start_world, axis=1))
+        variance += list(np.linalg.eigvalsh(test.markers.cov_world[near])[:, -1])
+        first = test if first is None and near.any() else first
+    if first is None or first.markers is None or len(campaign.marker_s) < 2:
+        return
+    step, gap = float(np.median(np.diff(campaign.marker_s))), float(np.mean(short))
+    std = math.sqrt(float(np.mean(variance)) / len(short) + campaign.std_base**2)
+    if gap > HALF * step + DEVIATIONS * std:
+        problem = (
+            f"markers lie {gap / MM:.3g} mm nearer to the base than by their numbers, here and on average"
+        )
+        remedy = (
+            f"are they numbered {max(round(gap / step), 1)} too high, or is s_mm measured from elsewhere?"
+        )
+        _refuse(campaign, first.markers.file, first.name, f"{problem}; {remedy}")

@@ -1,0 +1,126 @@
+"""Schema of `campaign.toml`: the probe, the poses, the markers and the cameras of a campaign."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from probedesign.core.csv_tables import read_text
+from probedesign.design import check_name
+from probedesign.design_problems import Inconsistent, parse_toml
+from probedesign.design_tables import MAX_GRAVITY, Table, as_tuple
+from probedesign.errors import InputError
+
+FILE = "campaign.toml"
+MAX_BYTES = 1_000_000
+MAX_MARKERS = 500
+STD_BASE_MM, STD_BASE_DEG = 0.2, 0.2
+"""Default standard deviations of the base pose: assumed, a bracket set with a caliper and a level."""
+
+Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
+Std = Annotated[float, Field(gt=0.0, le=100.0)]
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(as_tuple)]
+Angles = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
+Arclength = Annotated[float, Field(ge=0.0, le=400.0)]
+
+
+class BaseTable(Table):
+    """`[base]`: pose of the base frame in the world."""
+
+    p_world_mm: Point = (0.0, 0.0, 0.0)
+    rotation_world_deg: Angles = (0.0, 0.0, 0.0)
+    std_mm: Annotated[float, Field(ge=0.0, le=100.0)] = STD_BASE_MM
+    std_deg: Annotated[float, Field(ge=0.0, le=30.0)] = STD_BASE_DEG
+
+
+class GravityTable(Table):
+    """`[gravity]`: its vector in the world."""
+
+    world_m_s2: Angles
+
+    @model_validator(mode="after")
+    def _plausible(self) -> Self:
+        if not 0.0 < sum(g * g for g in self.world_m_s2) <= MAX_GRAVITY**2:
+            given = f"= {list(self.world_m_s2)} is not a gravity of up to {MAX_GRAVITY:g} m/s²"
+            raise Inconsistent("gravity.world_m_s2", f"{given}; with z up it is [0.0, 0.0, -9.81]")
+        return self
+
+
+class MarkersTable(Table):
+    """`[markers]`: their arclengths and side."""
+
+    s_mm: Annotated[tuple[Arclength, ...], BeforeValidator(as_tuple)]
+    side_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    std_mm: Std | None = None
+
+    @model_validator(mode="after")
+    def _increasing(self) -> Self:
+        if not 1 <= len(self.s_mm) <= MAX_MARKERS:
+            raise Inconsistent("markers.s_mm", f"needs 1 to {MAX_MARKERS} arclengths")
+        for i, (a, b) in enumerate(zip(self.s_mm, self.s_mm[1:], strict=False), 2):
+            if b <= a:
+                text = (
+                    f"item {i}: {b:g} does not increase after {a:g}; marker 1 is the one nearest to the base"
+                )
+                raise Inconsistent("markers.s_mm", text)
+        return self
+
+
+class CamerasTable(Table):
+    """`[cameras]`: their names, as in the names of photographs, and the order of lens distortion."""
+
+    names: Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
+    distortion: Literal[0, 1, 2] = 0
+
+    @model_validator(mode="after")
+    def _named(self) -> Self:
+        if len(self.names) < 2 or len(set(self.names)) < len(self.names):
+            raise Inconsistent("cameras.names", f"= {list(self.names)} must be two or more different names")
+        for name in self.names:
+            if not name.replace("_", "a").replace("-", "a").isalnum() or not name.isascii():
+                raise Inconsistent(
+                    "cameras.names", f"{name[:40]!r} is not a valid name; use letters, digits, - and _"
+                )
+        return self
+
+
+class WeighingTable(Table):
+    """`[weighing]`: mass of the probe or of its flexible part."""
+
+    mass_g: Annotated[float, Field(gt=0.0, le=10000.0)]
+    std_g: Annotated[float, Field(gt=0.0, le=1000.0)]
+    of: Literal["flexible", "probe"]
+
+
+class Manifest(Table):
+    """Contents of `campaign.toml`."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    probe: str
+    fingerprint: str | None = None
+    base: BaseTable = BaseTable()
+    gravity: GravityTable
+    markers: MarkersTable | None = None
+    cameras: CamerasTable | None = None
+    weighing: WeighingTable | None = None
+    source: dict[str, Any] = Field(default_factory=dict)  # free text
+
+    @field_validator("probe")
+    @classmethod
+    def _valid_name(cls, value: str) -> str:
+        check_name(value)
+        return value
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read and check `campaign.toml` of a data folder.
+
+    Raises:
+        InputError: it is missing or invalid; one line.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such data folder; `probedesign campaign` makes an example")
+    path = folder / FILE
+    if not path.is_file():
+        raise InputError(f"{folder}: has no {FILE}, so it is not a data folder; see docs/measurements.md")
+    return parse_toml(read_text(path, "campaign file", MAX_BYTES, "TOML"), Manifest, str(path))

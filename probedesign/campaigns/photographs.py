@@ -1,0 +1,232 @@
+"""Photographs of a campaign: the markers detected in each, written to `pixels.csv`."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from probedesign.campaigns.cameras import CONTROL_POINTS, IMAGES, PIXELS, read_cameras
+from probedesign.campaigns.campaign import Test
+from probedesign.campaigns.detection_cache import DetectionCache, cache_key
+from probedesign.campaigns.manifest import FILE as MANIFEST
+from probedesign.campaigns.manifest import Manifest, read_manifest
+from probedesign.campaigns.tables import read_tests
+from probedesign.errors import InputError
+from probedesign.files import write_atomically
+from probedesign.frames import Array
+from probedesign.units import MM
+from probedesign.vision.camera import Camera
+from probedesign.vision.marker_sequence import DetectedMarkers, ImageSide, find_markers
+from probedesign.vision.triangulate import triangulate
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+HEADER = "test,camera,marker,u_px,v_px,std_px"
+Progress = Callable[[str, float | None], None]
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """One photograph of a test.
+
+    Attributes:
+        test: it shows.
+        camera: name of the camera.
+        path: of the file.
+    """
+
+    test: Test
+    camera: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class PhotographedTest:
+    """Markers of one test in all its photographs.
+
+    Attributes:
+        photographs: one of each camera.
+        found: markers in each.
+        residual_px: root mean square of the reprojection errors [px]; NaN if the cameras are not calibrated.
+        problem: why it is left out; empty if it is not.
+    """
+
+    photographs: tuple[Photograph, ...]
+    found: tuple[DetectedMarkers, ...] = ()
+    residual_px: float = math.nan
+    problem: str = ""
+
+    @property
+    def test(self) -> str:
+        """Name of the test."""
+        return self.photographs[0].test.name
+
+
+def find_all(
+    folder: Path, base_side: ImageSide | None, dark: bool | None, skip: bool, on_progress: Progress
+) -> tuple[list[PhotographedTest], tuple[str, ...]]:
+    """Detect the markers in all photographs of a campaign.
+
+    Results are cached in the folder at once: after an interruption the next search continues from there.
+
+    Args:
+        folder: of the campaign.
+        base_side: side of the pictures where the base is; None to project the base with the calibrated cameras.
+        dark: whether the dots are darker than the probe; None for either.
+        skip: leave out a test whose photographs are refused, with the reason, instead of refusing all.
+        on_progress: called with the step and the fraction done.
+
+    Returns:
+        Each test that has photographs, and notes on the cameras for the user.
+
+    Raises:
+        InputError: the campaign has no markers, cameras, base side or photographs, or one is refused.
+        KeyboardInterrupt: with the number of cached photographs.
+    """
+    manifest = read_manifest(folder)
+    if manifest.markers is None or manifest.cameras is None:
+        lacking = "[markers] with s_mm" if manifest.markers is None else "[cameras] with names"
+        raise InputError(f"{folder / MANIFEST}: has no {lacking}, which the detection of markers needs")
+    taken = _photographs(folder, manifest, read_tests(folder, manifest))
+    calibrated = base_side is None or (folder / CONTROL_POINTS).exists()
+    cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
+    search = _Search(cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark, DetectionCache(folder),
+                     on_progress, sum(map(len, taken)))  # fmt: skip
+    tests = []
+    for photographs in taken:
+        try:
+            tests.append(search.test(photographs))
+        except InputError as error:
+            if not skip:
+                raise InputError(
+                    f"{error} (--skip leaves out the tests whose photographs are refused)"
+                ) from None
+            tests.append(PhotographedTest(photographs, problem=str(error)))
+        except KeyboardInterrupt:
+            done = len(search.cache)
+            kept = f"; {done} photographs are cached, the same command continues from there" if done else ""
+            raise KeyboardInterrupt(f"interrupted{kept}") from None
+    if all(test.problem for test in tests):
+        raise InputError(tests[0].problem)
+    used = search.cache.used
+    cached = (f"{used} of {search.total} photographs were taken from the cache",) if used else ()
+    return tests, (*notes, *cached)
+
+
+def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Path:
+    """Write `pixels.csv`.
+
+    Raises:
+        InputError: it exists and `force` is not set, or it cannot be written.
+    """
+    path = folder / PIXELS
+    check_free(folder, force)
+    lines = [
+        f"{test.test},{photograph.camera},{number},{u:.3f},{v:.3f},{std:.3f}"
+        for test in tests
+        for photograph, found in zip(test.photographs, test.found, strict=bool(test.found))
+        for number, ((u, v), std) in enumerate(zip(found.pixels, found.std_px, strict=True), 1)
+    ]
+    write_atomically(path, "\n".join([HEADER, *lines, ""]).encode())
+    DetectionCache(folder).remove()
+    return path
+
+
+def check_free(folder: Path, force: bool) -> None:
+    """Refuse to replace `pixels.csv`, which may have been clicked by hand.
+
+    Raises:
+        InputError: it exists and `force` is not set.
+    """
+    if (folder / PIXELS).exists() and not force:
+        raise InputError(f"{folder / PIXELS}: exists already; add --force to replace it, or move it away")
+
+
+def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Photograph, ...]]:
+    """Return the photographs of each test that has any.
+
+    Raises:
+        InputError: there are none, or a test has those of one camera only.
+    """
+    images = folder / IMAGES
+    assert manifest.cameras is not None  # checked by the caller
+    if not images.is_dir():
+        raise InputError(f"{images}: no such folder; put the photographs there as TEST-CAMERA.png")
+    files = {path.name.lower(): path for path in sorted(images.iterdir()) if path.suffix.lower() in SUFFIXES}
+    taken = []
+    for test in tests:
+        of_test: list[Photograph] = []
+        for camera in manifest.cameras.names:
+            names = (f"{test.name}-{camera}{suffix}".lower() for suffix in SUFFIXES)
+            paths = [files[name] for name in names if name in files]
+            if len(paths) > 1:
+                raise InputError(f"{paths[1]}: a second photograph of test {test.name} by {camera}; keep one")
+            of_test += [Photograph(test, camera, path) for path in paths]
+        if len(of_test) == 1:
+            lacking = f"camera {of_test[0].camera} only has a photograph of test {test.name}"
+            raise InputError(f"{images}: {lacking}; two cameras must see it: add one or remove it")
+        if of_test:
+            taken.append(tuple(of_test))
+    if not taken:
+        example = f"{tests[0].name}-{manifest.cameras.names[0]}.png"
+        raise InputError(f"{images}: no photograph is named after a test and a camera, as {example} would be")
+    return taken
+
+
+@dataclass
+class _Search:
+    """Detection in all photographs of a campaign.
+
+    Attributes:
+        cameras: calibrated ones.
+        s: arclength of the markers [m], (m,).
+        base_side: None if the base is projected by the cameras.
+        dark: whether the dots are darker than the probe; None for either.
+        cache: of finished photographs.
+        on_progress: called with the step and the fraction done.
+        total: number of photographs.
+        count: number of photographs so far.
+    """
+
+    cameras: list[Camera]
+    s: Array
+    base_side: ImageSide | None
+    dark: bool | None
+    cache: DetectionCache
+    on_progress: Progress
+    total: int
+    count: int = 0
+
+    def test(self, photographs: tuple[Photograph, ...]) -> PhotographedTest:
+        """Return the markers of one test, checked by triangulation if the cameras are calibrated."""
+        by_name = {camera.name: camera for camera in self.cameras}
+        found = [self._photograph(one, by_name.get(one.camera)) for one in photographs]
+        if not self.cameras:
+            return PhotographedTest(photographs, tuple(found))
+        try:
+            located = triangulate(
+                [by_name[one.camera] for one in photographs],
+                np.array([one.pixels for one in found]),
+                np.array([one.std_px for one in found]),
+            )
+        except InputError as error:
+            raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
+        return PhotographedTest(photographs, tuple(found), float(np.sqrt(np.nanmean(located.residual_px**2))))
+
+    def _photograph(self, one: Photograph, camera: Camera | None) -> DetectedMarkers:
+        """Return the markers of one photograph, from the cache if it is finished."""
+        self.on_progress(f"dots of {one.path.name}", self.count / self.total)
+        self.count += 1
+        base: Array | ImageSide
+        if self.base_side is None:
+            assert camera is not None  # `read_cameras` returns all that the campaign names
+            base = camera.project(one.test.T_world_base[:3, 3])
+        else:
+            base = self.base_side
+        key = cache_key(one.path, self.s, base, self.dark)
+        found = self.cache.get(key)
+        if found is None:
+            found = find_markers(one.path, self.s, base, self.dark)
+            self.cache.add(key, found)
+        return found

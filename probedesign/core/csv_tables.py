@@ -1,0 +1,469 @@
+"""CSV tables whose header names the unit of every number: their lines, their columns and their values in SI.
+
+`read_lines` splits a file into header, rows and comments; `find_columns` interprets the header; `read_rows` reads a
+table by its schema. The module does not depend on what the tables are for.
+"""
+
+import csv
+import difflib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.errors import InputError
+from probedesign.frames import Array
+
+Frame = Literal["sensor", "base"]
+
+UNITS = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "force": {"N": 1.0, "mN": 1e-3},
+    "moment": {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3},
+    "gravity": {"m_s2": 1.0},
+    "length": {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "um": 1e-6},
+    "angle": {"deg": 3.141592653589793 / 180.0, "rad": 1.0},
+    "pixel": {"px": 1.0},
+}
+"""Factor to SI by kind of column and unit; case is ignored. A kind that is not here has no unit."""
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+WRENCH_KINDS = {**dict.fromkeys(WRENCH[:3], "force"), **dict.fromkeys(WRENCH[3:], "moment")}
+WRENCH_ALIASES = {"tx": "mx", "ty": "my", "tz": "mz"}
+CEILING = {
+    "time": 1e11,
+    "force": 1000.0,
+    "moment": 50.0,
+    "gravity": 30.0,
+    "length": 100.0,
+    "angle": 100.0,
+    "pixel": 1e6,
+}
+"""Largest plausible value [s, N, N·m, m/s², m, rad, px]; a larger one is raw counts or a wrong unit. The largest
+calibration of the Nano17 reads 50 N and 0.5 N·m; a clock that counts milliseconds since 1970 as seconds reads 1.7e12;
+no laboratory is wider than 100 m, and no picture than a million pixels."""
+NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
+NOTES = ("note", "notes", "comment", "remark")
+"""Names of free-text columns, which are not read."""
+MAX_BYTES = 50_000_000
+MAX_ROWS = 500_000
+
+
+# lines
+
+
+@dataclass(frozen=True)
+class CsvLines:
+    """Non-empty lines of a CSV file.
+
+    Attributes:
+        path: of the file.
+        header: names of the columns.
+        header_number: line of the file with the header.
+        rows: the lines after it.
+        numbers: line of the file of each row.
+        ends_whole: whether the file ends in a newline.
+        comments: lines that begin with #, each with its line of the file.
+    """
+
+    path: Path
+    header: list[str]
+    header_number: int
+    rows: list[str]
+    numbers: list[int]
+    ends_whole: bool
+    comments: list[tuple[int, str]]
+
+    def fail(self, number: int, problem: str) -> NoReturn:
+        """Raise the error of one line of the file."""
+        raise InputError(f"{self.path}:{number}: {problem}")
+
+    @property
+    def frame(self) -> Frame:
+        """Frame that a comment `# frame: ...` names; the sensor's own if none does.
+
+        Raises:
+            InputError: a comment names another frame, or two.
+        """
+        return self._named_frame or "sensor"
+
+    @property
+    def names_frame(self) -> bool:
+        """Whether a comment names a frame."""
+        return self._named_frame is not None
+
+    @property
+    def _named_frame(self) -> Frame | None:
+        frames: set[Frame] = set()
+        for number, line in self.comments:
+            named = re.match(r"\s*#\s*frame\s*[:=](.*)", line, re.IGNORECASE)
+            if not named:
+                continue
+            match named.group(1).strip().lower():
+                case "sensor":
+                    frames.add("sensor")
+                case "base":
+                    frames.add("base")
+                case other:
+                    self.fail(number, f"frame {shown(other)} is not known; use sensor or base")
+        if len(frames) > 1:
+            raise InputError(f"{self.path}: names two frames; a recording has one")
+        return frames.pop() if frames else None
+
+
+def read_lines(path: Path, what: str, like: str, max_bytes: int | None = None) -> CsvLines:
+    """Read header, rows and comments of a file, without blank lines.
+
+    Args:
+        path: of a text file in UTF-8.
+        what: name of such a file in messages.
+        like: example of a header, for messages.
+        max_bytes: a larger file is refused; None accepts any.
+
+    Raises:
+        InputError: the file cannot be read, is not text, is empty or too large.
+    """
+    text = read_text(path, what, max_bytes)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    filled = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
+    comments = [(i, line) for i, line in filled if line.lstrip().startswith("#")]
+    if comments:
+        filled = [(i, line) for i, line in filled if not line.lstrip().startswith("#")]
+    if not filled:
+        raise InputError(f"{path}: is empty; a {what} starts with the header {like}")
+    header_number, header = filled[0]
+    names = [name.strip().strip("\"'").strip() for name in header.split(",")]
+    rows, numbers = [line for _, line in filled[1:]], [i for i, _ in filled[1:]]
+    return CsvLines(path, names, header_number, rows, numbers, text.endswith(("\n", "\r")), comments)
+
+
+def read_text(path: Path, what: str, max_bytes: int | None = None, kind: str = "CSV") -> str:
+    """Read a text file; `kind` is its format for messages, for the other arguments see `read_lines`.
+
+    Raises:
+        InputError: it cannot be read, is not text in UTF-8, or is too large.
+    """
+    try:
+        if max_bytes is not None and path.stat().st_size > max_bytes:
+            raise InputError(f"{path}: is larger than {max_bytes / 1e6:g} MB, far too large for a {what}")
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such {what}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file in UTF-8; a {what} is {kind}") from None
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
+    if "\0" in text:
+        raise InputError(f"{path}: is a binary file; a {what} is {kind}")
+    return text
+
+
+def shown(text: str) -> str:
+    """Return a piece of a file for a message: quoted, escaped, at most 40 characters."""
+    quoted = repr(text)
+    return quoted if len(quoted) <= 40 else quoted[:37] + "..."
+
+
+def plain(text: str, max_length: int = 100) -> str:
+    """Return a piece of a file for a sentence: only printable characters, shortened."""
+    return "".join(c for c in text[:max_length] if c.isprintable())
+
+
+# columns
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column that is read.
+
+    Attributes:
+        quantity: name of what it holds.
+        kind: of that quantity, a key of `UNITS` or a kind without unit.
+        index: its position in a row.
+        factor: to SI.
+        name: as the header spells it.
+    """
+
+    quantity: str
+    kind: str
+    index: int
+    factor: float
+    name: str
+
+    @property
+    def ceiling(self) -> float:
+        """Largest plausible value, in SI."""
+        return CEILING[self.kind]
+
+
+def find_columns(
+    lines: CsvLines, kinds: Mapping[str, str], aliases: Mapping[str, str], like: str
+) -> dict[str, Column]:
+    """Return the known columns of a header by quantity; others are left out.
+
+    Args:
+        lines: whose header is read.
+        kinds: kind of each known quantity, in lower case.
+        aliases: other names of quantities.
+        like: example of a header, for messages.
+
+    Raises:
+        InputError: there is no header, or a column is doubled or without a known unit.
+    """
+    if all(NUMBER.fullmatch(name) for name in lines.header):
+        lines.fail(lines.header_number, f"numbers without a header; the first line must be like {like}")
+    found: dict[str, Column] = {}
+    for index, name in enumerate(lines.header):
+        column = _column(lines, index, name, kinds, aliases)
+        if column is None:
+            continue
+        if column.quantity in found:
+            pair = f"{shown(found[column.quantity].name)} and {shown(name)}"
+            lines.fail(lines.header_number, f"columns {pair} are the same; keep one")
+        found[column.quantity] = column
+    return found
+
+
+def _column(
+    lines: CsvLines, index: int, name: str, kinds: Mapping[str, str], aliases: Mapping[str, str]
+) -> Column | None:
+    """Return the column of that name; None if its quantity is not known.
+
+    The quantity is the longest known name that the column's begins with, followed by anything but a letter, and the
+    unit may be spelt freely: `Fx_N`, `Fx (N)`, `Mx [N·mm]`. `Fx` alone is recognised too, and refused without a unit.
+    """
+    lower = name.lower()
+    stems = [
+        k for k in (*kinds, *aliases) if lower.startswith(k) and not lower[len(k) : len(k) + 1].isalpha()
+    ]
+    if not stems:
+        return None
+    stem = max(stems, key=len)
+    quantity = aliases.get(stem, stem)
+    kind = kinds[quantity]
+    unit = name[len(stem) :].strip(" _()[]")
+    if kind not in UNITS:
+        return None if unit else Column(quantity, kind, index, 1.0, name)
+    factor = {_letters(known): factor for known, factor in UNITS[kind].items()}.get(_letters(unit))
+    if factor is None:
+        problem = f"unit {shown(unit)} is not known" if unit else "names no unit"
+        endings = ", ".join(f"_{known}" for known in UNITS[kind])
+        lines.fail(lines.header_number, f"column {shown(name)}: {problem}; end its name in one of {endings}")
+    return Column(quantity, kind, index, factor, name)
+
+
+def _letters(unit: str) -> str:
+    """Return what the spellings of a unit have in common: N·mm, N-mm, N mm and Nmm."""
+    return re.sub(r"[\W_]", "", unit.lower().replace("µ", "u"))
+
+
+# rows
+
+
+@dataclass(frozen=True)
+class TableSchema:
+    """Columns that a table may have.
+
+    Attributes:
+        what: name of such a table in messages.
+        kinds: kind of each quantity by its name in the header; "name", "word" and "number" have no unit.
+        required: quantities that must have a column.
+        like: example of a header, for messages.
+        aliases: other names of quantities.
+    """
+
+    what: str
+    kinds: Mapping[str, str]
+    required: tuple[str, ...]
+    like: str
+    aliases: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class TableRows:
+    """Cells of one table, strict about what a spreadsheet may get wrong.
+
+    Attributes:
+        lines: of the file.
+        columns: by quantity.
+        cells: text of each row's cells.
+    """
+
+    lines: CsvLines
+    columns: dict[str, Column]
+    cells: list[list[str]]
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def fail(self, row: int, problem: str) -> NoReturn:
+        """Raise the error of one row."""
+        self.lines.fail(self.lines.numbers[row], problem)
+
+    def texts(self, quantity: str) -> list[str]:
+        """Return the cells of a column without unit; empty texts if there is no such column."""
+        column = self.columns.get(quantity)
+        return [""] * len(self) if column is None else [cells[column.index].strip() for cells in self.cells]
+
+    def numbers(self, *quantities: str) -> Array:
+        """Return numbers in SI, (n, len(quantities)); NaN where a cell is empty or there is no such column.
+
+        Raises:
+            InputError: a cell is not a finite number, or not plausible.
+        """
+        return np.column_stack([self._numbers(quantity) for quantity in quantities])
+
+    def _numbers(self, quantity: str) -> Array:
+        column = self.columns.get(quantity)
+        if column is None:
+            return np.full(len(self), np.nan)
+        values = [self._number(i, column, cells[column.index]) for i, cells in enumerate(self.cells)]
+        return np.array(values) * column.factor
+
+    def _number(self, row: int, column: Column, text: str) -> float:
+        if not text or text.isspace():
+            return float("nan")
+        if not NUMBER.fullmatch(text) or abs(value := float(text)) == float("inf"):
+            remedy = "write a number with a decimal point, or leave an optional cell empty"
+            self.fail(row, f"{column.name} = {shown(text.strip())} is not a finite number; {remedy}")
+        if abs(value * column.factor) > column.ceiling:
+            self.fail(row, f"{column.name} = {value:g} is implausibly large; raw counts or a wrong unit?")
+        return value
+
+    def required(self, *quantities: str) -> Array:
+        """Return numbers of which none may be missing, (n, len(quantities)).
+
+        Raises:
+            InputError: a cell is empty or not a finite number.
+        """
+        values = self.numbers(*quantities)
+        for row, column in np.argwhere(np.isnan(values))[:1]:
+            self.fail(int(row), f"{self.columns[quantities[column]].name} is empty; write the number")
+        return values
+
+    def std(self, quantity: str, needed: NDArray[np.bool_], missing: str) -> Array:
+        """Return a standard deviation of each row, (n,); NaN where its cell is empty.
+
+        Args:
+            quantity: its column.
+            needed: rows that must have one, (n,).
+            missing: message, with its remedy, for a row that lacks one.
+
+        Raises:
+            InputError: one is not positive, or a needed one is missing.
+        """
+        values = self.numbers(quantity)[:, 0]
+        for row in np.flatnonzero(values <= 0.0)[:1]:
+            column = self.columns[quantity]
+            cell = f"{column.name} = {self.cells[row][column.index].strip()}"
+            self.fail(int(row), f"{cell} is not a standard deviation; write a positive number")
+        for row in np.flatnonzero(needed & np.isnan(values))[:1]:
+            self.fail(int(row), missing)
+        return values
+
+    def all_or_none(self, *quantities: str) -> tuple[Array, NDArray[np.bool_]]:
+        """Return numbers of which a row has all or none, (n, len(quantities)), and which rows have them, (n,).
+
+        Raises:
+            InputError: a row has only some.
+        """
+        values = self.numbers(*quantities)
+        empty = np.isnan(values)
+        for row in np.flatnonzero(empty.any(axis=1) & ~empty.all(axis=1))[:1]:
+            lacking = quantities[int(np.argmax(empty[row]))]
+            absent = self.columns[lacking].name if lacking in self.columns else f"a column {lacking}"
+            given = self.columns[quantities[int(np.argmin(empty[row]))]].name
+            self.fail(int(row), f"{given} is given without {absent}; give all of them or none")
+        return values, np.asarray(~empty.any(axis=1))
+
+    def check_unique(self, keys: list[tuple[object, ...]], describe: Callable[[int], str]) -> None:
+        """Refuse two rows of the same key.
+
+        Args:
+            keys: of each row.
+            describe: returns the name of a row, for the message.
+
+        Raises:
+            InputError: there are two.
+        """
+        first: dict[tuple[object, ...], int] = {}
+        for row, key in enumerate(keys):
+            before = first.setdefault(key, row)
+            if before != row:
+                line = self.lines.numbers[before]
+                self.fail(row, f"{describe(row)} occurs twice, first in line {line}; keep one")
+
+
+def read_rows(path: Path, schema: TableSchema) -> TableRows:
+    """Read one table.
+
+    Raises:
+        InputError: it cannot be read, or its columns or the number of cells in a row are wrong.
+    """
+    lines = read_lines(path, schema.what, schema.like, MAX_BYTES)
+    if len(lines.header) == 1 and ";" in lines.header[0]:
+        lines.fail(lines.header_number,
+                   "semicolons between the columns; export it with commas and decimal points")  # fmt: skip
+    # spreadsheets leave rows of nothing but commas at the end
+    filled = [i for i, row in enumerate(lines.rows) if row.strip(", \t")]
+    lines = replace(lines, rows=[lines.rows[i] for i in filled], numbers=[lines.numbers[i] for i in filled])
+    columns = find_columns(lines, schema.kinds, schema.aliases, schema.like)
+    _check_columns(lines, columns, schema)
+    if not lines.rows:
+        raise InputError(f"{path}: has a header and no rows")
+    if len(lines.rows) > MAX_ROWS:
+        raise InputError(f"{path}: has {len(lines.rows)} rows, far too many for a {schema.what}")
+    return TableRows(lines, columns, _cells(lines))
+
+
+def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSchema) -> None:
+    """Refuse missing and unknown columns, and one kind of quantity in two units."""
+    read = {column.index for column in columns.values()}
+    for index, name in enumerate(lines.header):
+        if index not in read and name and name.lower() not in NOTES:
+            near = difflib.get_close_matches(name, schema.like.split(","), 1, 0.5)
+            hint = f"did you mean {shown(near[0])}?" if near else f"known are {schema.like}"
+            lines.fail(
+                lines.header_number, f"column {shown(name)} is not known; {hint} (for free text: note)"
+            )
+    missing = [name for name in schema.required if name not in columns]
+    if missing:
+        names = ", ".join(_spelt(name, schema) for name in missing)
+        lines.fail(
+            lines.header_number, f"columns are missing: {names}; the header must be like {schema.like}"
+        )
+    for kind in ("length", "angle", "force", "moment"):
+        alike = [column for column in columns.values() if column.kind == kind]
+        for other in alike[1:]:
+            if other.factor != alike[0].factor:
+                pair = f"{shown(alike[0].name)} and {shown(other.name)}"
+                lines.fail(lines.header_number, f"mixed units: {pair}; keep to one unit of {kind} in a table")
+
+
+def _spelt(quantity: str, schema: TableSchema) -> str:
+    """Return a quantity as the header should have it."""
+    alike = [name for name in schema.like.split(",") if name.lower().startswith(quantity)]
+    unit = next(iter(UNITS.get(schema.kinds[quantity], {})), "")
+    return alike[0] if alike else f"{quantity}_{unit}".rstrip("_")
+
+
+def _cells(lines: CsvLines) -> list[list[str]]:
+    cells = []
+    for row, number in zip(lines.rows, lines.numbers, strict=True):
+        try:
+            fields = next(csv.reader([row], strict=True))
+        except csv.Error:
+            lines.fail(number, "a quotation mark is opened and not closed, or the row is too long")
+        if len(fields) != len(lines.header):
+            lines.fail(number, f"{len(fields)} fields where the header names {len(lines.header)}")
+        for name, text in zip(lines.header, fields, strict=True):
+            if not name and text.strip():
+                lines.fail(number, f"{shown(text.strip())} is in a column without a name; name the column, or "
+                                   "empty the cell")  # fmt: skip
+        cells.append(fields)
+    return cells

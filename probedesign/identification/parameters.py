@@ -1,0 +1,376 @@
+"""Parameters that a campaign can identify, the nuisance parameters of its tests, and the rod and poses they imply.
+
+All of them form one parameter vector: the blocks of `PARAMETERS` in order, then the modes of the print's dimension
+errors. A parameter is added by one entry of `PARAMETERS`: the solver, the observability analysis, the checks, the
+report and the design update iterate over the entries.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from probedesign.errors import InputError
+from probedesign.estimation.error_sources import parameters_of
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array, pose, wrench_map
+from probedesign.naming import unknown
+from probedesign.rod import kernels
+from probedesign.rod.rod import Rod
+from probedesign.units import MM, MPA
+
+if TYPE_CHECKING:
+    from probedesign.identification.residuals import SolvedTest, WithJacobian
+
+DEGREE = math.pi / 180.0
+DEFAULT = ("E", "G")
+"""Parameters identified unless others are requested: those of the paper."""
+ROOT_STEP = 0.02
+"""Step of root_rigid_radii for its central difference, the one derivative that the rod does not provide. The relative
+truncation error is 1e-4."""
+ROOT_RANGE = (-0.98, 2.0)
+GRAVITY_COLUMNS = slice(7, 10)
+"""Columns of the rod's sensitivities by gravity in base axes."""
+TARE_FRACTION = 0.05
+"""Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
+Covers 1 % of density, 2 % of area and the change of the sag by a third of E (assumed)."""
+
+Jacobian = Callable[["SolvedTest", "WithJacobian"], Array]
+"""Derivative of a vector of the solved rod in base axes (...) by a parameter's components, (..., k)."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One entry of the parameter vector: its unit, prior, effect on the rod and derivative.
+
+    Attributes:
+        name: as `--for` requests it.
+        labels: component name → description, in the order of the vector.
+        prior: standard deviation of the components about zero [vector unit]; 0 fixes them at the design value.
+        jacobian: derivative of vectors of the solved rod in base axes; None where only the change of axes matters,
+            which `residuals` adds.
+        apply: the rod with the parameter at a value; None if the parameter does not change the rod.
+        logarithm: whether the vector has the logarithm of a factor on the design value.
+        max_std: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported.
+            None for a nuisance parameter, which cannot be requested.
+        unit: of reported values; empty for plain factors.
+        scale: reported unit per unit of the vector.
+        design_value: design value in the reported unit.
+        attribute: name of the property in `Rod`, `Design` and `Tolerances`; empty if the design has none.
+        design_key: key of the design file that holds the value; empty if the design has none.
+        prior_name: what the prior knowledge concerns; parameters of one name are tested together.
+        prior_source: where the prior value is stated.
+    """
+
+    name: str
+    labels: dict[str, str]
+    prior: Callable[["CommonParameters"], ArrayLike]
+    jacobian: Jacobian | None = None
+    apply: Callable[[Rod, float], Rod] | None = None
+    logarithm: bool = False
+    max_std: float | None = None
+    unit: str = ""
+    scale: float = 1.0
+    design_value: Callable[[Rod], float] = lambda rod: 0.0
+    attribute: str = ""
+    design_key: str = ""
+    prior_name: str = ""
+    prior_source: str = ""
+
+    @cached_property
+    def columns(self) -> slice:
+        """Position of its components in the parameter vector."""
+        start = 0
+        for other in PARAMETERS.values():
+            if other.name == self.name:
+                break
+            start += len(other.labels)
+        return slice(start, start + len(self.labels))
+
+    def reported(self, rod: Rod, x: float) -> float:
+        """Return a component of the vector in the reported unit, for the given design rod."""
+        design = self.design_value(rod)
+        return design * math.exp(x) if self.logarithm else design + self.scale * x
+
+    def format_std(self, std: float) -> str:
+        """Return a standard deviation [vector unit] as text, `unbounded` beyond any meaningful value."""
+        if self.logarithm:
+            return f"{std:.0%}" if std < 10.0 else "unbounded"
+        if self.unit == "deg" and std >= math.pi:
+            return "unbounded"
+        return f"{self.scale * std:.2g} {self.unit}".rstrip()
+
+
+def _rod_column(name: str) -> Jacobian:
+    """Return the derivative by one of the rod's own parameters."""
+    column = kernels.PARAMETERS.index(name)
+    return lambda test, vector: vector.by_rod[..., [column]]
+
+
+def _material(
+    name: str, label: str, attribute: str, unit: str, si: float, max_std: float,
+    design_key: str, prior_name: str = "", prior_source: str = "",
+) -> Parameter:  # fmt: skip
+    """Return the parameter of a material property, the logarithm of a factor on the design's."""
+
+    def scaled(rod: Rod, x: float) -> Rod:
+        value: float = getattr(rod, attribute) * math.exp(x)
+        return replace(rod, **{attribute: value})  # type: ignore[arg-type]
+
+    def prior(common: "CommonParameters") -> float:
+        # A requested E has no prior; an E that is not requested is exactly the design's, as touches report it.
+        return 0.0 if name == "E" else float(getattr(common.tolerances, attribute))
+
+    return Parameter(
+        name, {name: label}, prior, _rod_column(f"log_{name}"), scaled, True, max_std, unit,
+        design_value=lambda rod: getattr(rod, attribute) / si, attribute=attribute, design_key=design_key,
+        prior_name=prior_name, prior_source=prior_source,
+    )  # fmt: skip
+
+
+def _with_root(rod: Rod, x: float) -> Rod:
+    """Return the rod with another rigid length at its root, in base radii."""
+    radii = float(np.clip(rod.rigid_length / rod.radius[0] + x, *ROOT_RANGE))
+    return replace(rod, rigid_length=radii * float(rod.radius[0]))
+
+
+def scaled_diameters(rod: Rod, factor: float | Array) -> Rod:
+    """Return the rod with its diameters times a factor, one for all or one per knot; the root scales with the base."""
+    radius = rod.radius * factor
+    return replace(rod, radius=radius, rigid_length=rod.rigid_length * float(radius[0] / rod.radius[0]))
+
+
+def _xyz(name: str, label: str) -> dict[str, str]:
+    return {f"{name}_{axis}": label.format(axis) for axis in "xyz"}
+
+
+_BASE_ROTATION = ("rotation of the base",
+                  "rotation_world_deg and std_deg in campaign.toml, or the base pose of each test")  # fmt: skip
+_MOUNTING = ("mounting of the probe on the sensor",
+             "the frame of wrenches.csv, and the tolerances base_mm, tilt_deg and clocking_deg")  # fmt: skip
+
+PARAMETERS: dict[str, Parameter] = {
+    one.name: one
+    for one in (
+        _material("E", "Young's modulus", "youngs_modulus", "MPa", MPA, 0.3, design_key="material.youngs_modulus_mpa"),
+        _material("density", "density", "density", "kg/m³", 1.0, 0.1, design_key="material.density_kg_m3",
+                  prior_name="design density",
+                  prior_source="density_kg_m3 in the design, its tolerance, and the weighing"),
+        _material("G", "shear modulus", "shear_modulus", "MPa", MPA, 0.1, design_key="material.shear_modulus_mpa",
+                  prior_name="design shear modulus",
+                  prior_source="shear_modulus_mpa in the design, and its tolerance"),
+        Parameter("root", {"root": "compliance that the base lacks, in base radii"}, lambda common: 0.0,
+                  lambda test, vector: vector.by_root[..., None], _with_root, max_std=0.3,
+                  design_value=lambda rod: float(rod.rigid_length / rod.radius[0]),
+                  design_key="mount.root_rigid_radii"),
+        Parameter("tilt", {"tilt_x": "rotation about x", "tilt_y": "rotation about y"},
+                  lambda common: common.std_tilt, lambda test, vector: test.by_base_rotation(vector)[..., 0:2],
+                  max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
+                  prior_name=_BASE_ROTATION[0], prior_source=_BASE_ROTATION[1]),
+        Parameter("clocking", {"clocking": "rotation about z"},
+                  lambda common: common.std_tilt, lambda test, vector: test.by_base_rotation(vector)[..., 2:3],
+                  max_std=5.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
+                  prior_name=_BASE_ROTATION[0], prior_source=_BASE_ROTATION[1]),
+        Parameter("offset", _xyz("offset", "position of the base along its {} axis"), lambda common: common.std_base,
+                  max_std=2.0 * MM, unit="mm", scale=1.0 / MM, prior_name="position of the base",
+                  prior_source="p_world_mm and std_mm in campaign.toml, or the base pose of each test"),
+        Parameter("gravity", {"gravity_1": "rotation of gravity about the first axis perpendicular to it",
+                              "gravity_2": "rotation of gravity about the second axis perpendicular to it"},
+                  lambda common: common.tolerances.gravity_deg * DEGREE,
+                  lambda test, vector: vector.by_rod[..., GRAVITY_COLUMNS] @ test.d_gravity,
+                  max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE, prior_name="direction of gravity",
+                  prior_source="world_m_s2 in campaign.toml, and the tolerance gravity_deg"),
+        Parameter("diameters", {"diameters": "all diameters over the design's"}, lambda common: 0.0,
+                  _rod_column("log_diameter"), lambda rod, x: scaled_diameters(rod, math.exp(x)), True, 0.1,
+                  design_value=lambda rod: 1.0),
+        Parameter("mount_rotation", _xyz("mount_rotation", "rotation of the probe on the sensor about {}"),
+                  lambda common: common.mount_rotation_std,
+                  lambda test, vector: test.by_mount_rotation(vector),
+                  prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
+        Parameter("mount_offset", _xyz("mount_offset", "position of the probe on the sensor along {}"),
+                  lambda common: common.tolerances.base_mm * MM,
+                  prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
+        Parameter("bias", {f"bias_{channel}": f"bias of {channel}" for channel in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")},
+                  lambda common: common.bias_std, prior_name="bias of the sensor",
+                  prior_source="when the sensor was zeroed: before the probe is mounted, or with it hanging free"),
+    )
+}  # fmt: skip
+"""By name. Of two parameters that cannot be separated, the later one stays at the design value.
+
+Base and mount rotate about their own axes [rad] and shift along them [m]; gravity rotates about two axes
+perpendicular to it [rad]; the bias is about the base [N, N·m]. Limits `max_std`: published values of E of one resin,
+1.6 to 3.2 MPa, spread by 30 %; G has a tenth, since a full round probe shows it by a shear of a tenth of a millimetre
+alone, which any other small error of the model makes as well; the others are assumed."""
+
+REQUESTABLE = tuple(name for name, one in PARAMETERS.items() if one.max_std is not None)
+COMPONENTS = tuple(label for one in PARAMETERS.values() for label in one.labels)
+OWNER = tuple(one for one in PARAMETERS.values() for _ in one.labels)
+"""Parameter that each entry of the vector belongs to."""
+PRINT = len(COMPONENTS)
+"""First entry of the print's dimension modes, which have unit normal priors."""
+
+
+def _span(first: str, last: str) -> slice:
+    return slice(PARAMETERS[first].columns.start, PARAMETERS[last].columns.stop)
+
+
+BASE_ROTATION, BASE_OFFSET = _span("tilt", "clocking"), PARAMETERS["offset"].columns
+MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
+GRAVITY_TILT, BIAS = PARAMETERS["gravity"].columns, PARAMETERS["bias"].columns
+LOG_E, DIAMETERS = PARAMETERS["E"].columns.start, PARAMETERS["diameters"].columns.start
+LOGARITHMS = [i for i, one in enumerate(OWNER) if one.logarithm]
+
+
+def check_requested(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of `--for` in the order of `PARAMETERS`.
+
+    Raises:
+        InputError: there is none, or one is unknown.
+    """
+    for name in names:
+        if name not in REQUESTABLE:
+            raise unknown("--for", name, REQUESTABLE)
+    if not names:
+        raise InputError(f"--for: no parameter is named; known: {', '.join(REQUESTABLE)}")
+    return tuple(name for name in REQUESTABLE if name in names)
+
+
+def columns_of(names: Sequence[str]) -> list[int]:
+    """Return the positions of some parameters' components in the parameter vector."""
+    return [i for name in names for i in range(PARAMETERS[name].columns.start, PARAMETERS[name].columns.stop)]
+
+
+@dataclass(frozen=True)
+class CommonParameters:
+    """The parameters that all tests of a campaign share, with their priors.
+
+    Attributes:
+        model: of the probe as designed.
+        tolerances: of probe, mount and gravity.
+        std_base, std_tilt: standard deviations of the stated base pose [m, rad].
+    """
+
+    model: ProbeModel
+    tolerances: Tolerances
+    std_base: float
+    std_tilt: float
+
+    @cached_property
+    def print_modes(self) -> Array:
+        """Change of the logarithms of the knots' diameters by unit normal numbers, (q, K): all diameters together,
+        each by itself, and the length, which changes the diameter at a given place of a cone."""
+        rod = self.model.rod
+        sources = parameters_of(rod, self.tolerances)
+        taper = -np.gradient(rod.radius, rod.s) * rod.s / rod.radius
+        rows = np.concatenate([sources["diameter"][:, 4:], sources["diameter scatter"][:, 4:],
+                               (taper * sources["length"][0, 3])[None]])  # fmt: skip
+        return np.asarray(rows[np.abs(rows).max(axis=1) > 0.0], dtype=float)
+
+    @property
+    def size(self) -> int:
+        """Length of the parameter vector."""
+        return PRINT + len(self.print_modes)
+
+    @property
+    def mount_rotation_std(self) -> Array:
+        """Standard deviations of the probe's rotation on the sensor [rad], (3,)."""
+        t = self.tolerances
+        return np.array([t.tilt_deg, t.tilt_deg, t.clocking_deg]) * DEGREE
+
+    @cached_property
+    def drift_cov(self) -> Array:
+        """Covariance of the bias drift between tests, at the base [N², N·m²], (6, 6)."""
+        steps = self.tolerances.drift_steps**2 * self.model.averaging_samples
+        return np.asarray(steps * self.model.noise_base())
+
+    @cached_property
+    def bias_std(self) -> Array:
+        """Standard deviations of the bias that all tests share [N, N·m], (6,): drift, and what a tare absorbed."""
+        absorbed = np.zeros(6)
+        free = self.model.rod.solve(self.model.gravity_base)
+        if self.tolerances.tared and free.ok:
+            force, moment = np.linalg.norm(free.wrench_base.reshape(2, 3), axis=1)
+            absorbed[:] = TARE_FRACTION * np.repeat([force, moment], 3)
+        return np.asarray(np.sqrt(np.diag(self.drift_cov) + absorbed**2))
+
+    @cached_property
+    def prior(self) -> Array:
+        """Standard deviations of the vector about zero, (size,); zero for what is fixed at the design value."""
+        std = np.ones(self.size)
+        for one in PARAMETERS.values():
+            std[one.columns] = one.prior(self)
+        return std
+
+    def prior_without(self, requested: Sequence[str]) -> Array:
+        """Return the prior with infinite standard deviations for the requested parameters, (size,)."""
+        std = self.prior.copy()
+        std[columns_of(requested)] = math.inf
+        together = self.tolerances.diameter_mm > 0.0 or self.tolerances.diameter_share > 0.0
+        if "diameters" in requested and together:
+            std[PRINT] = (
+                0.0  # the first print mode is the same factor on all diameters: one of the two is enough
+            )
+        return std
+
+
+@dataclass(frozen=True)
+class ParameterValues:
+    """Values of the parameter vector: the rod, the poses and the gravity that they imply.
+
+    Attributes:
+        common: the parameters.
+        x: the vector, (size,).
+    """
+
+    common: CommonParameters
+    x: Array
+
+    @cached_property
+    def rod(self) -> Rod:
+        """The rod with these values."""
+        rod = self.common.model.rod
+        for one in PARAMETERS.values():
+            if one.apply is not None:
+                rod = one.apply(rod, float(self.x[one.columns][0]))
+        return scaled_diameters(rod, np.exp(self.x[PRINT:] @ self.common.print_modes))
+
+    def with_root_step(self, step: float) -> Rod:
+        """Return the rod with root_rigid_radii changed by a step."""
+        return replace(self.rod, rigid_length=self.rod.rigid_length + step * float(self.rod.radius[0]))
+
+    @cached_property
+    def T_base_error(self) -> Array:
+        """Actual pose of the sensor's base frame in the base frame as the campaign states it, (4, 4)."""
+        return pose(Rotation.from_rotvec(self.x[BASE_ROTATION]).as_matrix(), self.x[BASE_OFFSET])
+
+    @cached_property
+    def T_mount_error(self) -> Array:
+        """Actual pose of the probe's base in the base frame of the sensor, (4, 4)."""
+        return pose(Rotation.from_rotvec(self.x[MOUNT_ROTATION]).as_matrix(), self.x[MOUNT_OFFSET])
+
+    @cached_property
+    def T_stated_base(self) -> Array:
+        """Actual pose of the probe's base in the base frame as the campaign states it, (4, 4)."""
+        return np.asarray(self.T_base_error @ self.T_mount_error)
+
+    @cached_property
+    def mount_wrench_map(self) -> Array:
+        """Map of wrenches at the probe's base to the base frame of the sensor, (6, 6)."""
+        return wrench_map(self.T_mount_error)
+
+    @property
+    def bias(self) -> Array:
+        """Bias of the readings [N, N·m], (6,)."""
+        return self.x[BIAS]
+
+    def gravity(self, gravity_world: Array) -> tuple[Array, Array]:
+        """Return gravity in the world [m/s²], (3,), and its derivatives by its two rotations, (3, 2)."""
+        axes = np.linalg.svd(gravity_world[None])[2][1:] if gravity_world.any() else np.zeros((2, 3))
+        R = Rotation.from_rotvec(self.x[GRAVITY_TILT] @ axes).as_matrix()
+        return R @ gravity_world, np.cross(axes, gravity_world).T

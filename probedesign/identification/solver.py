@@ -1,0 +1,475 @@
+"""Robust least squares over a whole campaign: starting values, Levenberg–Marquardt steps, weights and noise scales.
+
+A block of k residuals at distance d has full weight up to c², the 99 % quantile of χ²_k, and weight c²/d² beyond: with
+normal noise hardly any information is lost, and the pull of a gross error falls as 1/d. That loss has more than one
+minimum, so distances are first measured against their median, whose scale falls to 1 as the fit converges.
+
+SciPy's `least_squares` has robust losses of single residuals only; here a block of residuals shares one weight and the
+scale of its kind is estimated with it, which is why the steps are taken here.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from probedesign.frames import Array
+from probedesign.identification.parameters import (
+    LOG_E,
+    LOGARITHMS,
+    CommonParameters,
+    ParameterValues,
+    columns_of,
+)
+from probedesign.identification.residuals import (
+    MassMeasurement,
+    MeasuredTest,
+    ResidualBlock,
+    SolvedTest,
+    solve_test,
+)
+from probedesign.rod.rod import Rod
+
+ROBUST_KINDS = ("markers", "wrenches", "touches")
+"""Kinds with many readings; the others are prior knowledge or single readings."""
+FULL_WEIGHT = 0.99
+"""Quantile of χ² up to which a block has full weight."""
+REJECTION_CHANCE = 1e-3
+"""Chance, with noise as stated, that a scatter is judged larger than stated or a prior is rejected."""
+OUTLIER_CHANCE = 0.01
+"""Chance, with normal noise, that a campaign reports any outlier at all."""
+MAX_ITERATIONS = 60
+MIN_DAMPING, MAX_DAMPING = 1e-9, 1e8
+MIN_GAIN = 1e-3
+"""Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
+rod's own tolerances, a micrometre and a millionth of the moment, make the loss uncertain by about as much."""
+MAX_LOGARITHM = 3.0
+"""Of a factor on the design value: no probe is twenty times stiffer than designed."""
+MAX_SCALE_ROUNDS = 4
+"""Estimates of the noise scales from the residuals."""
+START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5)
+"""Factors on E to start from: published values of one resin differ by two."""
+
+
+# robust weights
+
+
+@dataclass(frozen=True)
+class NoiseScale:
+    """Scatter of one kind of reading.
+
+    Attributes:
+        kind: of readings.
+        groups: how many there are.
+        scale: standard deviation over the stated one; at least 1.
+        freedom: degrees of freedom of the estimate.
+        measured: whether the scale was estimated from the residuals, which scatter more than stated.
+    """
+
+    kind: str
+    groups: int
+    scale: float
+    freedom: float
+    measured: bool
+
+
+@cache
+def _full_weight_limit(k: int) -> float:
+    """Return c²."""
+    return float(chi2.ppf(FULL_WEIGHT, k))
+
+
+@cache
+def _median(k: int) -> float:
+    return float(chi2.median(k))
+
+
+def squared_distance(block: ResidualBlock) -> float:
+    """Return the squared Mahalanobis distance of a block with the stated noise."""
+    return float(block.r @ block.r)
+
+
+def weights(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> Array:
+    """Return the weight of each block, relative to its stated information, (n,)."""
+    result = np.ones(len(blocks))
+    for i, block in enumerate(blocks):
+        if block.kind in ROBUST_KINDS:
+            variance = scales.get(block.kind, 1.0) ** 2
+            d2 = squared_distance(block) / variance
+            result[i] = min(1.0, _full_weight_limit(len(block.r)) / max(d2, 1e-12)) / variance
+    return result
+
+
+def robust_loss(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> float:
+    """Return the loss that a fit minimises, half a χ² of blocks with full weight."""
+    total = 0.0
+    for block in blocks:
+        d2 = squared_distance(block)
+        if block.kind in ROBUST_KINDS:
+            d2 /= scales.get(block.kind, 1.0) ** 2
+            limit = _full_weight_limit(len(block.r))
+            d2 = d2 if d2 <= limit else limit * (1.0 + np.log(d2 / limit))
+        total += 0.5 * d2
+    return total
+
+
+def _median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
+    """Return the scale of each kind by the median of its distances, at least 1."""
+    result = {}
+    for kind in ROBUST_KINDS:
+        relative = [squared_distance(block) / _median(len(block.r)) for block in blocks if block.kind == kind]
+        if relative:
+            result[kind] = max(1.0, float(np.sqrt(np.median(relative))))
+    return result
+
+
+def _noise_scales(
+    blocks: Sequence[ResidualBlock], weight: Array, leverage: Array, scales: dict[str, float]
+) -> list[NoiseScale]:
+    """Estimate the scatter of each kind about the fit.
+
+    Args:
+        blocks: of the whole campaign.
+        weight: of each, with the present scales.
+        leverage: degrees of freedom of each block that the fit absorbs, (n,).
+        scales: present ones.
+    """
+    result = []
+    for kind in dict.fromkeys(block.kind for block in blocks if block.kind in ROBUST_KINDS):
+        at = [i for i, block in enumerate(blocks) if block.kind == kind]
+        relative = weight[at] * scales.get(kind, 1.0) ** 2  # 1 for blocks with full weight
+        squares = float(np.sum(relative * [squared_distance(blocks[i]) for i in at]))
+        freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
+        measured = freedom > 1.0 and chi2.sf(squares, freedom) < REJECTION_CHANCE
+        scale = float(np.sqrt(squares / freedom)) if measured else 1.0
+        result.append(NoiseScale(kind, len(at), scale, max(freedom, 0.0), bool(measured)))
+    return result
+
+
+def outliers(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> list[tuple[ResidualBlock, float]]:
+    """Return the blocks that noise does not explain, farthest first, with their Mahalanobis distance."""
+    count = sum(block.kind in ROBUST_KINDS for block in blocks)
+    result = []
+    for block in blocks:
+        if block.kind in ROBUST_KINDS:
+            d2 = squared_distance(block) / scales.get(block.kind, 1.0) ** 2
+            if chi2.sf(d2, len(block.r)) < OUTLIER_CHANCE / max(count, 1):
+                result.append((block, float(np.sqrt(d2))))
+    return sorted(result, key=lambda pair: -pair[1])
+
+
+# the problem, linearised
+
+
+@dataclass(frozen=True)
+class LeastSquaresProblem:
+    """Tests, weighing and prior of one fit.
+
+    Attributes:
+        common: parameters that the tests share.
+        tests: the tests.
+        mass: the weighing; None if there was none.
+        prior: standard deviations of the parameter vector: infinite for requested parameters, 0 for fixed ones.
+    """
+
+    common: CommonParameters
+    tests: tuple[MeasuredTest, ...]
+    mass: MassMeasurement | None
+    prior: Array
+
+    @cached_property
+    def active(self) -> Array:
+        """Which entries of the parameter vector are estimated, (size,) of bool."""
+        return np.asarray(self.prior > 0.0)
+
+    @cached_property
+    def n_active(self) -> int:
+        """Number of estimated entries of the parameter vector."""
+        return int(self.active.sum())
+
+    @property
+    def size(self) -> int:
+        """Number of all unknowns, nuisance parameters of the tests included."""
+        return self.n_active + sum(test.nuisance_size for test in self.tests)
+
+    @cached_property
+    def nuisance_slices(self) -> dict[str, slice]:
+        """Position of each test's nuisance parameters among the unknowns, by its name."""
+        ends = itertools.accumulate((test.nuisance_size for test in self.tests), initial=self.n_active)
+        return {
+            test.name: slice(a, b) for test, (a, b) in zip(self.tests, itertools.pairwise(ends), strict=True)
+        }
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """The campaign solved at some parameter values, with derivatives.
+
+    Attributes:
+        problem: the fit.
+        values: of the parameters.
+        tests: solved.
+        blocks: all residuals; empty where a test has no solution.
+    """
+
+    problem: LeastSquaresProblem
+    values: ParameterValues
+    tests: tuple[SolvedTest, ...]
+    blocks: tuple[ResidualBlock, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the rod has a stable equilibrium in every test."""
+        return all(test.ok for test in self.tests)
+
+    @cached_property
+    def prior_residual(self) -> Array:
+        """Whitened deviation of the estimated entries from their prior, (n_active,)."""
+        std = self.problem.prior[self.problem.active]
+        return np.where(np.isinf(std), 0.0, self.values.x[self.problem.active] / std)
+
+    def loss(self, scales: dict[str, float]) -> float:
+        """Return the loss with the prior's share."""
+        return robust_loss(self.blocks, scales) + 0.5 * float(self.prior_residual @ self.prior_residual)
+
+    def block_jacobian(self, block: ResidualBlock) -> Array:
+        """Return derivatives of one block by all unknowns, (k, size)."""
+        J = np.zeros((len(block.r), self.problem.size))
+        J[:, : self.problem.n_active] = block.J[:, self.problem.active]
+        if block.test in self.problem.nuisance_slices:
+            J[:, self.problem.nuisance_slices[block.test]] = block.J_nuisance
+        return J
+
+    def system(self, weight: Array) -> tuple[Array, Array]:
+        """Return the weighted Jacobian (n, size) and residuals (n,), priors first."""
+        std = self.problem.prior[self.problem.active]
+        prior = np.zeros((self.problem.n_active, self.problem.size))
+        prior[:, : self.problem.n_active] = np.diag(np.where(np.isinf(std), 0.0, 1.0 / std))
+        rows, values = [prior], [self.prior_residual]
+        for block, w in zip(self.blocks, weight, strict=True):
+            rows.append(np.sqrt(w) * self.block_jacobian(block))
+            values.append(np.sqrt(w) * block.r)
+        return np.concatenate(rows), np.concatenate(values)
+
+    def fixed_jacobian(self, columns: Sequence[int], weight: Array) -> Array:
+        """Return the same rows by entries of the parameter vector that are fixed, (n, len(columns))."""
+        prior = np.zeros((self.problem.n_active, len(columns)))
+        rows = [np.sqrt(w) * block.J[:, columns] for block, w in zip(self.blocks, weight, strict=True)]
+        return np.concatenate([prior, *rows])
+
+
+def linearize(
+    problem: LeastSquaresProblem,
+    values: ParameterValues,
+    nuisance: Sequence[Array],
+    last: Linearization | None = None,
+    root: bool = False,
+) -> Linearization:
+    """Solve every test at some parameter values.
+
+    Args:
+        problem: the fit.
+        values: of the parameters.
+        nuisance: parameters of each test's own.
+        last: a neighbouring linearization, whose equilibria are the initial guesses.
+        root: whether derivatives by the root are needed although it is fixed.
+    """
+    root = root or bool(problem.active[columns_of(["root"])[0]])
+    solved: list[SolvedTest] = []
+    for i, (test, own) in enumerate(zip(problem.tests, nuisance, strict=True)):
+        tip = last.tests[i].eq.tip if last is not None else None
+        solved.append(solve_test(test, values, own, tip, root))
+        if not solved[-1].ok:
+            return Linearization(problem, values, tuple(solved), ())
+    blocks = [block for test in solved for block in test.blocks()]
+    if problem.mass is not None:
+        blocks.append(problem.mass.block(values))
+    return Linearization(problem, values, tuple(solved), tuple(blocks))
+
+
+def column_scales(rows: Array) -> Array:
+    """Return inverse column norms, so that scaled columns are comparable; 1 for columns of zeros."""
+    size = np.linalg.norm(rows, axis=0)
+    return np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 1.0)
+
+
+# starting values
+
+
+def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | None:
+    """Return the linearization at the factor on E with the least loss; None if no factor has a solution.
+
+    Args:
+        problem: the fit.
+        free_E: whether E may differ from the design's.
+    """
+    best = None
+    for factor in START_FACTORS if free_E else START_FACTORS[:1]:
+        x = np.zeros(problem.common.size)
+        x[LOG_E] = np.log(factor)
+        point = linearize(problem, ParameterValues(problem.common, x),
+                          start_nuisance(problem.tests, problem.common.model.rod))  # fmt: skip
+        if point.ok and (best is None or point.loss({}) < best.loss({})):
+            best = point
+    return best
+
+
+def solvable_tests(
+    problem: LeastSquaresProblem, free_E: bool
+) -> tuple[list[MeasuredTest], list[MeasuredTest]]:
+    """Split the tests into those with a stable equilibrium for some factor on E, and those without."""
+    kept: list[MeasuredTest] = []
+    lost: list[MeasuredTest] = []
+    for test in problem.tests:
+        alone = LeastSquaresProblem(problem.common, (test,), None, problem.prior)
+        (lost if start_point(alone, free_E) is None else kept).append(test)
+    return kept, lost
+
+
+def start_nuisance(tests: Sequence[MeasuredTest], rod: Rod) -> list[Array]:
+    """Return initial nuisance parameters of each test: a touch's force by its reading, its place by the lever."""
+    result = []
+    for test in tests:
+        start = np.zeros(test.nuisance_size)
+        if len(start):
+            if test.force_world is None:
+                assert test.wrench_base is not None  # tests without are not used
+                force = test.wrench_base[:3] - rod.mass * test.gravity_base
+                start[:3] = force
+            else:
+                force = test.T_world_base[:3, :3].T @ test.force_world
+            if test.s_estimated:
+                start[-1] = np.clip(_start_arclength(test, rod, force), 0.02 * rod.length, rod.flank_end)
+        result.append(start)
+    return result
+
+
+def _start_arclength(test: MeasuredTest, rod: Rod, force: Array) -> float:
+    """Return the stated arclength, else the distance of the touched point, else the lever of the force [m]."""
+    if np.isfinite(test.s_contact):
+        return test.s_contact
+    if test.p_touch_world is not None:
+        return float(np.linalg.norm(test.p_touch_world - test.T_world_base[:3, 3]))
+    free = rod.solve(test.gravity_base)
+    assert test.wrench_base is not None
+    moment = test.wrench_base[3:] - (free.wrench_base[3:] if free.ok else 0.0)
+    across = float(np.hypot(*force[:2]))
+    return float(np.hypot(*moment[:2])) / across if across > 0.0 else 0.5 * rod.length
+
+
+# the search
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a search.
+
+    Attributes:
+        result: "ok" or "not_converged".
+        point: linearization where it ended.
+        scales: noise scale of each kind over the stated noise.
+        noise: how the scales were estimated.
+        iterations: number of steps.
+    """
+
+    result: str
+    point: Linearization
+    scales: dict[str, float]
+    noise: tuple[NoiseScale, ...]
+    iterations: int
+
+    @cached_property
+    def weight(self) -> Array:
+        """Weight of each block."""
+        return weights(self.point.blocks, self.scales)
+
+    @cached_property
+    def cov(self) -> Array:
+        """Covariance of all unknowns, entries of the parameter vector first, (size, size)."""
+        rows, _ = self.point.system(self.weight)
+        scales = column_scales(rows)
+        R_inverse = np.linalg.pinv(np.linalg.qr(rows * scales, mode="r"))
+        return np.asarray(scales[:, None] * (R_inverse @ R_inverse.T) * scales)
+
+
+def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
+    """Fit a campaign.
+
+    At first the scale of each kind is that of the median of its distances; once that has converged it is estimated
+    from the residuals and their degrees of freedom, and the search continues from there.
+    """
+    point, iterations, converged = _minimise(problem, start, None)
+    scales: dict[str, float] = {}
+    noise: list[NoiseScale] = []
+    for _ in range(MAX_SCALE_ROUNDS):
+        weight = weights(point.blocks, scales)
+        noise = _noise_scales(point.blocks, weight, _leverage(point, weight), scales)
+        estimated = {one.kind: one.scale for one in noise}
+        settled = bool(scales) and all(abs(estimated[k] / scales[k] - 1.0) < 0.02 for k in estimated)
+        scales = estimated
+        point, more, converged = _minimise(problem, point, scales)
+        iterations += more
+        if settled:
+            break
+    return Fit("ok" if converged else "not_converged", point, scales, tuple(noise), iterations)
+
+
+def _leverage(point: Linearization, weight: Array) -> Array:
+    """Return the degrees of freedom of each block that the unknowns absorb, (n,)."""
+    rows, _ = point.system(weight)
+    q = np.linalg.qr(rows * column_scales(rows))[0]
+    each = np.sum(q * q, axis=1)
+    ends = np.cumsum([point.problem.n_active] + [len(block.r) for block in point.blocks])
+    return np.array([each[a:b].sum() for a, b in itertools.pairwise(ends)])
+
+
+def _minimise(
+    problem: LeastSquaresProblem, point: Linearization, scales: dict[str, float] | None
+) -> tuple[Linearization, int, bool]:
+    """Take Levenberg–Marquardt steps until the gain is negligible; scales by the medians if none are given."""
+    damping = MIN_DAMPING
+    for iteration in range(MAX_ITERATIONS):
+        used = _median_scales(point.blocks) if scales is None else scales
+        rows, values = point.system(weights(point.blocks, used))
+        units = column_scales(rows)
+        q, R = np.linalg.qr(rows * units)
+        projected = q.T @ values
+        remaining = projected + R @ _damped_step(R, projected, MIN_DAMPING)
+        if 0.5 * float(projected @ projected - remaining @ remaining) < MIN_GAIN:  # by the linear model
+            return point, iteration, True
+        moved, loss = None, point.loss(used)
+        while moved is None and damping < MAX_DAMPING:
+            moved = _moved(problem, point, units * _damped_step(R, projected, damping))
+            if moved is not None and moved.loss(used) > loss:
+                moved = None
+            damping = 10.0 * max(damping, 1e-5) if moved is None else max(damping / 10.0, MIN_DAMPING)
+        if moved is None:
+            return point, iteration, False
+        point = moved
+    return point, MAX_ITERATIONS, False
+
+
+def _damped_step(R: Array, projected: Array, damping: float) -> Array:
+    """Return the step of the scaled unknowns; R is the triangular factor of their rows."""
+    size = len(R)
+    damped = np.concatenate([R, np.sqrt(damping) * np.eye(size)])
+    return np.asarray(np.linalg.lstsq(damped, -np.concatenate([projected, np.zeros(size)]))[0])
+
+
+def _moved(problem: LeastSquaresProblem, point: Linearization, step: Array) -> Linearization | None:
+    """Return the campaign after a step of all unknowns; None if a factor is absurd or the rod has no solution."""
+    x = point.values.x.copy()
+    x[problem.active] += step[: problem.n_active]
+    if np.abs(x[LOGARITHMS]).max() > MAX_LOGARITHM:
+        return None
+    nuisance = []
+    for test in point.tests:
+        own = test.nuisance + step[problem.nuisance_slices[test.measured.name]]
+        if test.measured.s_estimated:
+            own[-1] = np.clip(own[-1], 0.0, problem.common.model.rod.flank_end)
+        nuisance.append(own)
+    moved = linearize(problem, ParameterValues(problem.common, x), nuisance, point)
+    return moved if moved.ok else None

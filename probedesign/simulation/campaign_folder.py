@@ -1,0 +1,300 @@
+"""Data folder of a simulated campaign: its tables as a laboratory would fill them, and the ground truth."""
+
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
+from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
+from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
+from probedesign.units import MM
+
+TRUTH = "truth.json"
+STD_CONTACT = {"cameras": 0.6 * MM, "stage": 0.05 * MM}
+"""Standard deviation of a contact's position, on each axis [m]: a millimetre in space by two cameras (assumed, as in
+`predict --table1`), a twentieth by a stage."""
+STD_WEIGHT_ARCLENGTH = 0.5 * MM
+"""Of the position of a thread [m] (assumed)."""
+STD_SAG = 0.5 * MM
+"""Of the tip's sag in a photograph with a scale [m] (assumed)."""
+STD_WEIGHING = 1e-5
+"""Of a laboratory balance [kg] (assumed)."""
+
+TESTS_HEADER = (
+    "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
+    "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCampaign:
+    """A simulated campaign that was written.
+
+    Attributes:
+        folder: of it.
+        files: names of its files.
+        tests: number of tests.
+        truth: its ground truth.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    tests: int
+    truth: GroundTruth
+
+
+def make_campaign(
+    model: ProbeModel,
+    folder: Path,
+    plan: CampaignPlan,
+    force: bool = False,
+    on_progress: Callable[[str, float | None], None] = lambda step, share: None,
+) -> SimulatedCampaign:
+    """Simulate a campaign and write its data folder.
+
+    Args:
+        model: of the probe as designed.
+        folder: to write, atomically.
+        plan: of the campaign.
+        force: replace an existing simulated campaign.
+        on_progress: called with the step and the fraction done.
+
+    Raises:
+        InputError: the folder exists, or the probe or the plan cannot be simulated.
+    """
+    _check_replaceable(folder, force)
+    rng = np.random.default_rng(plan.seed)
+    truth = GroundTruth.draw(model, plan, rng)
+    tests = truth.tests()
+    rig = StereoRig(truth)
+    tables = {
+        "campaign.toml": _manifest(truth, rig),
+        "tests.csv": _tests(truth, tests, rng),
+        "wrenches.csv": _wrenches(truth, tests, rng),
+        **_markers(rig, tests, rng),
+        TRUTH: _truth(truth, tests),
+    }
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+    try:
+        for name, text in tables.items():
+            (aside / name).write_bytes(text.encode())
+        if plan.images:
+            take_photographs(rig, tests, aside / "images", plan.seed, on_progress)
+        os.chmod(aside, 0o755)
+        _replace(aside, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return SimulatedCampaign(folder, tuple(names), len(tests), truth)
+
+
+def _check_replaceable(folder: Path, force: bool) -> None:
+    """Refuse to replace anything but a simulated campaign, and that without `force`."""
+    if not folder.exists():
+        return
+    if not folder.is_dir() or (any(folder.iterdir()) and not (folder / TRUTH).exists()):
+        raise InputError(
+            f"{folder}: has no {TRUTH}, so it is not a synthetic campaign and is not replaced; name another"
+        )
+    if any(folder.iterdir()) and not force:
+        raise InputError(f"{folder}: exists already; --force replaces it, or name another folder")
+
+
+def _replace(aside: Path, folder: Path) -> None:
+    """Move the new folder into place, then delete the old one."""
+    old = None
+    if folder.exists():
+        old = aside.with_name(f"{aside.name}.old")
+        os.replace(folder, old)
+    os.replace(aside, folder)
+    if old is not None:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+# tables
+
+
+def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
+    """Return the text of `campaign.toml`."""
+    plan, model = truth.plan, truth.model
+    turn = np.degrees(Rotation.from_matrix(truth.T_world_base[:3, :3]).as_rotvec())
+    std_place, std_turn = STD_BASE[plan.kind]
+    lines = [
+        "# A synthetic campaign, simulated by `probedesign campaign`. The ground truth is in truth.json.",
+        "schema = 1",
+        f"probe = {json.dumps(model.name)}",
+        f"fingerprint = {json.dumps(model.fingerprint)}",
+        "",
+        "[base]                      # pose of the base in the world of the control points",
+        f"p_world_mm = {_list(truth.T_world_base[:3, 3] / MM)}",
+        f"rotation_world_deg = {_list(turn)}",
+        f"std_mm = {std_place / MM:g}",
+        f"std_deg = {math.degrees(std_turn):g}",
+        "",
+        "[gravity]",
+        f"world_m_s2 = {_list(truth.stated_gravity)}",
+    ]
+    if plan.kind == "cameras":
+        lines += ["", "[markers]                   # marker 1 is the nearest to the base",
+                  f"s_mm = {_list(rig.marker_s / MM)}"]  # fmt: skip
+        if plan.marker_noise is None:
+            lines += [f"side_deg = {math.degrees(rig.side):g}              # dots on the surface, this side",
+                      "", "[cameras]", 'names = ["left", "right"]']  # fmt: skip
+        else:
+            lines += [f"std_mm = {plan.marker_noise / MM:g}"]
+    lines += ["", "[weighing]", f"mass_g = {_weighed_mass(truth):.2f}", f"std_g = {1e3 * STD_WEIGHING:g}",
+              'of = "flexible"', "", "[source]", f'made_by = "probedesign campaign, seed {plan.seed}"', ""]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _weighed_mass(truth: GroundTruth) -> float:
+    """Return the weighed mass of the flexible part [g]."""
+    noise = np.random.default_rng([truth.plan.seed, 1]).normal() * STD_WEIGHING
+    return float(1e3 * (truth.rod.mass + noise))
+
+
+def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
+    """Return the text of `tests.csv`."""
+    rows = [TESTS_HEADER]
+    for test in tests:
+        force = ["", "", ""] if test.weight is None else [f"{value + 0.0:.6g}" for value in test.weight]
+        s, contact, spread = ["", ""], ["", "", ""], ""
+        std = STD_CONTACT[truth.plan.kind]
+        true_s = test.s_contact
+        if test.weight is not None and test.weight.any():
+            s = _known(true_s + rng.normal() * STD_WEIGHT_ARCLENGTH, STD_WEIGHT_ARCLENGTH)
+        elif test.p_surface_base is not None:
+            if truth.plan.kind == "stage":
+                s = _known(true_s + rng.normal() * std, std)
+            place = truth.to_world(test.p_surface_base) + rng.normal(size=3) * std
+            contact, spread = [f"{value / MM:.4f}" for value in place], f"{std / MM:g}"
+        sag = (
+            _known(_sag(truth, test) + rng.normal() * STD_SAG, STD_SAG) if test.name == "hang-1" else ["", ""]
+        )
+        rows.append(",".join([test.name, *force, *s, *contact, spread, test.direction, *sag]))
+    return "\n".join(rows) + "\n"
+
+
+def _known(value: float, std: float) -> list[str]:
+    return [f"{value / MM:.4f}", f"{std / MM:g}"]
+
+
+def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
+    """Return the displacement of the tip along gravity from the straight probe [m]."""
+    length = truth.rod.length
+    tip = test.equilibrium.p_at(length) - np.array([0.0, 0.0, length])
+    return float(tip @ truth.gravity_base / np.linalg.norm(truth.gravity_base))
+
+
+def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
+    """Return the text of `wrenches.csv`: readings with noise and, between tests, drift of the bias."""
+    model, tolerances = truth.model, Tolerances.of(truth.model)
+    std = np.repeat([model.noise.force, model.noise.moment], 3)
+    drift = 0.0 if truth.plan.exact else tolerances.drift_steps * math.sqrt(model.averaging_samples)
+    rows = ["# frame: sensor", "test,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"]
+    for k, test in enumerate(tests):
+        bias = drift * std * rng.normal(size=6)
+        for i in range(truth.plan.readings):
+            reading = test.wrench_sensor + bias + std * rng.normal(size=6)
+            rows.append(",".join([test.name, f"{60 * k + i:g}", *(f"{value:.8g}" for value in reading)]))
+    return "\n".join(rows) + "\n"
+
+
+def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generator) -> dict[str, str]:
+    """Return the text of the tables of the reference, by name."""
+    plan = rig.truth.plan
+    if plan.kind == "stage":
+        return {}
+    if plan.marker_noise is not None:
+        rows = ["test,marker,x_world_mm,y_world_mm,z_world_mm"]
+        for test in tests:
+            on_axis = rig.truth.to_world(
+                test.equilibrium.p_at(np.minimum(rig.marker_s, rig.truth.rod.length))
+            )
+            seen = on_axis + rng.normal(size=on_axis.shape) * plan.marker_noise
+            rows += [f"{test.name},{i},{_row(p / MM, 4)}" for i, p in enumerate(seen, 1)]
+        return {"markers.csv": "\n".join(rows) + "\n"}
+    pixels = ["test,camera,marker,u_px,v_px,std_px"]
+    control = ["point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px"]
+    for camera in rig.cameras:
+        seen = camera.project(rig.control_points) + rng.normal(size=(20, 2)) * CONTROL_PX
+        control += [f"{i},{_row(p / MM, 2)},{camera.name},{_row(uv, 2)}"
+                    for i, (p, uv) in enumerate(zip(rig.control_points, seen, strict=True), 1)]  # fmt: skip
+    for test in tests:
+        for camera in rig.cameras:
+            seen = camera.project(rig.markers(test))
+            seen = seen + rng.normal(size=seen.shape) * CLICK_PX
+            _check_in_picture(seen, test.name)
+            pixels += [
+                f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)
+            ]
+    calibrated = {"control_points.csv": "\n".join(control) + "\n"}
+    if plan.images:  # the markers are detected in them
+        return calibrated
+    return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}
+
+
+def _check_in_picture(pixels: Array, test: str) -> None:
+    if (pixels < 0).any() or (pixels > SIZE_PX).any():
+        raise InputError(
+            f"test {test}: the probe leaves the cameras' field of view; use --marker-noise-mm 1 instead"
+        )
+
+
+def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:
+    """Return the text of `truth.json`."""
+    rod = truth.rod
+    document = {
+        "what": "what a synthetic campaign was made from; no command reads it",
+        "seed": truth.plan.seed,
+        "youngs_modulus_mpa": rod.youngs_modulus / 1e6,
+        "shear_modulus_mpa": rod.shear_modulus / 1e6,
+        "density_kg_m3": rod.density,
+        "length_mm": rod.length / MM,
+        "diameters_mm": (2.0 * rod.radius / MM).tolist(),
+        "mass_g": 1e3 * rod.mass,
+        "T_world_base": truth.T_world_true.tolist(),
+        "gravity_world_m_s2": truth.gravity_world.tolist(),
+        "tests": {test.name: _true_test(truth, test) for test in tests},
+    }
+    return json.dumps(document, indent=1) + "\n"
+
+
+def _true_test(truth: GroundTruth, test: SimulatedTest) -> dict[str, object]:
+    eq, R = test.equilibrium, truth.T_world_true[:3, :3]
+    force = R @ eq.load[0:3]
+    touched = bool(force.any())
+    surface = test.p_surface_base
+    return {
+        "force_world_N": force.tolist(),
+        "s_contact_mm": test.s_contact / MM if touched else None,
+        "friction": test.friction if surface is not None else None,
+        "contact_world_mm": None if surface is None else (truth.to_world(surface) / MM).tolist(),
+        "axis_world_mm": (truth.to_world(eq.p_at(test.s_contact)) / MM).tolist() if touched else None,
+        "wrench_sensor": test.wrench_sensor.tolist(),
+    }
+
+
+def _list(values: Array) -> str:
+    return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
+
+
+def _row(values: Array, digits: int) -> str:
+    return ",".join(f"{value:.{digits}f}" for value in values)

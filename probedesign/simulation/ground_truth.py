@@ -1,0 +1,333 @@
+"""Ground truth of a simulated campaign: its plan, the probe as printed, its pose, and the equilibrium of each test."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probedesign.errors import InputError
+from probedesign.estimation.error_sources import parameters_of, turns_of
+from probedesign.estimation.force_moment import surface_point
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array, pose, wrench_map
+from probedesign.prediction.table_one import measured
+from probedesign.prediction.touches import DIRECTIONS
+from probedesign.prediction.worlds import printed
+from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.friction import draw_friction
+from probedesign.rod.rod import Rod
+from probedesign.rod.surface_force import line_of_action, solve_surface_force
+from probedesign.units import MM
+
+CampaignKind = Literal["cameras", "stage"]
+LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM
+LARGE_MODULUS = 2.32e6
+"""Dimensions [m] and modulus [Pa] of the paper's large probe, from which forces are scaled."""
+MARKER_SPACING = 10.0 * MM
+"""Of equidistant markers [m]: that of the paper, about a centimetre."""
+TIP_MARGIN = 2.0 * MM
+"""Distance of the last marker from the tip [m], for the size of a dot (assumed)."""
+WEIGHTS = ((0.4, 0.014), (0.4, 0.05), (0.6, 0.01), (0.8, 0.005))
+"""Dead loads on the large probe, fraction of the length and force [N]: the first is that of the paper's figure 3."""
+BASE_POSITION = (0.0, 0.0, 0.25)
+"""Stated position of the base in the world [m]: above a table."""
+STD_BASE = {"cameras": (0.2 * MM, math.radians(0.2)), "stage": (0.05 * MM, math.radians(0.05))}
+"""Standard deviations of the base pose, on each axis [m], [rad]: assumed, a bracket measured by the cameras; a stage's
+repeatability over the length of a probe."""
+MAX_HALVINGS = 12
+"""Of a force under which the probe buckles."""
+
+
+# the plan
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """How a simulated campaign is measured.
+
+    Attributes:
+        kind: "cameras": free, with weights and touched, with markers, as in the paper; "stage": touched at places known
+            to a twentieth of a millimetre, without cameras.
+        seed: of all random numbers.
+        youngs_modulus, shear_modulus: of the true probe [Pa]; None draws them about the design's by its tolerances.
+        marker_noise: of markers by another reference, on each axis [m]; None for two cameras.
+        readings: of the sensor in each test, each the mean of the design's averaging_samples.
+        exact: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
+        images: render photographs too.
+        friction: median friction coefficient μ of touches; 0 is without friction.
+        friction_spread: standard deviation of ln μ from test to test.
+    """
+
+    kind: CampaignKind = "cameras"
+    seed: int = 0
+    youngs_modulus: float | None = None
+    shear_modulus: float | None = None
+    marker_noise: float | None = None
+    readings: int = 5
+    exact: bool = False
+    images: bool = False
+    friction: float = 0.0
+    friction_spread: float = ASSUMED_SPREAD
+
+    def __post_init__(self) -> None:
+        """Raise InputError where a number is out of range or two options exclude each other."""
+        for name, modulus in (("youngs", self.youngs_modulus), ("shear", self.shear_modulus)):
+            if modulus is not None and not 1e3 <= modulus <= 1e11:
+                raise InputError(f"--{name}-modulus-mpa {modulus / 1e6:g} must lie in 0.001 ... 100000")
+        if self.marker_noise is not None and not 0.001 * MM <= self.marker_noise <= 20.0 * MM:
+            raise InputError(f"--marker-noise-mm {self.marker_noise / MM:g} must lie in 0.001 ... 20")
+        if not 1 <= self.readings <= 1000:
+            raise InputError(f"--readings {self.readings} must lie in 1 ... 1000")
+        if not 0.0 <= self.friction <= MAX_FRICTION:
+            raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
+        if not 0.0 <= self.friction_spread <= 1.0:
+            raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed} must not be negative")
+        if self.kind == "stage" and (self.images or self.marker_noise is not None):
+            raise InputError("--stage has no markers: leave out --images and --marker-noise-mm")
+        if self.images and self.marker_noise is not None:
+            raise InputError(
+                "--marker-noise-mm belongs to another reference than cameras: leave out --images"
+            )
+
+
+class PlannedTouch(NamedTuple):
+    """A planned touch: fraction of the length, force [N] and direction of the push."""
+
+    fraction: float
+    force: float
+    direction: str
+
+
+def planned_touches(model: ProbeModel) -> list[PlannedTouch]:
+    """Return the touches of Table I: a paper probe's own, for any other those of the large one, with forces that bend
+    it alike, scaled by E d⁴ / L² at the touched place."""
+    own = [row for row in measured() if row["probe"] == model.name]
+    rows = own or [row for row in measured() if row["probe"] == "large"]
+    found = []
+    for i, row in enumerate(rows):
+        fraction, force = float(row["contact_fraction"]), float(row["force_N"])
+        direction = list(DIRECTIONS)[i % len(DIRECTIONS)]
+        found.append(
+            PlannedTouch(fraction, force if own else force * stiffness_ratio(model.rod, fraction), direction)
+        )
+    return found
+
+
+def planned_weights(model: ProbeModel) -> list[tuple[float, float]]:
+    """Return dead loads of a probe: fraction of the length and force [N]."""
+    return [(fraction, force * stiffness_ratio(model.rod, fraction)) for fraction, force in WEIGHTS]
+
+
+def stiffness_ratio(rod: Rod, fraction: float) -> float:
+    """Return the ratio of forces at a fraction of the length that bend a rod like the paper's large probe."""
+    radius = float(np.interp(fraction * rod.length, rod.s, rod.radius))
+    large = LARGE_BASE_RADIUS + fraction * (LARGE_TIP_RADIUS - LARGE_BASE_RADIUS)
+    return (rod.youngs_modulus / LARGE_MODULUS) * (radius / large) ** 4 * (LARGE_LENGTH / rod.length) ** 2
+
+
+def marker_arclengths(length: float) -> list[float]:
+    """Return the arclengths of the markers [m]."""
+    count = int(np.floor((length - TIP_MARGIN) / MARKER_SPACING + 1e-9))
+    return [MARKER_SPACING * (i + 1) for i in range(count)] or [0.5 * length]
+
+
+# the truth
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedTest:
+    """Ground truth of one test.
+
+    Attributes:
+        name: of the test.
+        equilibrium: of the true probe in its true base.
+        p_surface_base: touched point [m], (3,); None for free probes and weights.
+        direction: of the push of a touch.
+        weight: known force in the world, straight down [N], (3,); zero for a free probe, None for a touch.
+        wrench_sensor: reading of a perfect sensor [N, N·m], (6,).
+        s_contact: arclength where the force's line of action passes the axis [m].
+        friction: tangential over normal force of a touch.
+    """
+
+    name: str
+    equilibrium: Equilibrium
+    p_surface_base: Array | None
+    direction: str
+    weight: Array | None
+    wrench_sensor: Array
+    s_contact: float
+    friction: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """Ground truth of a campaign: the printed probe, its pose and gravity.
+
+    Attributes:
+        model: of the probe as designed.
+        plan: of the campaign.
+        rod: as printed.
+        T_world_base: pose of the base as the campaign states it, (4, 4).
+        T_world_mount: true pose of that frame, (4, 4).
+        T_world_true: true pose of the printed base, (4, 4).
+        stated_gravity: as the campaign states it [m/s²], (3,).
+        gravity_world: true gravity.
+        tolerances: from which it was drawn.
+    """
+
+    model: ProbeModel
+    plan: CampaignPlan
+    rod: Rod
+    T_world_base: Array
+    T_world_mount: Array
+    T_world_true: Array
+    stated_gravity: Array
+    gravity_world: Array
+    tolerances: Tolerances
+
+    @classmethod
+    def draw(cls, model: ProbeModel, plan: CampaignPlan, rng: np.random.Generator) -> "GroundTruth":
+        """Draw a ground truth by the design's tolerances.
+
+        Raises:
+            InputError: the design is mounted without gravity.
+        """
+        size = float(np.linalg.norm(model.gravity_base))
+        if size == 0.0:
+            raise InputError("mount.gravity_base_m_s2 is zero; a campaign needs gravity")
+        tolerances = Tolerances.none() if plan.exact else Tolerances.of(model)
+        stated, T = np.array([0.0, 0.0, -size]), pose(_horizontal_pose(model.gravity_base), BASE_POSITION)
+        std_place, std_turn = (0.0, 0.0) if plan.exact else STD_BASE[plan.kind]
+        mount = T @ _displacement(rng.normal(size=3) * std_place, rng.normal(size=3) * std_turn)
+        turns = np.zeros(9)
+        for rows in turns_of(stated, tolerances).values():
+            turns += rng.normal(size=len(rows)) @ rows
+        true = mount @ _displacement(turns[0:3], turns[3:6])
+        return cls(model, plan, _rod(model, plan, tolerances, rng), T, mount, true, stated, stated + turns[6:9],
+                   tolerances)  # fmt: skip
+
+    def tests(self) -> list[SimulatedTest]:
+        """Return every test: free, weights, touches, free again.
+
+        Raises:
+            InputError: the free probe has no stable equilibrium.
+        """
+        found = [self._free("hang-1")]
+        if self.plan.kind == "cameras":
+            for i, (fraction, newtons) in enumerate(planned_weights(self.model), 1):
+                found.append(self._loaded(f"weight-{i}", fraction, newtons))
+        for i, touch in enumerate(planned_touches(self.model), 1):
+            found.append(self._touched(f"touch-{i:02d}", *touch))
+        return [*found, self._free("hang-2")]
+
+    @property
+    def gravity_base(self) -> Array:
+        """Gravity in the axes of the true base [m/s²], (3,)."""
+        return np.asarray(self.T_world_true[:3, :3].T @ self.gravity_world)
+
+    def to_world(self, points_base: Array) -> Array:
+        """Return points of the true base's frame in the world [m], (..., 3)."""
+        return np.asarray(points_base @ self.T_world_true[:3, :3].T + self.T_world_true[:3, 3])
+
+    def _free(self, name: str) -> SimulatedTest:
+        return self._test(name, self.rod.solve(self.gravity_base), None, "", np.zeros(3))
+
+    def _loaded(self, name: str, fraction: float, newtons: float) -> SimulatedTest:
+        """Return a weight on a thread around the probe, a dead force on its axis, halved until the probe is stable."""
+        down = self.gravity_world / np.linalg.norm(self.gravity_world)
+        for _ in range(MAX_HALVINGS):
+            force_base = self.T_world_true[:3, :3].T @ (newtons * down)
+            eq = self.rod.solve(self.gravity_base, force_base, fraction * self.rod.length)
+            if eq.ok:
+                break
+            newtons /= 2.0
+        return self._test(name, eq, None, "", np.array([0.0, 0.0, -newtons]))
+
+    def _touched(self, name: str, fraction: float, newtons: float, direction: str) -> SimulatedTest:
+        """Return a touch, halved until the probe is stable, with its own friction if the plan has any."""
+        if self.plan.friction > 0.0:
+            return self._touched_with_friction(name, fraction, newtons, direction)
+        s = fraction * self.rod.length
+        for _ in range(MAX_HALVINGS):
+            found = solve_frictionless(self.rod, self.gravity_base, s, DIRECTIONS[direction], newtons)
+            if found.result == "ok":
+                break
+            newtons /= 2.0
+        eq = found.equilibrium
+        return self._test(name, eq, surface_point(self.rod, eq) if eq.ok else None, direction, None)
+
+    def _touched_with_friction(
+        self, name: str, fraction: float, newtons: float, direction: str
+    ) -> SimulatedTest:
+        """Return a touch within Coulomb's cone, its tangential force uniform in the circle of radius μ F_n."""
+        rng = np.random.default_rng([self.plan.seed, 2, int(name.rsplit("-", 1)[1])])
+        mu = draw_friction(self.plan.friction, self.plan.friction_spread, rng)
+        size, turn = mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
+        along = (size * math.cos(turn), size * math.sin(turn))
+        s, angle = fraction * self.rod.length, DIRECTIONS[direction] + math.pi  # opposite to its push
+        for _ in range(MAX_HALVINGS):
+            found = solve_surface_force(self.rod, self.gravity_base, s, angle, newtons, along)
+            if found.result == "ok":
+                break
+            newtons /= 2.0
+        eq, point = found.equilibrium, found.p_surface_base
+        axis = line_of_action(self.rod, eq, point) if eq.ok else s
+        return self._test(name, eq, point if eq.ok else None, direction, None, axis, size)
+
+    def _test(
+        self,
+        name: str,
+        eq: Equilibrium,
+        surface: Array | None,
+        direction: str,
+        weight: Array | None,
+        s_contact: float | None = None,
+        friction: float = 0.0,
+    ) -> SimulatedTest:
+        if not eq.ok:
+            raise InputError(
+                f"test {name}: the probe has no stable equilibrium ({eq.result}); a campaign needs one"
+            )
+        mount_true = np.linalg.inv(self.T_world_mount) @ self.T_world_true
+        wrench_mount = wrench_map(mount_true) @ eq.wrench_base
+        gravity_mount = self.T_world_mount[:3, :3].T @ self.gravity_world
+        return SimulatedTest(name, eq, surface, direction, weight, self.model.to_sensor(wrench_mount, gravity_mount),
+                     eq.s_contact if s_contact is None else s_contact, friction)  # fmt: skip
+
+
+def _horizontal_pose(gravity_base: Array) -> Array:
+    """Return R_world_base with gravity down and the probe's axis along the world's x as far as possible."""
+    up = -gravity_base / np.linalg.norm(gravity_base)
+    axis = np.array([0.0, 0.0, 1.0])
+    across = axis - up * (up @ axis)
+    if np.linalg.norm(across) < 0.1:  # it is vertical
+        across = np.array([1.0, 0.0, 0.0]) - up * up[0]
+    across /= np.linalg.norm(across)
+    return np.array([across, np.cross(up, across), up])
+
+
+def _displacement(shift: Array, turn: Array) -> Array:
+    return pose(Rotation.from_rotvec(turn).as_matrix(), shift)
+
+
+def _rod(model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, rng: np.random.Generator) -> Rod:
+    """Return the printed probe; moduli of the plan are exact.
+
+    Stiffness scatter between touches is not a property of the print.
+    """
+    K = len(model.rod.s)
+    by = np.zeros(4 + K)
+    for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0)).values():
+        by += rng.normal(size=len(rows)) @ rows
+    for i, (chosen, design) in enumerate(
+        ((plan.youngs_modulus, model.rod.youngs_modulus), (plan.shear_modulus, model.rod.shear_modulus))
+    ):
+        if chosen is not None:
+            by[i] = math.log(chosen / design)
+    return printed(model.rod, by)

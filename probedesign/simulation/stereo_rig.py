@@ -1,0 +1,135 @@
+"""Simulated stereo rig: two cameras, control points, the probe's markers, and photographs of them."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from probedesign.frames import Array
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.simulation.ground_truth import GroundTruth, SimulatedTest, marker_arclengths
+from probedesign.simulation.stereo_render import PaintedDots, RenderStyle, SurfaceTube, render
+from probedesign.vision import require
+from probedesign.vision.camera import Camera
+from probedesign.vision.images import write_png
+
+SIZE_PX = (1600, 1200)
+FOCAL_PX = 2200.0
+"""Picture and focal length of a compact camera, reduced to keep examples small (assumed); the paper's has
+20 megapixels."""
+AZIMUTH = math.radians(35.0)
+"""Of each camera to its side: 70° between the lines of sight give depth about the precision of the other axes."""
+ELEVATION = math.radians(20.0)
+FIELD_OF_VIEW = 1.35
+"""Width of the field of view, over the largest extent of the box."""
+CLICK_PX, CONTROL_PX = 0.7, 0.5
+"""Standard deviations of clicked markers and control points (assumed: a person, a mouse, a dot of 3 mm)."""
+DOT_RATIO, MAX_DOT = 0.45, 3e-3
+"""Diameter of a dot over that of the probe, and its largest value [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRig:
+    """Two cameras, a box of control points and the markers of the probe.
+
+    Attributes:
+        truth: what the cameras see.
+    """
+
+    truth: GroundTruth
+
+    @cached_property
+    def marker_s(self) -> Array:
+        """Arclengths of the markers, stated and true [m], (k,)."""
+        return np.array(marker_arclengths(self.truth.model.rod.length))
+
+    @cached_property
+    def side(self) -> float:
+        """Side of the section towards the cameras, from the base's x axis about z, in whole degrees [rad]."""
+        towards = self.truth.T_world_base[:3, :3].T @ np.array([0.0, -1.0, math.tan(ELEVATION)])
+        return math.radians(round(math.degrees(math.atan2(towards[1], towards[0]))))
+
+    @cached_property
+    def _workspace(self) -> tuple[Array, Array]:
+        """Centre and size of the box in which the probe moves, (3,) each [m]."""
+        length = self.truth.model.rod.length
+        axis = self.truth.T_world_base[:3, 2]
+        centre = self.truth.T_world_base[:3, 3] + 0.5 * length * axis
+        size = np.maximum(1.1 * length * np.abs(axis), 0.7 * length)
+        return np.asarray(np.round(centre, 3)), np.asarray(np.round(size, 3), dtype=float)
+
+    @cached_property
+    def control_points(self) -> Array:
+        """Twenty points of a box [m]: its corners and the midpoints of its edges, (20, 3)."""
+        centre, size = self._workspace
+        grid = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=float)
+        on_edges = grid[np.abs(grid).sum(axis=1) >= 2]
+        return np.asarray(centre + on_edges * size / 2.0)
+
+    @cached_property
+    def cameras(self) -> tuple[Camera, Camera]:
+        """Left and right camera."""
+        centre, size = self._workspace
+        distance = FIELD_OF_VIEW * float(size.max()) * FOCAL_PX / SIZE_PX[0] + size.max() / 2.0
+        found = []
+        for name, angle in (("left", -AZIMUTH), ("right", AZIMUTH)):
+            direction = np.array([math.sin(angle), -math.cos(angle), math.tan(ELEVATION)])
+            found.append(
+                Camera.looking(
+                    name, centre + distance * direction / np.linalg.norm(direction), centre, FOCAL_PX, SIZE_PX
+                )
+            )
+        return found[0], found[1]
+
+    def tube(self, eq: Equilibrium) -> SurfaceTube:
+        """Return the surface of the bent probe in the world."""
+        s = np.linspace(0.0, self.truth.rod.length, 400)
+        radius = np.interp(s, self.truth.rod.s, self.truth.rod.radius)
+        return SurfaceTube(self.truth.to_world(eq.p_at(s)), 2.0 * radius)
+
+    def dots(self, eq: Equilibrium) -> PaintedDots:
+        """Return the dots on the bent probe."""
+        _, outward, radius = self._sections(eq)
+        return PaintedDots(self.marker_s, outward, np.minimum(2.0 * DOT_RATIO * radius, MAX_DOT))
+
+    def markers(self, test: SimulatedTest) -> Array:
+        """Return the true positions of the markers in the world [m], (k, 3)."""
+        centre, outward, radius = self._sections(test.equilibrium)
+        return np.asarray(centre + radius[:, None] * outward)
+
+    def _sections(self, eq: Equilibrium) -> tuple[Array, Array, Array]:
+        """Return the centres of the marked sections, the direction to their side, and the distance of the surface."""
+        s = np.minimum(self.marker_s, self.truth.rod.length)
+        R = eq.R_at(s)
+        outward = R[:, :, 0] * math.cos(self.side) + R[:, :, 1] * math.sin(self.side)
+        radius = np.interp(s, self.truth.rod.s, self.truth.rod.radius)
+        radius *= self.truth.model.cross_section.reach(self.side)
+        return self.truth.to_world(eq.p_at(s)), outward @ self.truth.T_world_true[:3, :3].T, radius
+
+
+def take_photographs(
+    rig: StereoRig,
+    tests: list[SimulatedTest],
+    folder: Path,
+    seed: int,
+    on_progress: Callable[[str, float | None], None],
+) -> None:
+    """Render one photograph of each test by each camera, TEST-CAMERA.png.
+
+    Raises:
+        MissingDependencyError: OpenCV, which writes them, is not installed.
+    """
+    require()
+
+    folder.mkdir()
+    total = len(tests) * len(rig.cameras)
+    for i, test in enumerate(tests):
+        tube, dots = rig.tube(test.equilibrium), rig.dots(test.equilibrium)
+        for k, camera in enumerate(rig.cameras):
+            number = i * len(rig.cameras) + k
+            on_progress("photographs", number / total)
+            picture = render(camera, tube, dots, SIZE_PX, RenderStyle(seed=seed * 1000 + number))
+            write_png(folder / f"{test.name}-{camera.name}.png", picture)

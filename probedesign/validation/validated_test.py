@@ -1,0 +1,227 @@
+"""One test of a campaign: tared, estimated, and compared with the reference."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from probedesign.campaigns.campaign import Campaign, Test
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator, Method
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array, inverse
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.validation.contact_error import (
+    ContactError,
+    contact_error,
+    cov_by_base_pose,
+    predicted_error,
+)
+
+TestKind = Literal["free", "weight", "touch"]
+METHODS: dict[TestKind, Method] = {"free": "ml", "weight": "force_moment", "touch": "ml"}
+"""Estimation method by kind. A known force is a dead load on the centreline, of any direction, which the force–moment
+method locates; a touch acts on the surface, by a force whose friction has a prior."""
+SAME_GRAVITY = math.cos(math.radians(1.0))
+"""Cosine between directions of gravity up to which a free test tares another test."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaredReading:
+    """Readings of one test at the base, tared by free tests.
+
+    Attributes:
+        wrenches_base: [N, N·m], (n, 6).
+        gravity_base: by the stated pose [m/s²], (3,).
+        tares: number of free tests that it was tared by.
+    """
+
+    wrenches_base: Array
+    gravity_base: Array
+    tares: int
+
+
+@dataclass(frozen=True, eq=False)
+class ValidatedTest:
+    """Estimate of one test beside the reference.
+
+    Attributes:
+        test: the test.
+        kind: free, with a known weight, or touched.
+        method: of the estimation.
+        result: of the estimate; "no_reading" if the sensor was not read.
+        estimate: None without readings.
+        shape: as estimated, of a free test as modelled; None if no contact was located.
+        force: on the probe [N]: as known, else by equation 5 from the readings; NaN if neither is available.
+        fraction: contact over length: known, else estimated; NaN if neither is available.
+        markers_base: as measured [m], (m, 3).
+        markers_hat: as estimated [m], (m, 3); empty without a shape.
+        markers_off: estimated ones relative to the shape's axis [m], (m, 3).
+        shape_rms: equation 6 [m]; NaN without shape or markers.
+        reference_rms: contribution of the reference's own errors [m].
+        contact_base: by the reference [m], (3,); None if not measured.
+        push_direction: of the object, as stated or by the force, a key of `DIRECTIONS`; empty if neither is available.
+        predicted: error that `predict` states for such a touch [m]; NaN for weights, which it does not predict.
+        contact_error: None if either side has no contact.
+        readings: number of readings.
+        tares: number of free tests that it was tared by.
+    """
+
+    test: Test
+    kind: TestKind
+    method: Method
+    result: str
+    estimate: Estimate | None
+    shape: Equilibrium | None
+    force: float
+    fraction: float
+    markers_base: Array
+    markers_hat: Array
+    markers_off: Array
+    shape_rms: float
+    reference_rms: float
+    contact_base: Array | None
+    push_direction: str
+    predicted: float
+    contact_error: ContactError | None
+    readings: int
+    tares: int
+
+    @property
+    def markers_on_axis(self) -> Array:
+        """Measured markers, moved onto the axis by the estimated shape [m], (m, 3); unchanged without a shape."""
+        return self.markers_base - self.markers_off if len(self.markers_off) else self.markers_base
+
+    @property
+    def counts(self) -> bool:
+        """Whether it counts for the coverage; weights are counted separately."""
+        return self.kind == "touch" and self.contact_error is not None
+
+
+def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) -> ValidatedTest:
+    """Estimate one test and compare it with the reference.
+
+    Args:
+        campaign: of the test.
+        test: the test.
+        estimator: of the frozen probe, from `load_estimator`.
+        exact: take probe, mount and bench as exactly known; noise and drift of the sensor and the prior on friction
+            remain.
+    """
+    model = estimator.model
+    kind: TestKind = "touch" if test.force_world is None else "free" if test.free else "weight"
+    reading, method = tared_reading(campaign, test, estimator), METHODS[kind]
+    estimate = None
+    if len(reading.wrenches_base):
+        known = campaign_tolerances(campaign, model, reading)
+        if exact:
+            known = replace(Tolerances.none(), drift_steps=known.drift_steps, tared=known.tared)
+        estimate = estimator.with_tolerances(known).estimate(
+            reading.wrenches_base, reading.gravity_base, method=method
+        )
+    shape = None if estimate is None else estimate.shape
+    if kind == "free":  # it is known that nothing touches
+        free = estimator.free(reading.gravity_base)
+        shape = free if free.ok else None
+    T_base_world = inverse(test.T_world_base)
+    markers, hat, off, cov = _markers(campaign, test, model, shape, T_base_world)
+    contact = None
+    if test.p_contact_world is not None:
+        contact = np.asarray(T_base_world[:3, :3] @ test.p_contact_world + T_base_world[:3, 3])
+    force_base = _force_base(test, reading, model)
+    force, direction = float(np.linalg.norm(force_base)), _push_direction(test, force_base)
+    s = estimate.s_contact if math.isnan(test.s_contact) and estimate is not None else test.s_contact
+    fraction = s / model.rod.length
+    return ValidatedTest(
+        test, kind, method, "no_reading" if estimate is None else estimate.result, estimate, shape,
+        force=force,
+        fraction=fraction,
+        markers_base=markers,
+        markers_hat=hat,
+        markers_off=off,
+        shape_rms=math.sqrt(float(np.mean(np.sum((hat - markers) ** 2, axis=1)))) if len(hat) else math.nan,
+        reference_rms=math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(markers) else math.nan,
+        contact_base=contact,
+        push_direction=direction,
+        predicted=predicted_error(model, fraction, force, direction) if kind == "touch" else math.nan,
+        contact_error=contact_error(campaign, test, estimate, contact),
+        readings=len(reading.wrenches_base),
+        tares=reading.tares,
+    )  # fmt: skip
+
+
+def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> TaredReading:
+    """Return the readings of one test, tared by all free tests with readings; a free test by the others.
+
+    Args:
+        campaign: of the test.
+        test: with wrenches.
+        estimator: of the probe.
+    """
+    gravity, own = test.gravity_base, test.wrenches_base(estimator.model)
+    offsets = []
+    for other in campaign.tests:
+        if not other.free or not len(other.wrenches) or other is test:
+            continue
+        g = other.gravity_base
+        if g @ gravity >= SAME_GRAVITY * np.linalg.norm(g) * np.linalg.norm(gravity):
+            offsets.append(other.mean_wrench_base(estimator.model) - estimator.free(g).wrench_base)
+    return TaredReading(own - np.mean(offsets, axis=0) if offsets else own, gravity, len(offsets))
+
+
+def campaign_tolerances(campaign: Campaign, model: ProbeModel, reading: TaredReading) -> Tolerances:
+    """Return the probe's tolerances in this campaign: the direction of gravity includes the base's tilt, the bias the
+    error of the tare.
+
+    A tare of k tests drifts as they did: by 1/√k, and its noise is that of as many readings as they had, taken for as
+    many as the test's own.
+    """
+    known = Tolerances.of(model)
+    gravity_deg = math.hypot(known.gravity_deg, math.degrees(campaign.std_tilt))
+    if not reading.tares:
+        return replace(known, gravity_deg=gravity_deg, tared=False)
+    noise = 1.0 / (model.averaging_samples * len(reading.wrenches_base) * reading.tares)
+    drift = math.sqrt(known.drift_steps**2 * (1.0 + 1.0 / reading.tares) + noise)
+    return replace(known, gravity_deg=gravity_deg, drift_steps=drift, tared=True)
+
+
+def _force_base(test: Test, reading: TaredReading, model: ProbeModel) -> Array:
+    """Return the force as known, else by equation 5 [N], (3,); NaN if neither is available."""
+    if test.force_base is not None:
+        return test.force_base
+    if not len(reading.wrenches_base):
+        return np.full(3, math.nan)
+    return np.asarray(reading.wrenches_base.mean(axis=0)[:3] - model.mass * reading.gravity_base)
+
+
+def _push_direction(test: Test, force_base: Array) -> str:
+    """Return the stated direction, else the one nearest to the force."""
+    across = force_base[:2]
+    if test.direction or not across.any() or math.isnan(across[0]):
+        return test.direction
+    axis = int(np.argmax(np.abs(across)))
+    return f"{'+' if across[axis] > 0.0 else '-'}{'xy'[axis]}"
+
+
+def _markers(
+    campaign: Campaign, test: Test, model: ProbeModel, shape: Equilibrium | None, T_base_world: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return measured and estimated markers in the base frame, the latter's offset from the axis, and the reference's
+    covariance of each."""
+    none = np.zeros((0, 3))
+    if test.markers is None:
+        return none, none, none, np.zeros((0, 3, 3))
+    R = T_base_world[:3, :3]
+    measured = test.markers.p_world @ R.T + T_base_world[:3, 3]
+    cov = R @ test.markers.cov_world @ R.T + cov_by_base_pose(campaign, measured)
+    if shape is None:
+        return measured, none, none, cov
+    s = np.minimum(campaign.marker_s[test.markers.numbers], model.rod.length)
+    axis, off = shape.p_at(s), np.zeros((len(s), 3))
+    if campaign.marker_side is not None:
+        side, axes = campaign.marker_side, shape.R_at(s)
+        radius = model.cross_section.reach(side) * np.interp(s, model.rod.s, model.rod.radius)
+        off = radius[:, None] * (math.cos(side) * axes[:, :, 0] + math.sin(side) * axes[:, :, 1])
+    return measured, axis + off, off, cov

@@ -1,0 +1,15 @@
+"""Camera vision: calibration from control points, detection of markers, and their positions in space."""
+
+from importlib.util import find_spec
+
+from probedesign.errors import MissingDependencyError
+
+
+def require() -> None:
+    """Check that the package that reads photographs is installed.
+
+    Raises:
+        MissingDependencyError: it is not.
+    """
+    if find_spec("cv2") is None:
+        raise MissingDependencyError('photographs need: pip install "probedesign[vision]"')

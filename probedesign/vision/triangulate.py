@@ -1,0 +1,285 @@
+"""Triangulation: positions of markers in space from their pixels in two or more cameras, with consistency checks."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from probedesign.errors import InputError
+from probedesign.frames import Array
+from probedesign.vision.camera import Camera
+
+MIN_ANGLE_DEG = 2.0
+"""Angle between lines of sight below which there is no depth information: there an error is thirty times the one across
+(assumed)."""
+MIN_STD_PX = 0.02
+"""Smallest standard deviation of a pixel in any picture [px] (assumed)."""
+FALSE_ALARM = 1e-6
+"""Probability that valid pixels of a marker are refused."""
+MIN_RESIDUAL_PX = 2.0
+"""Smallest residual of a wrong marker: dots are further apart (assumed). A smaller one means that the cameras are worse
+than stated, which `Triangulated.agreement` shows."""
+_ITERATIONS = 10  # Gauss-Newton from the midpoint of the rays is exact to rounding after three or four
+
+
+@dataclass(frozen=True)
+class MarkerObservations:
+    """Pixels of markers in the pictures of several cameras.
+
+    Attributes:
+        cameras: (c,).
+        labels: names of the markers (m,).
+        pixels: u, v [px], NaN where not seen, (c, m, 2).
+        std_px: standard deviation of a coordinate [px], (c, m).
+    """
+
+    cameras: tuple[Camera, ...]
+    labels: tuple[str, ...]
+    pixels: Array
+    std_px: Array
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """Whether a camera saw a marker, (c, m)."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=2))
+
+    def with_pixels(self, pixels: Array) -> "MarkerObservations":
+        """Return the same with other pixels."""
+        return replace(self, pixels=pixels)
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """Positions of markers in space.
+
+    Attributes:
+        p_world: [m], (m, 3).
+        cov_world: covariance of each, by the noise in the pictures and the cameras' calibration [m²], (m, 3, 3). The
+            calibration's share is common to all markers of these cameras.
+        cov_noise: by the noise alone, independent between markers [m²], (m, 3, 3).
+        residual_px: pixel minus projection [px], NaN where not seen, (c, m, 2).
+        agreement: χ² of the residuals per degree of freedom, near one if the stated standard deviations hold, (m,).
+    """
+
+    p_world: Array
+    cov_world: Array
+    cov_noise: Array
+    residual_px: Array
+    agreement: Array
+
+
+def triangulate(
+    cameras: Sequence[Camera],
+    pixels: ArrayLike,
+    std_px: ArrayLike | None = None,
+    labels: Sequence[str] | None = None,
+) -> Triangulated:
+    """Locate markers in space by maximum likelihood on pixels.
+
+    The covariance of a pixel includes its own noise and that of its camera's calibration.
+
+    Args:
+        cameras: at least two.
+        pixels: of each camera each marker's u, v, NaN where it was not seen [px], (c, m, 2).
+        std_px: of a coordinate, a number or one for each camera and marker [px], (c, m); each camera's own residual
+            if None.
+        labels: names of the markers (m,); 1 ... m if None.
+
+    Raises:
+        InputError: fewer than two cameras, two along one line of sight, a marker that fewer than two saw, or pixels
+            that contradict each other: swapped cameras, markers out of order.
+    """
+    seen = observations(cameras, pixels, std_px, labels)
+    found = _located(seen)
+    _check_agreement(seen, found)
+    return found
+
+
+def _located(seen: MarkerObservations) -> Triangulated:
+    """Return the markers, whatever their residuals."""
+    points = _ray_midpoints(seen)
+    weights = _weights(seen, points)
+    for _ in range(_ITERATIONS):
+        residual, by_point = _linearised(seen, points)
+        points = (
+            points
+            + np.linalg.solve(_information(by_point, weights), _gradient(by_point, weights, residual))[..., 0]
+        )
+    weights = _weights(seen, points)
+    residual, by_point = _linearised(seen, points)
+    cov = np.linalg.inv(_information(by_point, weights))
+    gain = cov @ np.swapaxes(by_point, 2, 3) @ weights
+    noise = np.where(seen.mask, seen.std_px, 0.0) ** 2
+    cov_noise = np.einsum("cmia,cm,cmja->mij", gain, noise, gain)
+    square = np.einsum("cma,cmab,cmb->m", residual, weights, residual)
+    agreement = square / (2 * seen.mask.sum(axis=0) - 3)
+    residual_px = np.where(seen.mask[..., None], residual, np.nan)
+    return Triangulated(points, np.asarray(cov), np.asarray(cov_noise), residual_px, agreement)
+
+
+def _ray_midpoints(seen: MarkerObservations) -> Array:
+    """Return the point with the least squared distances from the rays of each marker, (m, 3)."""
+    across = np.zeros((seen.mask.shape[1], 3, 3))
+    target = np.zeros((seen.mask.shape[1], 3))
+    for camera, pixels, mask in zip(seen.cameras, seen.pixels, seen.mask, strict=True):
+        d = camera.rays(np.where(mask[:, None], pixels, 0.0))
+        off = mask[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
+        across += off
+        target += off @ camera.p_world
+    return np.asarray(np.linalg.solve(across, target[..., None])[..., 0])
+
+
+def _weights(seen: MarkerObservations, points: Array) -> Array:
+    """Return the inverse covariance of each pixel, by noise and calibration, (c, m, 2, 2); zero where unseen."""
+    weights = np.zeros((*seen.mask.shape, 2, 2))
+    for i, camera in enumerate(seen.cameras):
+        by = camera.by_parameters(points)
+        cov = seen.std_px[i][:, None, None] ** 2 * np.eye(2) + by @ camera.cov @ np.swapaxes(by, 1, 2)
+        weights[i] = np.where(seen.mask[i][:, None, None], np.linalg.inv(cov), 0.0)
+    return weights
+
+
+def _linearised(seen: MarkerObservations, points: Array) -> tuple[Array, Array]:
+    """Return residuals (c, m, 2), zero where unseen, and their negative derivatives by the points."""
+    residual = np.stack([p - c.project(points) for c, p in zip(seen.cameras, seen.pixels, strict=True)])
+    by_point = np.stack([camera.by_point(points) for camera in seen.cameras])
+    return np.where(seen.mask[..., None], residual, 0.0), by_point
+
+
+def _information(by_point: Array, weights: Array) -> Array:
+    return np.asarray((np.swapaxes(by_point, 2, 3) @ weights @ by_point).sum(axis=0))
+
+
+def _gradient(by_point: Array, weights: Array, residual: Array) -> Array:
+    return np.asarray((np.swapaxes(by_point, 2, 3) @ weights @ residual[..., None]).sum(axis=0))
+
+
+# checks
+
+
+def observations(
+    cameras: Sequence[Camera], pixels: ArrayLike, std_px: ArrayLike | None, labels: Sequence[str] | None
+) -> MarkerObservations:
+    """Return checked observations; see `triangulate`.
+
+    Raises:
+        InputError: fewer than two cameras, two along one line of sight, a marker that fewer than two saw.
+    """
+    places = np.asarray(pixels, dtype=float)
+    if len(cameras) < 2:
+        raise InputError("markers in space need at least two cameras; with one, measure them otherwise")
+    if places.ndim != 3 or places.shape[::2] != (len(cameras), 2):
+        raise InputError(f"pixels must be {len(cameras)} x markers x 2, not {places.shape}")
+    number = places.shape[1]
+    names = tuple(labels) if labels is not None else tuple(str(i + 1) for i in range(number))
+    own = [max(camera.std_px, MIN_STD_PX) for camera in cameras]
+    std = np.asarray(np.array(own)[:, None] if std_px is None else std_px, dtype=float)
+    seen = MarkerObservations(tuple(cameras), names, places, np.broadcast_to(std, places.shape[:2]))
+    if not (seen.std_px[seen.mask] > 0).all():
+        raise InputError("a pixel's standard deviation must be above 0 px")
+    _check_seen_twice(seen)
+    _check_angles(seen)
+    return seen
+
+
+def _check_seen_twice(seen: MarkerObservations) -> None:
+    """Refuse a marker that fewer than two cameras saw."""
+    for label, by in zip(seen.labels, seen.mask.T, strict=True):
+        if by.sum() >= 2:
+            continue
+        names = [camera.name for camera, yes in zip(seen.cameras, by, strict=True) if yes]
+        where = f"camera {names[0]} only" if names else "no camera"
+        raise InputError(
+            f"marker {label} is seen by {where}; two must see it: add the other camera's pixel or leave it out"
+        )
+
+
+def _check_angles(seen: MarkerObservations) -> None:
+    """Refuse cameras that see the markers along one line."""
+    rays = [c.rays(np.nan_to_num(p)) for c, p in zip(seen.cameras, seen.pixels, strict=True)]
+    widest = np.zeros(len(seen.labels))
+    for i, j in combinations(range(len(rays)), 2):
+        across = np.linalg.norm(np.cross(rays[i], rays[j]), axis=1)
+        angle = np.degrees(np.arctan2(across, np.abs(np.sum(rays[i] * rays[j], axis=1))))
+        widest = np.maximum(widest, np.where(seen.mask[i] & seen.mask[j], angle, 0.0))
+    if len(widest) and np.median(widest) < MIN_ANGLE_DEG:
+        names = " and ".join(camera.name for camera in seen.cameras)
+        raise InputError(
+            f"cameras {names} look along one line: {np.median(widest):.1f}° between their lines of sight give no "
+            f"depth; set them at least {MIN_ANGLE_DEG:.0f}° apart, better 60 to 90°"
+        )
+
+
+def _check_agreement(seen: MarkerObservations, found: Triangulated) -> None:
+    """Refuse pixels that are not of one point, or of one behind a camera.
+
+    Args:
+        seen: the observations.
+        found: the markers located from them.
+
+    Raises:
+        InputError: it names the likely mistake, a hypothesis in which all pixels agree: swapped cameras, a
+            camera's markers numbered from the other end, two exchanged markers; or else the marker with the largest
+            residual.
+    """
+    wrong = _wrong(seen, found)
+    if not wrong.any():
+        return
+    for mistake, corrected in _outlier_hypotheses(seen, wrong):
+        if not _wrong(corrected, _located(corrected)).any():
+            raise InputError(f"{mistake}: the pictures agree with this corrected, but not as given")
+    worst = int(np.argmax(np.where(wrong, np.nan_to_num(_max_residual(found), nan=np.inf), -1.0)))
+    off = " and ".join(
+        f"{np.linalg.norm(r):.1f} px in {camera.name}"
+        for camera, r in zip(seen.cameras, found.residual_px[:, worst], strict=True)
+        if np.isfinite(r).all()
+    )
+    many = f" ({np.sum(wrong)} of {len(wrong)} markers are)" if np.sum(wrong) > 1 else ""
+    raise InputError(
+        f"marker {seen.labels[worst]}: its pixels are not of one point in front of the cameras, off by {off}{many}; "
+        "check that it is the same dot in each picture, and that no camera moved after its calibration"
+    )
+
+
+def _wrong(seen: MarkerObservations, found: Triangulated) -> NDArray[np.bool_]:
+    """Return which markers are behind a camera or have implausible residuals, (m,)."""
+    free = 2 * seen.mask.sum(axis=0) - 3
+    rear = np.array([(c.depth(found.p_world) <= 0) & m for c, m in zip(seen.cameras, seen.mask, strict=True)])
+    off = (found.agreement * free > stats.chi2.isf(FALSE_ALARM, free)) & (
+        _max_residual(found) > MIN_RESIDUAL_PX
+    )
+    return np.asarray(rear.any(axis=0) | off | ~np.isfinite(found.p_world).all(axis=1))
+
+
+def _max_residual(found: Triangulated) -> Array:
+    """Return the largest reprojection error of each marker [px], (m,)."""
+    return np.asarray(np.nanmax(np.linalg.norm(found.residual_px, axis=2), axis=0))
+
+
+def _outlier_hypotheses(
+    seen: MarkerObservations, wrong: NDArray[np.bool_]
+) -> Iterator[tuple[str, MarkerObservations]]:
+    """Yield likely mistakes and the observations with each of them corrected."""
+    names = [camera.name for camera in seen.cameras]
+    for i, j in combinations(range(len(names)), 2):
+        order = np.arange(len(names))
+        order[[i, j]] = j, i
+        if (seen.mask.sum(axis=0) == seen.mask[order].sum(axis=0)).all():
+            yield f"cameras {names[i]} and {names[j]} are swapped", seen.with_pixels(seen.pixels[order])
+    # With two cameras it is not known which one is wrong.
+    suspects = names if len(names) > 2 else [" or ".join(names)]
+    for i, name in enumerate(suspects):
+        pixels = seen.pixels.copy()
+        pixels[i, seen.mask[i]] = pixels[i, seen.mask[i]][::-1]
+        yield f"camera {name} numbers the markers from the other end", seen.with_pixels(pixels)
+    if 2 <= wrong.sum() <= 3:
+        for a, b in combinations(np.flatnonzero(wrong), 2):
+            for i, name in enumerate(suspects):
+                pixels = seen.pixels.copy()
+                pixels[i, [a, b]] = pixels[i, [b, a]]
+                pair = f"{seen.labels[a]} and {seen.labels[b]}"
+                if np.isfinite(pixels[i, [a, b]]).all():
+                    yield f"markers {pair} are exchanged in camera {name}", seen.with_pixels(pixels)

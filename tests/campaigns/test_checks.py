@@ -1,0 +1,273 @@
+"""Checks of a campaign: a column in a wrong unit, a sign, a factor or a count that is wrong throughout are refused."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from probedesign.campaigns import Campaign
+from probedesign.campaigns import campaign as tables
+from probedesign.campaigns.reading import check_probe
+from probedesign.errors import InputError
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.identification.identify import data_of
+from probedesign.simulation.ground_truth import CampaignPlan
+from probedesign.validation.validate import validate
+
+NAMES = ("small", "medium", "large")
+N_TO_MN = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
+NM_TO_NMM = N_TO_MN[::-1]
+
+
+def changed(campaign: Campaign, change: Callable[[tables.Test], tables.Test]) -> Campaign:
+    return replace(campaign, tests=tuple(change(test) for test in campaign.tests))
+
+
+def in_base(campaign: Campaign, model: ProbeModel) -> Campaign:
+    """Return the same readings about the base."""
+
+    def converted(test: tables.Test) -> tables.Test:
+        gravity = test.T_world_base[:3, :3].T @ campaign.gravity_world
+        return replace(test, wrenches=model.to_base(test.wrenches, gravity), frame="base")
+
+    return changed(campaign, converted)
+
+
+def scaled(factors: np.ndarray) -> Callable[[tables.Test], tables.Test]:
+    return lambda test: replace(test, wrenches=test.wrenches * factors)
+
+
+def contact_times(factor: float) -> Callable[[tables.Test], tables.Test]:
+    return lambda t: (
+        t if t.p_contact_world is None else replace(t, p_contact_world=factor * t.p_contact_world)
+    )
+
+
+def is_accepted(campaign: Campaign, model: ProbeModel) -> bool:
+    """Return whether the checks pass; a refusal raises."""
+    check_probe(campaign, model)
+    return True
+
+
+def refusal(campaign: Campaign, model: ProbeModel) -> str:
+    with pytest.raises(InputError) as caught:
+        check_probe(campaign, model)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("plan", [
+    CampaignPlan("cameras", 1), CampaignPlan("cameras", 2, exact=True), CampaignPlan("stage", 1),
+    CampaignPlan("cameras", 3, marker_noise=20e-3)])  # fmt: skip
+def test_valid_campaigns_are_accepted(models, made, name, plan):
+    """The roughest reference that can be made up included."""
+    campaign = made(name, plan)
+    assert is_accepted(campaign, models[name])
+    assert is_accepted(in_base(campaign, models[name]), models[name])
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("frame", ["sensor", "base"])
+@pytest.mark.parametrize("factors", [N_TO_MN, NM_TO_NMM, 1e3 * np.ones(6), 1.0 / N_TO_MN],
+                         ids=["mN as N", "Nmm as Nm", "both", "N as mN"])  # fmt: skip
+def test_forces_or_moments_of_another_unit(models, made, name, frame, factors):
+    campaign = made(name, CampaignPlan("stage", 1))
+    if frame == "base":
+        campaign = in_base(campaign, models[name])
+    says = refusal(changed(campaign, scaled(factors)), models[name])
+    assert "wrenches.csv: test " in says and ("in a column of N" in says or "units of their columns?" in says)
+
+
+def test_a_few_readings_beyond_the_range_are_accepted(models, made):
+    campaign = made("large", CampaignPlan("stage", 1))
+    last = campaign.tests[-2]
+    over = replace(last, wrenches=last.wrenches * 1e3)
+    assert is_accepted(changed(campaign, lambda test: over if test is last else test), models["large"])
+
+
+def test_places_in_metres(models, made):
+    campaign = made("large", CampaignPlan("cameras", 1))
+    says = refusal(changed(campaign, contact_times(1e-3)), models["large"])
+    assert "tests.csv: test touch-01: contact is 2" in says and "large is 150 mm long; a wrong unit" in says
+    # the world's origin at the base: all places shrink to it
+    at_base = changed(campaign, lambda t: t if t.p_contact_world is None else replace(
+        t, p_contact_world=t.T_world_base[:3, 3] + 1e-3 * (t.p_contact_world - t.T_world_base[:3, 3])))  # fmt: skip
+    says = refusal(at_base, models["large"])
+    assert "mm from the base, the farthest" in says and "metres in a column of millimetres?" in says
+
+
+def test_arclengths_in_metres(models, made):
+    campaign = made("large", CampaignPlan("stage", 1))
+    says = refusal(
+        changed(campaign, lambda test: replace(test, s_contact=1e-3 * test.s_contact)), models["large"]
+    )
+    assert "tests.csv: test " in says and "is the largest, large is 150 mm long; metres in a column" in says
+
+
+def test_a_marker_at_the_base_only(models, made):
+    campaign = made("large", CampaignPlan("cameras", 3, marker_noise=20e-3))
+
+    def shrunk(test: tables.Test) -> tables.Test:
+        if test.markers is None:
+            return test
+        p = test.T_world_base[:3, 3]
+        return replace(test, markers=replace(test.markers, p_world=p + 1e-3 * (test.markers.p_world - p)))
+
+    says = refusal(changed(campaign, shrunk), models["large"])
+    assert "markers.csv: test " in says and "metres in a column of millimetres?" in says
+
+
+def test_a_sag_longer_than_the_probe(models, made):
+    campaign = made("large", CampaignPlan("cameras", 1))
+    hang = campaign.tests[0]
+    long = replace(hang, tip_sag=1e3 * hang.tip_sag)
+    says = refusal(changed(campaign, lambda test: long if test is hang else test), models["large"])
+    assert "tests.csv: test hang-1: tip_sag_mm = " in says and says.endswith("a wrong unit?")
+
+
+def test_a_sag_upwards_or_in_centimetres(models, made):
+    """Of the large probe, 13 mm as designed, told to 0.5 mm."""
+    campaign = made("large", CampaignPlan("cameras", 1))
+    hang = campaign.tests[0]
+    for factor, words in (
+        (-1.0, "a tip hangs below its undeformed place"),
+        (0.1, "a sag of 13.2 mm as designed"),
+    ):
+        wrong = replace(hang, tip_sag=factor * hang.tip_sag, std_sag=0.1 * hang.std_sag)
+        says = refusal(changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"])
+        assert "tests.csv: test hang-1: tip_sag_mm = " in says and words in says
+
+
+def test_known_weights_in_millinewtons(models, made):
+    """5, 10, 14 and 50 of them: as newtons one is beyond the sensor; and without it all are far from what was read."""
+    campaign = made("large", CampaignPlan("cameras", 1))
+    heavy = changed(
+        campaign,
+        lambda test: test if test.force_world is None else replace(test, force_world=1e3 * test.force_world),
+    )
+    assert "tests.csv: test weight-2: known force of 50 N exceeds the sensor's range" in refusal(
+        heavy, models["large"]
+    )
+    light = replace(heavy, tests=tuple(test for test in heavy.tests if test.name != "weight-2"))
+    says = refusal(light, models["large"])
+    assert "times what the sensor read; millinewtons in a column of newtons?" in says
+
+
+def test_both_commands_refuse(models, made):
+    wrong = changed(made("large", CampaignPlan("stage", 1)), scaled(N_TO_MN))
+    with pytest.raises(InputError, match="mN in a column of N"):
+        data_of(wrong, models["large"], 0.0)
+    with pytest.raises(InputError, match="mN in a column of N"):
+        validate(Estimator(models["large"]), wrong)
+
+
+def test_a_mass_in_kilograms_is_refused(made, models):
+    campaign = made("large", CampaignPlan(seed=3))
+    assert campaign.weighing is not None
+    wrong = replace(campaign, weighing=replace(campaign.weighing, mass=1e-3 * campaign.weighing.mass))
+    assert is_accepted(campaign, models["large"])
+    with pytest.raises(InputError, match=r"mass_g = .* grams\?"):
+        check_probe(wrong, models["large"])
+
+
+# agreement of readings, known loads and markers
+
+
+CAMERAS = CampaignPlan("cameras", 1)
+
+
+def numbered(campaign: Campaign, by: int) -> Campaign:
+    """Every marker takes the number of the one so many further on, and the last ones are lost."""
+
+    def converted(test):
+        if test.markers is None:
+            return test
+        m = test.markers
+        kept = m.numbers + by < len(campaign.marker_s)
+        return replace(test, markers=replace(m, numbers=m.numbers[kept] + by, p_world=m.p_world[kept],
+                                             cov_world=m.cov_world[kept]))  # fmt: skip
+
+    return changed(campaign, converted)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+def test_readings_of_another_size_than_the_known_loads(models, made, name, factor):
+    """Told about the base, so that the weight of what hangs on the sensor does not count. Drift and noise change what
+    was read of the lightest load, 18 mN, by less than a fifth."""
+    wrong = changed(in_base(made(name, CAMERAS), models[name]), scaled(factor * np.ones(6)))
+    line = refusal(wrong, models[name])
+    match = re.search(
+        r"tests.csv: test weight-\d: known force of \S+ N is (\S+) times what the sensor read", line
+    )
+    assert match is not None and float(match[1]) == pytest.approx(1.0 / factor, rel=0.2), line
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_readings_of_the_opposite_sign_are_refused(models, made, name):
+    wrong = changed(in_base(made(name, CAMERAS), models[name]), scaled(-np.ones(6)))
+    assert "the opposite of what the sensor read" in refusal(wrong, models[name])
+
+
+def test_loads_in_another_direction_are_refused(models, made):
+    campaign = made("large", CAMERAS)
+    turn = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    line = refusal(
+        changed(
+            campaign, lambda t: t if t.force_world is None else replace(t, force_world=turn @ t.force_world)
+        ),
+        models["large"],
+    )
+    assert "in another direction than was read" in line
+
+
+def test_one_wrong_load_is_accepted(models, made):
+    """It is an outlier there."""
+    campaign = made("large", CAMERAS)
+    assert is_accepted(
+        changed(
+            campaign, lambda t: replace(t, force_world=3.0 * t.force_world) if t.name == "weight-1" else t
+        ),
+        models["large"],
+    )
+
+
+def test_touches_read_in_the_opposite_direction_are_refused(models, made):
+    stage = in_base(made("medium", CampaignPlan("stage", 1)), models["medium"])
+    line = refusal(changed(stage, scaled(-np.ones(6))), models["medium"])
+    assert "wrenches.csv: test touch-" in line and "change the sign of the columns, or of direction" in line
+
+
+def test_a_sensor_zeroed_with_the_probe_on_it_is_accepted(models, made):
+    """What the free hangs read is then nothing; loads and touches are known all the same."""
+    campaign = in_base(made("large", CAMERAS), models["large"])
+    free = next(test for test in campaign.tests if test.free).wrenches.mean(axis=0)
+    assert is_accepted(changed(campaign, lambda t: replace(t, wrenches=t.wrenches - free)), models["large"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_markers_numbered_one_too_high_are_refused(models, made, name):
+    line = refusal(numbered(made(name, CAMERAS), 1), models[name])
+    assert "markers lie " in line and "are they numbered 1 too high" in line
+
+
+def test_a_campaign_without_markers_near_the_base_is_accepted(models, made):
+    """Nothing is then told of how they are numbered, and bent probes are shorter from end to end."""
+    campaign = made("large", CAMERAS)
+
+    def far(test):
+        if test.markers is None:
+            return test
+        m = test.markers
+        kept = m.numbers >= len(campaign.marker_s) // 2
+        return replace(
+            test,
+            markers=replace(m, numbers=m.numbers[kept], p_world=m.p_world[kept], cov_world=m.cov_world[kept]),
+        )
+
+    assert is_accepted(changed(campaign, far), models["large"])

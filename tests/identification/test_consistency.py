@@ -1,0 +1,185 @@
+"""Gross errors in a kind of reading, a test, a prior or a single reading make the result inconsistent."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probedesign.campaigns import Campaign
+from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.identification.consistency import OutlierCount, rejected_prior
+from probedesign.identification.identify import IdentificationData, data_of, identify
+from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.result import Identification
+from probedesign.identification.solver import REJECTION_CHANCE, LeastSquaresProblem, fit, start_point
+
+
+def _with(data: IdentificationData, change: Callable[[MeasuredTest], MeasuredTest]) -> Identification:
+    return identify(replace(data, tests=tuple(change(trial) for trial in data.tests)), ("E",))
+
+
+def _assert_no_number(found: Identification, *words: str) -> None:
+    assert found.result == "inconsistent"
+    assert all(word in found.why for word in words) and "\n" not in found.why
+    assert found.of("E") is None and found.found[0].std is None and not found.shifts
+    assert any("are outliers with little weight" in note for note in found.notes)
+
+
+def _turned(trial: MeasuredTest) -> MeasuredTest:
+    """The base turned by -90 degrees about world y in campaign.toml."""
+    T = trial.T_world_base.copy()
+    T[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
+    return replace(trial, T_world_base=T)
+
+
+def _in_nmm(trial: MeasuredTest) -> MeasuredTest:
+    """Moments in N mm in columns of N m."""
+    assert trial.wrench_base is not None
+    return replace(trial, wrench_base=trial.wrench_base * [1.0, 1.0, 1.0, 1e3, 1e3, 1e3])
+
+
+def _in_mn(trial: MeasuredTest) -> MeasuredTest:
+    """Forces in mN in columns of N."""
+    assert trial.wrench_base is not None
+    return replace(trial, wrench_base=trial.wrench_base * [1e3, 1e3, 1e3, 1.0, 1.0, 1.0])
+
+
+def _in_metres(trial: MeasuredTest) -> MeasuredTest:
+    return trial if trial.p_touch_world is None else replace(trial, p_touch_world=1e-3 * trial.p_touch_world)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "kind", "look"),
+    [
+        (_turned, "touched places: 9 of 9", "the base's rotation in campaign.toml"),
+        (_in_nmm, "wrenches: 11 of 11", "the units of the force and of the moment columns"),
+        (_in_metres, "touched places: 9 of 9", "the unit of the contact columns"),
+    ],
+)
+def test_a_kind_with_only_gross_errors_is_inconsistent(
+    mistake: Callable[[MeasuredTest], MeasuredTest], kind: str, look: str, stage: Campaign, model: ProbeModel
+) -> None:
+    _assert_no_number(_with(data_of(stage, model, 0.0), mistake), kind, look)
+
+
+def test_forces_in_millinewtons_are_refused(stage: Campaign, model: ProbeModel) -> None:
+    """The probe buckles under touches a thousand times as strong."""
+    with pytest.raises(InputError, match=r"buckles .* are forces in their column's unit"):
+        _with(data_of(stage, model, 0.0), _in_mn)
+
+
+def test_markers_of_one_test_numbered_one_too_high_are_inconsistent(
+    cameras: Campaign, model: ProbeModel
+) -> None:
+    data = data_of(cameras, model, 0.0)
+    name = next(t.name for t in data.tests if t.touched and len(t.marker_s) > 10)
+
+    def renumbered(t: MeasuredTest) -> MeasuredTest:
+        if t.name != name:
+            return t
+        return replace(t, marker_s=t.marker_s[1:], marker_numbers=t.marker_numbers[1:],
+                       p_markers_world=t.p_markers_world[:-1], cov_markers=t.cov_markers[:-1])  # fmt: skip
+
+    _assert_no_number(_with(data, renumbered), name, "the marker numbers")
+
+
+def test_one_wrong_place_among_nine_is_an_outlier(stage: Campaign, model: ProbeModel) -> None:
+    data = data_of(stage, model, 0.0)
+    wrong = next(t.name for t in data.tests if t.p_touch_world is not None and not t.free)
+    found = _with(data, lambda t: _in_metres(t) if t.name == wrong else t)
+    assert found.result == "ok" and found.of("E") is not None
+    assert found.outliers[0].test == wrong
+
+
+@pytest.mark.parametrize(
+    ("off", "count", "too_many"),
+    [
+        (0, 9, False),
+        (3, 9, False),
+        (4, 9, True),
+        (1, 1, True),
+        (1, 2, False),
+        (25, 500, False),
+        (42, 500, True),
+    ],
+)
+def test_number_of_outliers_that_is_too_many(off: int, count: int, too_many: bool) -> None:
+    """Chances of a binomial with 5 %: P(4 or more of 9) = 6e-4, P(3 or more) = 8e-3; 25 of 500 is the mean, 42 is 3.5
+    standard deviations above."""
+    assert OutlierCount(count, off, 5.0).too_many is too_many
+
+
+def test_a_majority_of_outliers_is_always_too_many() -> None:
+    counts = np.arange(3, 400)
+    assert all(OutlierCount(int(n), int(n) // 2 + 1, 5.0).too_many for n in counts)
+
+
+# priors and single readings
+
+
+@pytest.fixture(scope="module")
+def data(cameras: Campaign, model: ProbeModel) -> IdentificationData:
+    return data_of(cameras, model, 0.0)
+
+
+def _sag_halved(data: IdentificationData) -> IdentificationData:
+    """Return the data with half the sag, known to 0.1 mm."""
+    sag = next(t for t in data.tests if np.isfinite(t.sag))
+    wrong = replace(sag, sag=0.5 * sag.sag, std_sag=1e-4)
+    return replace(data, tests=tuple(wrong if t is sag else t for t in data.tests))
+
+
+def _too_light(data: IdentificationData) -> IdentificationData:
+    """Return the data with a fifth less mass, which no tolerance of the diameters explains."""
+    assert data.mass is not None
+    return replace(data, mass=replace(data.mass, mass=0.8 * data.mass.mass, std=1e-5))
+
+
+def _base_moved(data: IdentificationData) -> IdentificationData:
+    """Return the data with the base moved by 5 mm; 0.2 mm is its standard deviation."""
+
+    def moved(T: np.ndarray) -> np.ndarray:
+        T = T.copy()
+        T[:3, 3] += [0.0, 5e-3, 0.0]
+        return T
+
+    return replace(data, tests=tuple(replace(t, T_world_base=moved(t.T_world_base)) for t in data.tests))
+
+
+@pytest.mark.parametrize(("wrong", "label"), [(_sag_halved, "the sag of hang-1"), (_too_light, "design density"),
+                                             (_base_moved, "position of the base")])  # fmt: skip
+def test_a_gross_error_with_full_weight_is_rejected(
+    data: IdentificationData, wrong: Callable[[IdentificationData], IdentificationData], label: str
+) -> None:
+    found = identify(wrong(data), ("E",))
+    assert found.result == "inconsistent" and found.of("E") is None
+    assert (
+        found.why.startswith(label) and "standard deviations from the rest of the data; check " in found.why
+    )
+
+
+def test_priors_are_rejected_by_their_residual_variance(data: IdentificationData) -> None:
+    """The position of the base is shifted by a given number of its standard deviations. Markers measure it far better
+    than it is stated, so nearly all of its unit variance is left: two are accepted, nine are rejected."""
+    problem = LeastSquaresProblem(data.common, data.tests, data.mass, data.common.prior_without(("E",)))
+    start = start_point(problem, True)
+    assert start is not None
+    found = fit(problem, start)
+    assert rejected_prior(found) == "" and REJECTION_CHANCE < 0.01
+
+    def shifted(deviations: float) -> str:
+        off = np.array([0.0, deviations * data.common.std_base, 0.0])
+        trials = []
+        for trial in data.tests:
+            T = trial.T_world_base.copy()
+            T[:3, 3] -= off
+            trials.append(replace(trial, T_world_base=T))
+        moved = replace(problem, tests=tuple(trials))
+        begun = start_point(moved, True)
+        assert begun is not None
+        return rejected_prior(fit(moved, begun))
+
+    assert shifted(2.0) == ""
+    assert "position of the base" in shifted(9.0)

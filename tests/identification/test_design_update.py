@@ -1,0 +1,108 @@
+"""A design file keeps its comments and layout; replaced values stay as comments."""
+
+from pathlib import Path
+
+import pytest
+
+from probedesign.design import parse_design
+from probedesign.design_edit import Change, edited
+from probedesign.errors import InputError
+from probedesign.identification.design_update import check_overwritable
+from tests.identification.conftest import LARGE
+
+DAY = "2026-01-02"
+SMALL = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = 8.0\ntip_d_mm = 2.0\n'
+
+
+def test_old_value_and_its_comment_stay_above_the_new() -> None:
+    text = LARGE.read_text()
+    change = Change("material", "youngs_modulus_mpa", "2.41", "identified")
+    lines = edited(text, [change], DAY, "large.toml").splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("youngs_modulus_mpa = 2.41 "))
+    before = next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
+    assert lines[at].endswith("# identified")
+    assert lines[at - 1] == f"# until {DAY}: {before}"
+    assert [line for line in lines if line not in (lines[at], lines[at - 1])] == [
+        line for line in text.splitlines() if line != before
+    ]
+
+
+def test_tables_that_are_missing_are_added() -> None:
+    changes = [
+        Change("material", "youngs_modulus_mpa", "2.41"),
+        Change("material.provenance", "youngs_modulus_mpa", '"identified"'),
+        Change("tolerances", "youngs_modulus", "0.004"),
+        Change("tolerances", "shear_modulus", "0.03"),
+    ]
+    design = parse_design(edited(SMALL, changes, DAY, "x.toml"))
+    assert design.youngs_modulus.value == pytest.approx(2.41e6)
+    assert design.material.provenance.youngs_modulus_mpa == "identified"
+    assert (design.tolerances.youngs_modulus, design.tolerances.shear_modulus) == (0.004, 0.03)
+
+
+def test_an_unchanged_value_is_left_alone() -> None:
+    text = LARGE.read_text()
+    change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
+    assert edited(text, [change], DAY, "large.toml") == text
+    once = edited(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    again = edited(once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    assert again == once  # the same line is no old one
+
+
+def test_windows_line_ends_are_kept() -> None:
+    text = SMALL.replace("\n", "\r\n")
+    result = edited(text, [Change("probe", "tip_d_mm", "2.5")], DAY, "x.toml")
+    assert result.count("\r\n") == result.count("\n") == text.count("\n") + 1
+
+
+@pytest.mark.parametrize(
+    "material",
+    ['material = { resin = "elastic-50a" }\n', 'material.resin = "elastic-50a"\n'],
+)
+def test_tables_that_are_no_lines_are_refused(material: str) -> None:
+    text = SMALL.replace("[probe]", material + "[probe]")
+    with pytest.raises(
+        InputError, match=r"not written line by line; set by hand: material.youngs_modulus_mpa = 2"
+    ):
+        edited(text, [Change("material", "youngs_modulus_mpa", "2.41")], DAY, "x.toml")
+
+
+def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="out of range"):
+        edited(SMALL, [Change("tolerances", "youngs_modulus", "0.7")], DAY, "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("present", "change"),
+    [
+        ("[mount]\nroot_rigid_radii = 0.12\n", Change("mount", "root_rigid_radii", "0.2")),
+        ('[tolerances]\nyoungs_modulus = 0.1\n[material]\nyoungs_modulus_mpa = 2.0\n'
+         'provenance.youngs_modulus_mpa = "identified"\n', Change("tolerances", "youngs_modulus", "0.02")),
+        ('[material]\nstiffness_spread = 0.1\nyoungs_modulus_mpa = 2.0\nprovenance.youngs_modulus_mpa = "identified"\n',
+         Change("material", "stiffness_spread", "0.02")),
+        ('[material]\nyoungs_modulus_mpa = 2.0\nprovenance.youngs_modulus_mpa = "identified"\n',
+         Change("material", "youngs_modulus_mpa", "2.4")),
+    ],
+)  # fmt: skip
+def test_present_values_are_replaced_only_by_force(present: str, change: Change) -> None:
+    text = SMALL + present
+    design = parse_design(text)
+    with pytest.raises(InputError, match=f"already: {change.table}.{change.key}; --force replaces"):
+        check_overwritable(design, text, (change,), "x.toml", False)
+    check_overwritable(design, text, (change,), "x.toml", True)
+    check_overwritable(parse_design(SMALL), SMALL, (change,), "x.toml", False)  # nothing is there
+
+
+def test_assumed_values_are_replaced_without_force() -> None:
+    """Their uncertainties are replaced with them."""
+    text = (
+        SMALL
+        + "[material]\nyoungs_modulus_mpa = 2.0\nstiffness_spread = 0.1\n[tolerances]\nyoungs_modulus = 0.1\n"
+    )
+    changes = (
+        Change("material", "youngs_modulus_mpa", "2.4"),
+        Change("material", "stiffness_spread", "0.02"),
+        Change("tolerances", "youngs_modulus", "0.02"),
+    )
+    check_overwritable(parse_design(text), text, changes, "x.toml", False)
+    assert "# until 2026-01-02: stiffness_spread = 0.1" in edited(text, changes, DAY, "x.toml")

@@ -1,0 +1,80 @@
+"""Derivatives of every residual against differences, at values where none vanishes."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probedesign.campaigns import Campaign
+from probedesign.estimation.model import ProbeModel
+from probedesign.identification.identify import IdentificationData, data_of
+from probedesign.identification.parameters import BIAS, OWNER, PRINT, ParameterValues
+from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize, start_nuisance
+
+
+def _data(campaign: Campaign, model: ProbeModel) -> IdentificationData:
+    """A free probe with its sag, a weight and a touch, with dots on the surface, and the scales."""
+    data = data_of(campaign, model, 1e-6)
+    free, weight = data.tests[0], next(t for t in data.tests if not t.free and not t.touched)
+    touch = next(t for t in data.tests if t.touched)
+    return replace(data, tests=tuple(replace(t, marker_side=0.4) for t in (free, weight, touch)))
+
+
+def test_derivatives_agree_with_differences(cameras: Campaign, model: ProbeModel) -> None:
+    data = _data(cameras, model)
+    problem = LeastSquaresProblem(data.common, data.tests, data.mass, np.ones(data.common.size))
+    rng = np.random.default_rng(2)
+    size = {"diameters": 0.02, "E": 0.1, "density": 0.1, "G": 0.1, "root": 0.1, "bias": 1e-4}
+    sizes = np.array([size.get(one.name, 1e-3) for one in OWNER])
+    x = rng.normal(size=data.common.size) * np.concatenate([sizes, np.ones(data.common.size - PRINT)])
+    nuisance = start_nuisance(data.tests, model.rod)
+    point = linearize(problem, ParameterValues(data.common, x), nuisance)
+    assert point.ok
+    assert {group.kind for group in point.blocks} == {
+        "wrenches", "markers", "touches", "friction", "places", "sags", "scales"}  # fmt: skip
+    rows = _rows(point)
+    for j in range(rows.shape[1]):
+        step = 1e-2 if j >= PRINT else 1e-4 if BIAS.start <= j else 1e-3
+        if j >= data.common.size:
+            step = 1e-5
+        numeric = (_values(problem, x, nuisance, j, step) - _values(problem, x, nuisance, j, -step)) / (
+            2.0 * step
+        )
+        # differences of second order and the rod's digits: 1e-6 of a moment is 1e-3 of its noise, over the step
+        near = 1e-3 * np.abs(rows[:, j]).max() + 4e-3 / step
+        assert np.abs(numeric - rows[:, j]).max() <= near, j
+
+
+def _values(
+    problem: LeastSquaresProblem, x: np.ndarray, nuisance: list[np.ndarray], j: int, step: float
+) -> np.ndarray:
+    ends = np.cumsum([len(x)] + [len(own) for own in nuisance])
+    every = np.concatenate([x, *nuisance])
+    every[j] += step
+    parts = [every[a:b] for a, b in itertools.pairwise(ends)]
+    point = linearize(problem, ParameterValues(problem.common, every[: len(x)]), parts)
+    return point.system(np.ones(len(point.blocks)))[1]
+
+
+def _rows(point: Linearization) -> np.ndarray:
+    return point.system(np.ones(len(point.blocks)))[0]
+
+
+@pytest.mark.parametrize("place", [0.09, 0.09 - 5e-6])
+def test_a_marker_where_the_weight_hangs_has_the_right_derivative(
+    place: float, cameras: Campaign, model: ProbeModel
+) -> None:
+    """The shear jumps there: a difference across it would show a rotation that is not there."""
+    data = _data(cameras, model)
+    trial = replace(data.tests[1], s_contact=place, marker_s=np.array([0.09]), marker_numbers=(1,),
+                    p_markers_world=np.zeros((1, 3)), cov_markers=np.eye(3)[None])  # fmt: skip
+    problem = LeastSquaresProblem(data.common, (trial,), None, np.ones(data.common.size))
+    x, size = np.zeros(data.common.size), data.common.size
+    rows = _rows(linearize(problem, ParameterValues(data.common, x), [np.array([place])]))
+    numeric = _values(problem, x, [np.array([place])], size, 1e-3) - _values(
+        problem, x, [np.array([place])], size, -1e-3
+    )
+    marker = slice(size + 6, size + 9)  # behind the priors and the wrench
+    # a millimetre's difference, of a curve that bends over centimetres
+    assert rows[marker, size] == pytest.approx(numeric[marker] / 2e-3, rel=0.05, abs=2e-4)
