@@ -274,13 +274,13 @@ def identify(
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
     from probedesign.identification.unknowns import asked_for
-    from probedesign.mounting import hanging_parts, sensor_adapter_for
+    from probedesign.mount import mount_part_masses, sensor_adapter_for
 
     design = load_design(design_path)
     names = asked_for(names)
     probe = build_probe(design)
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
-    flange = hanging_parts(probe.geometry, adapter, design.density.value)["flange"]
+    flange = mount_part_masses(probe.geometry, adapter, design.density.value)["flange"]
     found = run(data_of(read_campaign(data), probe.model, flange.volume), names)
     place = EXPORTS / design.name / "identification" if folder is None else folder
     files = [place / "identification.json", place / "residuals.csv"]

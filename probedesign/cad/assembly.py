@@ -15,9 +15,9 @@ from probedesign.cad.sensor_adapter import clamp_ring_solid, sensor_adapter_soli
 from probedesign.frames import Array, pose
 from probedesign.geometry import ProbeGeometry
 from probedesign.materials import RIGID_DENSITY
-from probedesign.mounting import FlangeAdapter, SensorAdapter
-from probedesign.mounting.adapter import DOWEL_PIN_LENGTH, on_circle
-from probedesign.mounting.fasteners import STEEL_DENSITY
+from probedesign.mount import FlangeAdapter, SensorAdapter
+from probedesign.mount.fasteners import STEEL_DENSITY
+from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH, on_circle
 from probedesign.sensor import ScrewPattern, SensorModel
 from probedesign.units import MM
 

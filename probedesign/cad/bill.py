@@ -14,8 +14,8 @@ from probedesign.cad.kernel import mass_of
 from probedesign.cad.screws import ScrewUse
 from probedesign.cad.steps import EXPLOSION
 from probedesign.materials import RIGID_RESIN
-from probedesign.mounting.adapter import DOWEL_PIN_LENGTH
-from probedesign.mounting.fasteners import M2, M2_CLEARANCE_D
+from probedesign.mount.fasteners import M2, M2_CLEARANCE_D
+from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
 from probedesign.robot_flange import RobotFlange
 from probedesign.units import MM, MPA
 

@@ -9,7 +9,7 @@ from probedesign.cad.screws import ScrewUse, screws_of
 from probedesign.design import Design
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mass import MassProperties, combined
-from probedesign.mounting import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
+from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
 
 FASTENERS = ("sensor_adapter_screws", "ring_screws", "ring_nuts", "dowel_pins")
 """What of the bought parts hangs on the sensor's tool side."""

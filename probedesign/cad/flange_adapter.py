@@ -3,8 +3,8 @@
 import cadquery as cq
 
 from probedesign.cad.kernel import block, cylinder, engraved, single
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
-from probedesign.mounting.flange_adapter import FlangeAdapter
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
+from probedesign.mount.flange_adapter import FlangeAdapter
 
 
 def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:

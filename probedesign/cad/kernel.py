@@ -17,21 +17,20 @@ from OCP.TColStd import TColStd_Array1OfReal
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
 from probedesign.mass import MassProperties
-from probedesign.mounting.engraving import DEPTH, Engraving
-from probedesign.mounting.prism import Point
+from probedesign.mount.engraving import DEPTH, XY, Engraving
 from probedesign.units import MM
 
 ARCS = 8
 """Pieces of an ellipse. The kernel's quadrature of an eighth is good to 1e-14, of a quarter to 1e-8 only."""
 
 
-def revolved(outline: Sequence[Point]) -> cq.Solid:
+def revolved(outline: Sequence[XY]) -> cq.Solid:
     """A closed polygon of (radius, z) [m], two of its corners on the axis, turned about z."""
     corners = [(r / MM, z / MM) for r, z in outline]
     return single(cq.Workplane("XZ").polyline(corners).close().revolve(360, (0, 0), (0, 1)).val())
 
 
-def frusta(taper: Sequence[Point], flatness: float = 1.0) -> cq.Solid:
+def frusta(taper: Sequence[XY], flatness: float = 1.0) -> cq.Solid:
     """Ruled between ellipses of half-width r along x and `flatness` r along y, at the (r, z) of a taper [m]."""
     rings = [_ellipse(r / MM, flatness * r / MM, z / MM) for r, z in taper]
     return single(cq.Solid.makeLoft(rings, ruled=True))
@@ -57,12 +56,12 @@ def _arc(a: float, b: float, z: float, start: float, end: float) -> cq.Edge:
     return cq.Edge(BRepBuilderAPI_MakeEdge(Geom_BezierCurve(points, weights)).Edge())
 
 
-def cylinder(d: float, z0: float, z1: float, p: Point = (0.0, 0.0)) -> cq.Solid:
+def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:
     """An upright cylinder of diameter d between z0 and z1 about p [m]."""
     return cq.Solid.makeCylinder(d / 2 / MM, (z1 - z0) / MM, _vector(p, z0))
 
 
-def hexagon(af: float, z0: float, z1: float, p: Point) -> cq.Solid:
+def hexagon(af: float, z0: float, z1: float, p: XY) -> cq.Solid:
     """An upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis."""
     outline = cq.Workplane().polygon(6, 2 * af / np.sqrt(3.0) / MM).extrude((z1 - z0) / MM)
     azimuth = np.degrees(np.arctan2(p[1], p[0]))
@@ -82,12 +81,12 @@ def engraved(engraving: Engraving) -> list[cq.Solid]:
     return solids
 
 
-def _turns(loop: list[Point]) -> float:
+def _turns(loop: list[XY]) -> float:
     """Twice the signed area of a polygon."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
 
 
-def block(x: Point, y: Point, z: Point) -> cq.Solid:
+def block(x: XY, y: XY, z: XY) -> cq.Solid:
     """A box between the two values of x, of y and of z [m]."""
     lengths = [(b - a) / MM for a, b in (x, y, z)]
     return cq.Solid.makeBox(*lengths, pnt=_vector((x[0], y[0]), z[0]))
@@ -164,5 +163,5 @@ def _iso_line(face: cq.Face, z: float) -> cq.Edge:
     return edge
 
 
-def _vector(p: Point, z: float) -> cq.Vector:
+def _vector(p: XY, z: float) -> cq.Vector:
     return cq.Vector(p[0] / MM, p[1] / MM, z / MM)

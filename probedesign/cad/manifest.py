@@ -13,8 +13,7 @@ from probedesign.cad.kernel import mass_of
 from probedesign.cad.verify import Findings
 from probedesign.frames import Array
 from probedesign.mass import MassProperties, combined
-from probedesign.mounting.adapter import SQUEEZE
-from probedesign.mounting.root import exported_root_radii
+from probedesign.mount.sensor_adapter import SQUEEZE, exported_root_radii
 from probedesign.units import MM
 
 SCHEMA = 1

@@ -8,7 +8,7 @@ from probedesign.cad.bill import NUT_FACTOR, RESIN_PRESSURE, Item
 from probedesign.cad.drawing import Drawing
 from probedesign.cad.steps import Step
 from probedesign.cad.svg import Svg
-from probedesign.mounting.fasteners import M2, SCREWS
+from probedesign.mount.fasteners import M2, SCREWS
 from probedesign.units import MM, MPA
 
 STYLE = """

@@ -21,9 +21,9 @@ from probedesign.cad.sheet import (
     scale_for,
 )
 from probedesign.cad.title_block import BOTTOM, STACK, titled_sheet
-from probedesign.mounting.adapter import PEG_D
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
-from probedesign.mounting.prism import Point
+from probedesign.mount.engraving import XY
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
+from probedesign.mount.sensor_adapter import PEG_D
 from probedesign.units import MM
 
 
@@ -38,7 +38,7 @@ class Holes:
         on_circle: whether they lie on one that is drawn and told.
     """
 
-    points: Sequence[Point]
+    points: Sequence[XY]
     size: float
     words: str
     on_circle: bool = True
@@ -167,10 +167,10 @@ def _plans(
         view.caption(f"from {name}, +x to the right", -rim, 18.0)
 
 
-def _free(points: Sequence[Point], taken: Sequence[complex]) -> Point:
+def _free(points: Sequence[XY], taken: Sequence[complex]) -> XY:
     """The point whose direction from the middle is farthest from those taken: tags must not meet."""
 
-    def room(p: Point) -> float:
+    def room(p: XY) -> float:
         return min((abs(float(np.angle(complex(*p) / other))) for other in taken), default=np.pi)
 
     return max(points, key=lambda p: round(room(p), 6))

@@ -4,8 +4,8 @@ import cadquery as cq
 
 from probedesign.cad.kernel import cylinder, engraved, frusta, revolved, single
 from probedesign.geometry import ProbeGeometry
-from probedesign.mounting import SensorAdapter
-from probedesign.mounting.prism import Point
+from probedesign.mount import SensorAdapter
+from probedesign.mount.engraving import XY
 
 
 def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
@@ -44,6 +44,6 @@ def _ruled(geometry: ProbeGeometry) -> cq.Shape:
     return body.cut(frusta([(geometry.bore_radius, -geometry.flange.thickness), *bore]))
 
 
-def _taper(geometry: ProbeGeometry) -> list[Point]:
+def _taper(geometry: ProbeGeometry) -> list[XY]:
     """(radius, s) at the knots [m]."""
     return [(float(r), float(s)) for s, r in zip(geometry.s, geometry.radius, strict=True)]

@@ -8,9 +8,9 @@ from probedesign.cad.assembly import Part, box_of, boxes_meet, shared_volume
 from probedesign.cad.kernel import cylinder, hexagon, placed, revolved
 from probedesign.cad.screws import ScrewUse
 from probedesign.frames import pose
-from probedesign.mounting import SensorAdapter
-from probedesign.mounting.adapter import DOWEL_PIN_LENGTH
-from probedesign.mounting.fasteners import M2_NUT_AF
+from probedesign.mount import SensorAdapter
+from probedesign.mount.fasteners import M2_NUT_AF
+from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
 from probedesign.sensor import SensorModel
 from probedesign.units import MM
 

@@ -9,8 +9,9 @@ import cadquery as cq
 from probedesign.cad.kernel import cylinder, hexagon, single
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
-from probedesign.mounting import FlangeAdapter, SensorAdapter
-from probedesign.mounting.fasteners import (
+from probedesign.mount import FlangeAdapter, SensorAdapter
+from probedesign.mount.engraving import XY
+from probedesign.mount.fasteners import (
     M2,
     M2_GRIP,
     M2_LENGTH,
@@ -19,7 +20,6 @@ from probedesign.mounting.fasteners import (
     SCREWS,
     SocketScrew,
 )
-from probedesign.mounting.prism import Point
 from probedesign.sensor import SensorModel
 from probedesign.units import MM
 
@@ -46,7 +46,7 @@ class ScrewUse:
     length: float
     grip: float
     entry_limits: tuple[float, float]
-    points: tuple[Point, ...]
+    points: tuple[XY, ...]
     seat: float
     up: bool
 
@@ -130,7 +130,7 @@ def nut_solids(a: SensorAdapter) -> cq.Compound:
     )
 
 
-def _screw(use: ScrewUse, p: Point) -> cq.Solid:
+def _screw(use: ScrewUse, p: XY) -> cq.Solid:
     s, seat = use.screw, use.seat
     way = 1.0 if use.up else -1.0  # from head to point
     top = seat - way * s.head_height
@@ -144,7 +144,7 @@ def _between(a: float, b: float) -> tuple[float, float]:
     return min(a, b), max(a, b)
 
 
-def _told(points: Iterable[Point], T_a_b: Array) -> tuple[Point, ...]:
+def _told(points: Iterable[XY], T_a_b: Array) -> tuple[XY, ...]:
     """Points (x, y) of frame b in frame a, whose z axes agree."""
     R, t = T_a_b[:2, :2], T_a_b[:2, 3]
     return tuple((float(q[0]), float(q[1])) for q in (R @ p + t for p in points))

@@ -3,9 +3,9 @@
 import cadquery as cq
 
 from probedesign.cad.kernel import block, cylinder, engraved, hexagon, revolved, single
-from probedesign.mounting import SensorAdapter
-from probedesign.mounting.adapter import PEG_D
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
+from probedesign.mount import SensorAdapter
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
+from probedesign.mount.sensor_adapter import PEG_D
 
 
 def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:

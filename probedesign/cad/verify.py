@@ -16,7 +16,7 @@ from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
 from probedesign.geometry import ProbeGeometry
 from probedesign.mass import MassProperties, combined, flexible_part
-from probedesign.mounting import hanging_mass, hanging_parts
+from probedesign.mount import mount_mass_properties, mount_part_masses
 from probedesign.units import MM
 
 Findings = dict[str, dict[str, Any]]
@@ -67,8 +67,8 @@ def _solids(drawing: Drawing) -> Findings:
     density = drawing.design.density.value
     drawn = dict(drawing.bodies)
     drawn["hanging"] = combined(body for name, body in drawn.items() if name != "flexible")
-    formula = hanging_parts(geometry, adapter, density)
-    formula["hanging"] = hanging_mass(geometry, adapter, density)
+    formula = mount_part_masses(geometry, adapter, density)
+    formula["hanging"] = mount_mass_properties(geometry, adapter, density)
     formula["flexible"] = flexible_part(geometry, density).moved(adapter.T_sensor_base)
     findings: Findings = {}
     for name, body in drawn.items():

@@ -6,7 +6,7 @@ from typing import Any
 from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.geometry import ProbeGeometry, build_geometry
-from probedesign.mounting import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
+from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
 from probedesign.printing import limits
 from probedesign.printing.compensation import scale_of
 from probedesign.printing.mount_rules import mount_findings

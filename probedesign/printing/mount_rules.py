@@ -4,10 +4,10 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from probedesign.mounting import FlangeAdapter, SensorAdapter
-from probedesign.mounting.adapter import PEG_D
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
-from probedesign.mounting.prism import Point
+from probedesign.mount import FlangeAdapter, SensorAdapter
+from probedesign.mount.engraving import XY
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
+from probedesign.mount.sensor_adapter import PEG_D
 from probedesign.printing import limits
 from probedesign.printing.rule import Finding
 from probedesign.units import MM
@@ -97,6 +97,6 @@ def _plate_holes(p: FlangeAdapter) -> dict[str, float]:
     return {"sensor screw hole": M2_CLEARANCE_D, "bolt hole": p.robot.bolt_clearance_d, **slot}
 
 
-def _reach(points: Iterable[Point]) -> float:
+def _reach(points: Iterable[XY]) -> float:
     """How far out equal features lie [m]."""
     return max(math.hypot(*p) for p in points)

@@ -6,7 +6,7 @@ import numpy as np
 
 from probedesign.frames import Array
 from probedesign.geometry import ProbeGeometry
-from probedesign.mounting import SensorAdapter
+from probedesign.mount import SensorAdapter
 from probedesign.printing import limits
 from probedesign.printing.rule import Finding
 from probedesign.units import MM

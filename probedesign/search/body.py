@@ -13,7 +13,7 @@ from probedesign.design_tables import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.geometry import flange_for
-from probedesign.mounting import widest_through_ring
+from probedesign.mount import max_ring_passage_d
 from probedesign.printing import limits
 from probedesign.search.grid import tables_of
 from probedesign.units import MM
@@ -180,4 +180,4 @@ class Body:
 
 def _widest_mm(base_d_mm: float) -> float:
     """Over which the clamp ring comes that holds the flange of such a base [mm]."""
-    return widest_through_ring(flange_for(base_d_mm * MM)) / MM
+    return max_ring_passage_d(flange_for(base_d_mm * MM)) / MM

@@ -33,7 +33,7 @@ from probedesign.cad.steps import DOWN, EXPLOSION, steps_of
 from probedesign.cad.threemf import places_of, read_back
 from probedesign.design import Design
 from probedesign.frames import pose
-from probedesign.mounting.engraving import Engraving
+from probedesign.mount.engraving import Engraving
 
 Exported = tuple[Path, dict[str, Any]]
 PRINTED = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")

@@ -26,7 +26,7 @@ from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
 from probedesign.mass import MassProperties, combined, flexible_part
-from probedesign.mounting import hanging_mass, sensor_adapter_for
+from probedesign.mount import mount_mass_properties, sensor_adapter_for
 from probedesign.printing.preform.job import job_of
 from probedesign.probe import build_probe
 
@@ -78,7 +78,7 @@ def test_manifest_weighs_what_the_mechanics_weigh(
     design = make_design()
     geometry = build_geometry(design)
     adapter = sensor_adapter_for(geometry, design.sensor_model, design.name)
-    rigid = hanging_mass(geometry, adapter, design.density.value)
+    rigid = mount_mass_properties(geometry, adapter, design.density.value)
     whole = combined([rigid, flexible_part(geometry, design.density.value).moved(adapter.T_sensor_base)])
     for name, formula in (("rigid", rigid), ("whole", whole)):
         record = manifest["mass"][name]

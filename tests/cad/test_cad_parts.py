@@ -22,7 +22,7 @@ from probedesign.design import Design, parse_design
 from probedesign.design_file import render_design
 from probedesign.errors import CheckFailedError, InputError
 from probedesign.frames import Array, pose, rotation_z
-from probedesign.mounting.engraving import Engraving
+from probedesign.mount.engraving import Engraving
 
 Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
 PROFILE = (

@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
 from probedesign.printing.check import check_print
 from probedesign.units import MM
 

@@ -1,4 +1,4 @@
-"""Screws, nuts and pins as data, and the clearances that resin leaves for them."""
+"""Dimensions of screws, nuts and pins, and their clearances in printed resin."""
 
 from dataclasses import dataclass
 
@@ -7,15 +7,15 @@ from probedesign.units import MM
 
 @dataclass(frozen=True)
 class SocketScrew:
-    """A socket head cap screw, ISO 4762; the shank counts as a cylinder of the thread's pitch diameter.
+    """A socket head cap screw, ISO 4762; its shank is modelled as a cylinder of the thread's pitch diameter.
 
     Attributes:
-        thread: name.
+        thread: its designation, such as "M2".
         head_d, head_height: of the head [m].
         socket_af, socket_depth: hexagon across flats and its depth [m].
         pitch_d: pitch diameter of the thread [m].
         key_length: long arm of its hexagon key, standard series [m].
-        stock_mm: lengths that shops keep [mm].
+        stock_mm: lengths in stock [mm].
     """
 
     thread: str
@@ -43,10 +43,10 @@ SCREWS = {s.thread: s for s in (M2, M4, M5, M6, M8)}
 M2_CLEARANCE_D = 2.4 * MM
 M2_COUNTERBORE_D = M2.head_d + 0.4 * MM
 M2_GRIP = 3.0 * MM
-"""Resin under an M2 head; with the stock M2×6 the sensor is entered by 3.0 mm."""
+"""Resin under an M2 head; the stock M2×6 then enters the sensor by 3.0 mm."""
 M2_LENGTH = 6.0 * MM
 HEAD_SUNK = 0.2 * MM
-"""A head lies that much below the face, so that it cannot dent what rests on it."""
+"""A head lies this far below the face, so that it cannot dent the part that rests on it."""
 M2_NUT_AF, M2_NUT_HEIGHT = 4.0 * MM, 1.6 * MM  # ISO 4032
 NUT_PROTRUSION = 0.4 * MM  # one pitch of M2 beyond the nut
 STEEL_DENSITY = 7900.0

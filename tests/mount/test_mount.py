@@ -11,16 +11,17 @@ from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.frames import is_pose
 from probedesign.geometry import build_geometry
-from probedesign.mounting import (
+from probedesign.mount import (
     SensorAdapter,
     exported_root_radii,
-    hanging_mass,
-    hanging_parts,
+    mount_mass_properties,
+    mount_part_masses,
     sensor_adapter_for,
 )
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, M2_LENGTH
-from probedesign.mounting.prism import cylinder, hexagon, segment, without
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, M2_LENGTH
+from probedesign.mount.mount_mass import cylinder, hexagon, segment, subtract
 from probedesign.sensor import NANO17
+from tests.cad.conftest import design_of as make_design
 
 
 def adapter_of(design: Design) -> SensorAdapter:
@@ -62,14 +63,14 @@ def test_hexagon_is_the_integral_over_its_strips() -> None:
 
 
 def test_a_tube_is_a_rod_without_its_bore() -> None:
-    tube = without(cylinder(10.0, 0.0, 4.0, 2.0), [cylinder(6.0, 0.0, 4.0, 2.0)])
+    tube = subtract(cylinder(10.0, 0.0, 4.0, 2.0), [cylinder(6.0, 0.0, 4.0, 2.0)])
     m = 2.0 * np.pi / 4 * (100 - 36) * 4
     assert tube.mass == pytest.approx(m)  # sums of a few terms: pytest's 1e-6 is ample
     assert tube.inertia[2, 2] == pytest.approx(m * (5.0**2 + 3.0**2) / 2)
     assert tube.inertia[0, 0] == pytest.approx(m * (3 * (25 + 9) + 16) / 12)
 
 
-def test_base_sits_straight_above_the_tool_face(make_design: Callable[..., Design]) -> None:
+def test_base_sits_straight_above_the_tool_face() -> None:
     adapter = adapter_of(make_design())
     T = adapter.T_sensor_base
     assert is_pose(T)
@@ -85,7 +86,7 @@ def test_screws_into_the_sensor_keep_its_limits() -> None:
 
 
 @pytest.mark.parametrize("base_d", [0.5, 3.0, 12.0, 25.0, 60.0])
-def test_adapter_fits_together(make_design: Callable[..., Design], base_d: float) -> None:
+def test_adapter_fits_together(base_d: float) -> None:
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 0.4"))
     assert a.foot_height < a.nut_pocket_top < a.floor < a.peg_top < a.body_top < a.ring_top
     assert a.flange.diameter < a.recess_d < a.body_d
@@ -93,11 +94,11 @@ def test_adapter_fits_together(make_design: Callable[..., Design], base_d: float
     assert np.hypot(*a.p_ring_screws[0]) - a.nut_pocket_af / 2 > a.foot_d / 2  # nuts go in beside the sensor
 
 
-def test_hanging_mass_is_the_sum_of_its_parts(make_design: Callable[..., Design]) -> None:
+def test_hanging_mass_is_the_sum_of_its_parts() -> None:
     geometry = build_geometry(make_design())
     adapter = sensor_adapter_for(geometry, NANO17)
-    whole = hanging_mass(geometry, adapter, 1010.0)
-    parts = hanging_parts(geometry, adapter, 1010.0)
+    whole = mount_mass_properties(geometry, adapter, 1010.0)
+    parts = mount_part_masses(geometry, adapter, 1010.0)
     gravity = np.array([3.0, -5.0, 8.0])
     assert whole.wrench(gravity) == pytest.approx(sum(p.wrench(gravity) for p in parts.values()))
     assert 5e-3 < whole.mass < 15e-3  # ten grams, beside a sensor that weighs nine
@@ -107,15 +108,13 @@ def test_hanging_mass_is_the_sum_of_its_parts(make_design: Callable[..., Design]
 @pytest.mark.parametrize(
     ("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)]
 )
-def test_the_exported_flange_yields_as_computed(
-    make_design: Callable[..., Design], base_d: float, computed: float
-) -> None:
+def test_the_exported_flange_yields_as_computed(base_d: float, computed: float) -> None:
     """Own finite elements, docs/decisions/0006: lip stuck, plate without friction under the middle."""
     geometry = build_geometry(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0"))
     assert exported_root_radii(geometry) == pytest.approx(computed, abs=3e-3)  # what the fit leaves
 
 
-def test_a_probe_too_wide_for_any_ring_is_refused(make_design: Callable[..., Design]) -> None:
+def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
     bulge = (
         'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
     )
@@ -125,7 +124,7 @@ def test_a_probe_too_wide_for_any_ring_is_refused(make_design: Callable[..., Des
 
 
 def test_weighing_the_mount_needs_no_cad() -> None:
-    code = "import sys, probedesign.mounting; assert not {'cadquery', 'OCP', 'trimesh'} & set(sys.modules)"
+    code = "import sys, probedesign.mount; assert not {'cadquery', 'OCP', 'trimesh'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -135,9 +134,7 @@ LEAST_WALL = 0.4e-3
 
 
 @pytest.mark.parametrize("base_d", BASES)
-def test_no_wall_of_the_adapter_is_too_thin_to_print(
-    make_design: Callable[..., Design], base_d: float
-) -> None:
+def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
     """Holes are circles, a nut's pocket the circle around it; where both are cut at one height, they keep apart."""
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     pocket_r, recess_r, rim_r = a.nut_pocket_af / np.sqrt(3.0), a.recess_d / 2, a.body_d / 2
@@ -170,9 +167,7 @@ def test_no_wall_of_the_adapter_is_too_thin_to_print(
 
 
 @pytest.mark.parametrize("base_d", BASES)
-def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(
-    make_design: Callable[..., Design], base_d: float
-) -> None:
+def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(base_d: float) -> None:
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)
     assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # what is held

@@ -1,7 +1,7 @@
-"""Every dimension of the rigid plate between the sensor's mounting side and the robot's flange.
+"""Dimensions of the rigid plate between the sensor's mounting side and the robot's flange.
 
-Its frame is the robot flange's: origin at the centre of the robot's face, z out of the robot, x through
-the dowel. The sensor sits above, turned so that its cable leaves midway between two robot bolts.
+Its frame is the robot flange's: origin at the centre of the robot's face, z out of the robot, x through the
+dowel. The sensor is turned so that its cable leaves midway between two robot bolts.
 """
 
 from dataclasses import dataclass
@@ -10,26 +10,25 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.frames import Array, pose, rotation_z
-from probedesign.mounting.adapter import on_circle
-from probedesign.mounting.engraving import HEIGHT, Engraving, between, engrave
-from probedesign.mounting.fasteners import M2_COUNTERBORE_D, M2_GRIP, SCREWS
-from probedesign.mounting.prism import Point
+from probedesign.mount.engraving import HEIGHT, XY, Engraving, engrave, free_arcs
+from probedesign.mount.fasteners import M2_COUNTERBORE_D, M2_GRIP, SCREWS
+from probedesign.mount.sensor_adapter import on_circle
 from probedesign.robot_flange import RobotFlange
 from probedesign.sensor import SensorModel
 from probedesign.units import MM
 
 ENTRY_MARGIN = 0.5 * MM
-"""The robot bolts stay that far short of the deepest entry: the plate may print thin."""
+"""Margin of the robot bolts to the deepest allowed entry, in case the plate prints thin."""
 PAD_HEIGHT = 1.0 * MM
-"""The sensor sits on a pad, so that its cable clears the plate."""
+"""Height of the pad under the sensor, so that its cable clears the plate."""
 PAD_EDGE = 0.42 * MM
-"""The pad stays that far inside the sensor's rim: 0.51 mm of air to the cable, which leaves 0.3 mm above it, and
+"""Inset of the pad from the sensor's rim: 0.51 mm of clearance to the cable, which leaves 0.3 mm above it, and
 0.63 mm of wall outside the screws."""
 EDGE = 1.8 * MM  # wall outside the pin slot
-DEEPEST_SPIGOT = 10.0 * MM
-"""No flange's recess is deeper than that; ISO 9409-1 has 4 to 6 mm (assumed)."""
-LETTER_EDGE = 0.2 * MM  # beside the characters; below the pad's edge and the bolts' heads
-_NANO = 1e-9  # for the rounding of sums [m]
+MAX_SPIGOT_HEIGHT = 10.0 * MM
+"""Deepest recess of any robot flange; ISO 9409-1 has 4 to 6 mm (assumed)."""
+LETTER_EDGE = 0.2 * MM  # from the characters to the pad and to the bolts' heads
+_NANO = 1e-9  # tolerance for round-off of sums [m]
 HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head
 
 
@@ -40,9 +39,9 @@ class FlangeAdapter:
     Attributes:
         robot: the flange pattern.
         plate_d, plate_top: the plate from the robot's face to `plate_top`.
-        pad_d, pad_top: the sensor's seat.
+        pad_d, pad_top: seat of the sensor.
         p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
-        on_plate: what is engraved around the pad; nothing where there is no room between it and the bolts.
+        on_plate: engraving around the pad; empty where it does not fit between pad and bolts.
         T_sensor_robotflange: pose of this frame in the sensor frame, (4, 4).
     """
 
@@ -51,21 +50,21 @@ class FlangeAdapter:
     plate_top: float
     pad_d: float
     pad_top: float
-    p_mounting_screws: tuple[Point, ...]
-    p_bolts: tuple[Point, ...]
+    p_mounting_screws: tuple[XY, ...]
+    p_bolts: tuple[XY, ...]
     on_plate: Engraving
     T_sensor_robotflange: Array
 
     @property
     def counterbore_top(self) -> float:
-        """Where the heads of the sensor's mounting screws rest, from below [m]."""
+        """Return z of the seat of the sensor's mounting screws, whose heads lie below it [m]."""
         return self.pad_top - M2_GRIP
 
 
 def flange_adapter_for(
     sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = ""
 ) -> FlangeAdapter:
-    """The plate for that sensor on that robot, engraved with a geometry's fingerprint and a design's name."""
+    """Return the plate for a sensor and a robot, engraved with a geometry's fingerprint and a design's name."""
     _check_room(sensor, robot)
     plate_top = robot.bolt_length - (robot.max_bolt_entry - ENTRY_MARGIN)
     pad_top = plate_top + PAD_HEIGHT
@@ -93,10 +92,10 @@ def flange_adapter_for(
 
 
 def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
-    """Refuse, in the words of the design file, a pattern that leaves sensor, screws or cable no room.
+    """Refuse a bolt pattern that leaves too little space for the sensor, the screws or the cable.
 
     Raises:
-        InputError: naming the key, its value and the nearest that works.
+        InputError: names the design file's key, its value and the nearest allowed value.
     """
     reach, head = robot.bolt_circle_d / 2, robot.bolt_head_d / 2
     circle = 2 * (sensor.body_d / 2 + head + 0.5 * MM)
@@ -128,8 +127,8 @@ def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
          f"at least {spigot / MM:g} mm, or none"),
         (robot.spigot[0] > widest, "spigot_mm", f"{robot.spigot[0] / MM:g}",
          f"at most {widest / MM:g} mm, or it meets bolts or pin"),
-        (robot.spigot[1] > DEEPEST_SPIGOT, "spigot_mm", f"{robot.spigot[1] / MM:g}",
-         f"at most {DEEPEST_SPIGOT / MM:g} mm high"),
+        (robot.spigot[1] > MAX_SPIGOT_HEIGHT, "spigot_mm", f"{robot.spigot[1] / MM:g}",
+         f"at most {MAX_SPIGOT_HEIGHT / MM:g} mm high"),
         (robot.pin_slot[1] > slot, "pin_slot_mm", f"{robot.pin_slot[1] / MM:g}",
          f"at most {slot / MM:g} mm long, or it meets the sensor's pad"),
         (not cable <= between_first <= 360.0 - cable, "bolt_azimuths_deg", given,
@@ -144,10 +143,10 @@ def _check_room(sensor: SensorModel, robot: RobotFlange) -> None:
 
 
 def _engraving(sensor: SensorModel, robot: RobotFlange, fingerprint: str, name: str, top: float) -> Engraving:
-    """Around the pad, from the dowel's side on."""
+    """Return the engraving around the pad, starting at the dowel."""
     inner = sensor.body_d / 2
     outer = robot.bolt_circle_d / 2 - max(robot.bolt_head_d, robot.pin_slot[1]) / 2
     radius = (inner + outer) / 2
     if outer - inner < HEIGHT + 2 * LETTER_EDGE:
         fingerprint = name = ""
-    return engrave(fingerprint, name, radius, top, between(radius, (0.0,), 1.0 * MM))
+    return engrave(fingerprint, name, radius, top, free_arcs(radius, (0.0,), 1.0 * MM))

@@ -7,10 +7,19 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.geometry import build_geometry
-from probedesign.mounting import SensorAdapter, sensor_adapter_for
-from probedesign.mounting.engraving import CELL, DEPTH, Engraving
-from probedesign.mounting.fasteners import M2, M2_CLEARANCE_D
-from probedesign.mounting.glyphs import GLYPHS, ROWS, loops_of, runs_of, width_of
+from probedesign.mount import SensorAdapter, sensor_adapter_for
+from probedesign.mount.engraving import (
+    CELL,
+    DEPTH,
+    GLYPHS,
+    ROWS,
+    Engraving,
+    cut_outlines,
+    cut_runs,
+    glyph_width,
+)
+from probedesign.mount.fasteners import M2, M2_CLEARANCE_D
+from probedesign.mount.mount_mass import engraving_mass
 from probedesign.sensor import NANO17
 
 BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
@@ -33,12 +42,12 @@ def test_no_two_characters_look_alike_and_all_are_five_high() -> None:
 
 @pytest.mark.parametrize("character", GLYPHS)
 def test_edges_enclose_the_cut_cells_and_never_meet_at_a_corner(character: str) -> None:
-    cells = {(x, y) for start, end, y in runs_of(character) for x in range(start, end)}
+    cells = {(x, y) for start, end, y in cut_runs(character) for x in range(start, end)}
     drawn = {
         (x, ROWS - 1 - y) for y, row in enumerate(GLYPHS[character]) for x, c in enumerate(row) if c == "#"
     }
     assert cells == drawn
-    loops = loops_of(character)
+    loops = cut_outlines(character)
     twice = [sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(p, p[1:] + p[:1], strict=True)) for p in loops]
     assert sum(twice) == 2 * len(cells)
     assert sum(area > 0 for area in twice) == (character != " ")  # one piece, with islands or without
@@ -55,9 +64,9 @@ def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np
             np.array([np.sin(azimuth), -np.cos(azimuth)]),
             np.array([np.cos(azimuth), np.sin(azimuth)]),
         )
-        for start, end, row in runs_of(character):
+        for start, end, row in cut_runs(character):
             for column in range(start, end):
-                u = (column + at - width_of(character) / 2) * CELL
+                u = (column + at - glyph_width(character) / 2) * CELL
                 v = engraving.radius + (row + at - ROWS / 2) * CELL
                 points.append((u[:, None, None] * right + v[None, :, None] * up).reshape(-1, 2))
     p = np.concatenate(points)
@@ -69,7 +78,7 @@ def test_what_is_cut_away_is_weighed_exactly() -> None:
     cut = adapter_of(12.0).on_flange
     assert cut.text == "dbfe02e41516 large"
     area, mean, second = sampled(cut)
-    body = cut.mass(1010.0)
+    body = engraving_mass(cut, 1010.0)
     assert body.volume == pytest.approx(area * DEPTH, rel=1e-12)
     assert body.p_com == pytest.approx([*mean, -DEPTH / 2], abs=1e-12)
     about_axis = body.inertia_about(np.array([0.0, 0.0, -DEPTH / 2]))
