@@ -25,11 +25,15 @@ from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
 from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.printing.check import PrintCheck, check_print
-from probedesign.printing.preform.connection import connection_to
-from probedesign.printing.preform.job import job_of
-from probedesign.printing.preform.places import check_form_file, places_of
-from probedesign.printing.preform.prepare import Order, Prepared, prepare
-from probedesign.printing.preform.server import PreForm
+from probedesign.printing.preform.client import PreForm, connection_to
+from probedesign.printing.preform.job import (
+    PreparedJob,
+    PrintOrder,
+    check_form_file,
+    load_job,
+    path_mapping,
+    prepare_job,
+)
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
@@ -107,16 +111,20 @@ def export(
 
 
 def prepare_print(
-    design_path: Path, preform: str, order: Order, timeout_s: float, tell: Callable[[str, float | None], None]
-) -> Prepared:
+    design_path: Path,
+    preform: str,
+    order: PrintOrder,
+    timeout_s: float,
+    tell: Callable[[str, float | None], None],
+) -> PreparedJob:
     """Exported parts → PreForm → form file, and the queue of a printer if one is named."""
     design = load_design(design_path)
     connection = connection_to(preform)
-    job = job_of(design, order.folder or EXPORTS / design.name, order.parts)
-    places = places_of(job.folder, order.server_folder, connection.local, connection.url)
+    job = load_job(design, order.folder or EXPORTS / design.name, order.parts)
+    places = path_mapping(job.folder, order.server_folder, connection.local, connection.url)
     if order.form_file is not None:
         order = replace(order, form_file=check_form_file(order.form_file, places, order.force))
-    return prepare(PreForm(connection, timeout_s, tell=tell), job, places, order)
+    return prepare_job(PreForm(connection, timeout_s, on_progress=tell), job, places, order)
 
 
 def predict(

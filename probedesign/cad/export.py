@@ -19,8 +19,7 @@ from probedesign.cad.threemf import read_back
 from probedesign.cad.verify import verify
 from probedesign.design import Design
 from probedesign.errors import CheckFailedError
-from probedesign.printing.check import check_print
-from probedesign.printing.compensation import compensated, scale_note, scale_of
+from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
 
 STEP_END = b"END-ISO-10303-21;"
 
@@ -38,8 +37,8 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     findings = verify(drawing, meshes, packages)
     progress("taking pictures, drawing sheets")
     documents = documents_of(drawing, meshes)
-    if compensated(design):  # what is checked is what was drawn; what is printed is that, stretched
-        meshes = {name: mesh.scaled(scale_of(design, name)) for name, mesh in meshes.items()}
+    if is_compensated(design):  # what is checked is what was drawn; what is printed is that, stretched
+        meshes = {name: mesh.scaled(print_scale(design, name)) for name, mesh in meshes.items()}
         packages = packages_of(drawing, meshes)
         for content in packages.values():
             read_back(content)
@@ -50,7 +49,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         _write_step(drawing, staging / "assembly.step")
         manifest = manifest_of(drawing, documents, _digests(staging), findings)
         manifest["print_check"] = check_print(design).as_record()
-        manifest["print_scale"] = {name: list(scale_of(design, name)) for name in meshes}
+        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
 

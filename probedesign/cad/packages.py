@@ -6,7 +6,7 @@ from probedesign.cad.drawing import Drawing
 from probedesign.cad.mesh import Mesh
 from probedesign.cad.threemf import Piece, threemf_bytes
 from probedesign.materials import RIGID_RESIN
-from probedesign.printing.compensation import scale_note
+from probedesign.printing.check import scale_note
 
 
 def pieces_of(drawing: Drawing, meshes: Mapping[str, Mesh]) -> dict[str, list[Piece]]:

@@ -27,7 +27,7 @@ from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
 from probedesign.mass import MassProperties, combined, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
-from probedesign.printing.preform.job import job_of
+from probedesign.printing.preform.job import load_job
 from probedesign.probe import build_probe
 
 FILES = {
@@ -208,7 +208,7 @@ def test_the_manifest_tells_what_the_print_check_found(exported: Exported) -> No
 
 def test_the_export_is_what_print_takes(exported: Exported, make_design: Callable[..., Design]) -> None:
     folder, manifest = exported
-    probe, adapters = (job_of(make_design(), folder, parts) for parts in ("probe", "adapters"))
+    probe, adapters = (load_job(make_design(), folder, parts) for parts in ("probe", "adapters"))
     # Facets have corners at both ends of both axes; single precision.
     assert probe.sizes == {"probe": pytest.approx((19.0, 19.0, 153.0), abs=0.02)}
     assert {"probe", *adapters.sizes} == set(manifest["parts"])

@@ -18,15 +18,17 @@ from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.errors import InputError
 from probedesign.geometry import build_geometry
-from probedesign.printing.limits import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
-from probedesign.printing.preform import connection
-from probedesign.printing.preform.connection import Connection, NoAnswerError, PreFormError, connection_to
-from probedesign.printing.preform.job import job_of
-from probedesign.printing.preform.places import places_of
-from probedesign.printing.preform.prepare import Order, prepare
-from probedesign.printing.preform.replies import Materials
-from probedesign.printing.preform.server import PreForm
-from probedesign.printing.preform.settings import choose
+from probedesign.printing.preform import client
+from probedesign.printing.preform.client import (
+    Connection,
+    NoAnswerError,
+    PreForm,
+    PreFormError,
+    connection_to,
+)
+from probedesign.printing.preform.job import PrintOrder, load_job, path_mapping, prepare_job
+from probedesign.printing.preform.settings import MaterialList, select_settings
+from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
 
 SIZES = {"probe": (19, 19, 83), "sensor_adapter": (30, 30, 8), "clamp_ring": (30, 30, 2.5)}
@@ -73,13 +75,16 @@ def fake(place):
         yield server
 
 
-def prepared(fake, place, order=Order(), timeout_s=5.0, operation_s=20.0, tell=None):  # noqa: B008
+def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008
     """What the command does, with quick timeouts."""
     server = PreForm(
-        connection_to(fake.url, timeout_s), operation_s, poll_s=0.005, tell=tell or (lambda step, share: None)
+        connection_to(fake.url, timeout_s),
+        operation_s,
+        poll_s=0.005,
+        on_progress=on_progress or (lambda step, share: None),
     )
-    job = job_of(load_design("thin.toml"), place, order.parts)
-    return prepare(server, job, places_of(place, order.server_folder, True, fake.url), order)
+    job = load_job(load_design("thin.toml"), place, order.parts)
+    return prepare_job(server, job, path_mapping(place, order.server_folder, True, fake.url), order)
 
 
 def left_over(folder):
@@ -128,9 +133,9 @@ def test_the_probe_is_prepared_upright_and_supported_and_nothing_is_sent(fake, p
 
 
 def test_the_adapters_are_another_job_in_a_rigid_resin(fake, place):
-    result = prepared(fake, place, Order(parts="adapters"))
+    result = prepared(fake, place, PrintOrder(parts="adapters"))
     assert sorted(result.parts) == ["clamp_ring", "sensor_adapter"]
-    assert (result.chosen.material, result.chosen.setting) == ("Grey V4", "0.100 mm (Default settings)")
+    assert (result.selection.material, result.selection.setting) == ("Grey V4", "0.100 mm (Default settings)")
     assert (place / "preform-adapters.png").is_file()
 
 
@@ -138,13 +143,15 @@ def test_the_adapters_are_another_job_in_a_rigid_resin(fake, place):
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize("parts", ["probe", "adapters"])
 def test_nothing_goes_to_a_printer_without_send(fake, place, form, force, parts):
-    prepared(fake, place, Order(parts=parts, form_file=str(place / "x.form") if form else None, force=force))
+    prepared(
+        fake, place, PrintOrder(parts=parts, form_file=str(place / "x.form") if form else None, force=force)
+    )
     assert fake.printed == []
     assert not any("print/" in call for call in fake.calls)
 
 
 def test_what_is_sent_waits_in_the_printers_queue(fake, place):
-    result = prepared(fake, place, Order(printer="Form3-TestyTest"))
+    result = prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
     fingerprint = build_geometry(load_design("thin.toml")).fingerprint
     assert fake.printed == [
         {
@@ -168,10 +175,10 @@ def test_what_is_sent_waits_in_the_printers_queue(fake, place):
 def test_a_problem_keeps_the_job_from_the_printer_but_not_from_its_file(fake, place, found, told):
     fake.validation |= found
     form = place / "x.form"
-    result = prepared(fake, place, Order(form_file=str(form), printer="Form3-TestyTest"))
+    result = prepared(fake, place, PrintOrder(form_file=str(form), printer="Form3-TestyTest"))
     assert result.problems == (told,)
     assert fake.printed == [] and result.sent_to is None and form.is_file()
-    prepared(fake, place, Order(form_file=str(form), printer="Form3-TestyTest", force=True))
+    prepared(fake, place, PrintOrder(form_file=str(form), printer="Form3-TestyTest", force=True))
     assert len(fake.printed) == 1
 
 
@@ -192,7 +199,7 @@ def test_a_part_that_got_lost_is_a_problem(fake, place):
 
 def test_progress_is_told_step_by_step(fake, place):
     fake.polls, steps = 2, []
-    prepared(fake, place, tell=lambda step, share: steps.append((step, share)))
+    prepared(fake, place, on_progress=lambda step, share: steps.append((step, share)))
     shares = [share for step, share in steps if step == "supports" and share is not None]
     assert shares == pytest.approx([1 / 3, 2 / 3])
     assert steps[0] == ("the version", None)
@@ -224,7 +231,7 @@ def test_an_answer_at_once_is_as_good_as_an_operation(fake, place):
     ],
 )
 def test_the_material_is_found_in_preforms_own_list(product, resin, material, label, code):
-    chosen = choose(Materials.model_validate(MATERIALS), product, resin, material)
+    chosen = select_settings(MaterialList.model_validate(MATERIALS), product, resin, material)
     assert (chosen.printer, chosen.material) == (product, label)
     assert chosen.scene_settings["material_code"] == code
     assert chosen.scene_settings["layer_thickness_mm"] == 0.1
@@ -257,7 +264,7 @@ def test_the_material_is_found_in_preforms_own_list(product, resin, material, la
 )
 def test_what_preform_does_not_have_names_what_it_has(product, resin, material, told):
     with pytest.raises(InputError) as error:
-        choose(Materials.model_validate(MATERIALS), product, resin, material)
+        select_settings(MaterialList.model_validate(MATERIALS), product, resin, material)
     assert told in str(error.value)
 
 
@@ -268,7 +275,7 @@ def test_a_server_elsewhere_is_told_its_own_paths(fake, place, tmp_path):
     elsewhere = tmp_path / "other disk"
     shutil.copytree(place, elsewhere)
     fake.root = ("C:\\probes\\thin", elsewhere)
-    order = Order(server_folder="C:\\probes\\thin", form_file="thin.form")
+    order = PrintOrder(server_folder="C:\\probes\\thin", form_file="thin.form")
     result = prepared(fake, place, order)
     assert fake.body("import-model")["file"] == "C:\\probes\\thin\\probe.stl"
     assert result.form_file == fake.body("save-form")["file"] == "C:\\probes\\thin\\thin.form"
@@ -286,7 +293,7 @@ def test_a_server_elsewhere_without_its_folder_is_refused_before_it_is_asked(fak
 
 def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
     fake.writes = False
-    with pytest.raises(PreFormError, match="is not here; if PreForm runs elsewhere, --server-folder"):
+    with pytest.raises(PreFormError, match="does not exist; if PreForm runs elsewhere, --server-folder"):
         prepared(fake, place)
     assert left_over(place) == [] and fake.scenes == {}
 
@@ -301,15 +308,15 @@ def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
         (lambda f: (f / "probe.stl").unlink(), "cannot be read: No such file"),
         (
             lambda f: Path("thin.toml").write_text(DESIGN.replace("80.0", "81.0")),
-            "of another geometry, resin or scale",
+            "another geometry, resin or scale",
         ),
         (
             lambda f: Path("thin.toml").write_text(DESIGN + "[print]\nscale_z = 1.01\n"),
-            "of another geometry, resin or",
+            "another geometry, resin or",
         ),
         (
             lambda f: Path("thin.toml").write_text(DESIGN + '[material]\nresin = "silicone-40a"\n'),
-            "of another geometry",
+            "another geometry",
         ),
     ],
 )
@@ -325,7 +332,7 @@ def test_manifest_names_cannot_lead_out_of_the_folder(fake, place):
     manifest = json.loads((place / "manifest.json").read_text())
     manifest["files"]["../../secret.stl"] = manifest["files"]["clamp_ring.stl"]
     (place / "manifest.json").write_text(json.dumps(manifest))
-    job = job_of(load_design("thin.toml"), place, "adapters")
+    job = load_job(load_design("thin.toml"), place, "adapters")
     assert sorted(job.sizes) == ["clamp_ring", "sensor_adapter"]
 
 
@@ -333,7 +340,7 @@ def test_a_part_that_came_in_in_inches_is_noticed(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 482.6, "y": 482.6, "z": 2108.2}}
     fake.model = {"bounding_box": box}
     with pytest.raises(
-        PreFormError, match=r"sees probe as 482\.6 x 482\.6 x 2108\.2 mm, its file says 19\.0 x"
+        PreFormError, match=r"reads probe as 482\.6 x 482\.6 x 2108\.2 mm; its file has 19\.0 x"
     ):
         prepared(fake, place)
 
@@ -341,7 +348,7 @@ def test_a_part_that_came_in_in_inches_is_noticed(fake, place):
 def test_a_part_that_lies_down_is_noticed(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 83.0, "y": 19.0, "z": 19.0}}
     fake.model = {"bounding_box": box}
-    with pytest.raises(PreFormError, match="not its size, or not upright"):
+    with pytest.raises(PreFormError, match="wrong units, or not upright"):
         prepared(fake, place)
 
 
@@ -451,14 +458,14 @@ HOSTILE = {"error": {"code": "EVIL\x1b[2J", "message": "two\nlines \x1b[31m" + "
 def test_whatever_answers_the_error_is_one_line_and_nothing_is_printed(fake, place, step, fault, told):
     fake.faults[step] = fault
     with pytest.raises(PreFormError, match=told) as error:
-        prepared(fake, place, Order(printer="Form3-TestyTest"), timeout_s=0.3)
+        prepared(fake, place, PrintOrder(printer="Form3-TestyTest"), timeout_s=0.3)
     text = str(error.value)
     assert text.isprintable() and len(text) < 700
     assert fake.printed == [] and left_over(place) == []
 
 
 def test_an_answer_without_end_is_not_read(fake, place, monkeypatch):
-    monkeypatch.setattr(connection, "MAX_REPLY", 2**21)
+    monkeypatch.setattr(client, "MAX_REPLY", 2**21)
     fake.faults["list-materials"] = floods
     with pytest.raises(PreFormError, match="is longer than 2097152 bytes"):
         prepared(fake, place)
@@ -524,7 +531,7 @@ def test_an_operation_that_does_not_end(fake, place):
 def test_an_operation_that_fails_passes_on_preforms_words(fake, place, step):
     fake.failing[step] = {"error": {"code": "NO_ROOM", "message": "It does not fit"}}
     with pytest.raises(PreFormError, match=r"^PreForm fails at .*: It does not fit \(NO_ROOM\)$"):
-        prepared(fake, place, Order(printer="Form3-TestyTest"))
+        prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
     assert fake.scenes == {} and left_over(place) == []
 
 
@@ -539,23 +546,28 @@ def forgets(handler):
 )
 def test_an_upload_without_an_answer_says_that_nobody_knows(fake, place, fault):
     fake.faults["print"] = fault
-    with pytest.raises(NoAnswerError, match="whether Form3-TestyTest has the job is not known: look there"):
-        prepared(fake, place, Order(printer="Form3-TestyTest"))
+    with pytest.raises(NoAnswerError, match="whether Form3-TestyTest has received the job is unknown"):
+        prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
 
 
 def interrupt_at(wanted):
-    def tell(step, share):
+    def on_progress(step, share):
         if step == wanted and share is not None:
             raise KeyboardInterrupt
 
-    return tell
+    return on_progress
 
 
 @pytest.mark.parametrize("step", ["the import of probe", "supports", "a picture", "the form file"])
 def test_an_interruption_leaves_neither_files_nor_scenes(fake, place, step):
     before = {p.name for p in place.iterdir()}
     with pytest.raises(KeyboardInterrupt) as interruption:
-        prepared(fake, place, Order(form_file=str(place / "x.form"), printer="X"), tell=interrupt_at(step))
+        prepared(
+            fake,
+            place,
+            PrintOrder(form_file=str(place / "x.form"), printer="X"),
+            on_progress=interrupt_at(step),
+        )
     assert not str(interruption.value)
     assert fake.scenes == {} and fake.printed == []
     assert {p.name for p in place.iterdir()} <= before | {"preform-probe.png"}
@@ -581,8 +593,8 @@ def test_ctrl_c_in_the_terminal(fake, place):
 
 
 def test_an_interrupted_upload_says_where_to_look(fake, place):
-    with pytest.raises(KeyboardInterrupt, match="whether X has the job is not known: look there"):
-        prepared(fake, place, Order(printer="X"), tell=interrupt_at("the upload"))
+    with pytest.raises(KeyboardInterrupt, match="whether X has received the job is unknown"):
+        prepared(fake, place, PrintOrder(printer="X"), on_progress=interrupt_at("the upload"))
 
 
 # Addresses
@@ -596,7 +608,9 @@ def test_an_interrupted_upload_says_where_to_look(fake, place):
     ],
 )  # fmt: skip
 def test_an_address_that_is_none_is_refused(url):
-    with pytest.raises(InputError, match=r"is no address of a PreFormServer; write http://localhost:44388$"):
+    with pytest.raises(
+        InputError, match=r"is not the address of a PreFormServer; write http://localhost:44388$"
+    ):
         connection_to(url)
 
 
@@ -618,7 +632,7 @@ def test_nobody_there_says_how_to_start_it(host):
         with pytest.raises(
             NoAnswerError, match=rf"nothing answers there .*; start it: PreFormServer --port {port}$"
         ):
-            Connection(host, port, 5.0).ask("the version", "GET", "/")
+            Connection(host, port, 5.0).request("the version", "GET", "/")
 
 
 def test_a_proxy_of_the_environment_is_not_asked(fake, place, monkeypatch):
@@ -671,7 +685,7 @@ def test_the_command_fails_on_problems_unless_forced(fake, place, capsys):
 def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, capsys):
     Path("thin.toml").write_text(DESIGN.replace("tip_d_mm = 2.0", "tip_d_mm = 1.2"))
     assert run(["print", "thin.toml", "--preform", fake.url]) == 2
-    assert "the print check says: probe: thickness" in capsys.readouterr().err
+    assert "the print check says: probe: minimum thickness" in capsys.readouterr().err
     assert fake.diary == []
 
 
