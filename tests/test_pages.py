@@ -13,10 +13,10 @@ from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.pages.budget_bars import GROUPS, shares_of
 from probedesign.pages.chart import Axis, Chart
-from probedesign.pages.page import Section
 from probedesign.pages.prediction_page import prediction_page
 from probedesign.prediction.fused_budget import FUSED_CAUSES
 from probedesign.probe import build_probe
+from probedesign.reports.html_page import Section
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 

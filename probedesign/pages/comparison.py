@@ -8,10 +8,10 @@ import numpy as np
 from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, span_of
-from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.prediction.predict import Prediction
 from probedesign.prediction.press_schedule import MAX_TOUCHES, PressSchedule
 from probedesign.probe import build_probe
+from probedesign.reports.html_page import HtmlTable, Section, report_page
 from probedesign.search.task import Task
 from probedesign.search.worth import FIGURES, Touched, Worth, touches, worth
 from probedesign.units import MM
@@ -68,10 +68,10 @@ def _compared(design: Design, task: Task) -> Compared:
     return Compared(design, worth(design, task), touches(model, along, slipping=False), rms, prediction)
 
 
-def table_of(compared: Sequence[Compared]) -> TextTable:
+def table_of(compared: Sequence[Compared]) -> HtmlTable:
     """A row a figure, a column a design."""
     rows = [[name, *(_cell(getattr(one.worth, name)) for one in compared)] for name in FIGURES]
-    return TextTable(["", *(one.design.name for one in compared)], rows)
+    return HtmlTable(["", *(one.design.name for one in compared)], rows)
 
 
 def comparison_page(compared: Sequence[Compared], task: Task) -> bytes:
@@ -99,7 +99,7 @@ def comparison_page(compared: Sequence[Compared], task: Task) -> bytes:
         f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared
     ]
     sections = [Section(*one) for one in drawn]
-    return page_of(f"Compared: {names}", [task.text, *assumed], table_of(compared), sections)
+    return report_page(f"Compared: {names}", [task.text, *assumed], table_of(compared), sections)
 
 
 _Line = tuple[Sequence[float], Sequence[float]]

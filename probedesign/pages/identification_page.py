@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from probedesign.identification.identification import Identification, Identified
 from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, Entry, span_of
-from probedesign.pages.page import Section, TextTable, page_of
+from probedesign.reports.html_page import HtmlTable, Section, report_page
 
 MOST_NAMES = 36
 """Of tests that stand legibly along an axis; of more, every second or third is named."""
@@ -44,10 +44,10 @@ def identification_page(found: Identification) -> bytes:
     after = [("How much the readings scatter", _noise(found)), ("What is not counted", _shifts(found))]
     if found.outliers:
         after.append(("Readings that noise does not explain", _outliers(found)))
-    return page_of(f"{found.name}: identified", about, _table(found), sections, after)
+    return report_page(f"{found.name}: identified", about, _table(found), sections, after)
 
 
-def _table(found: Identification) -> TextTable:
+def _table(found: Identification) -> HtmlTable:
     head = [
         "",
         "value",
@@ -57,7 +57,7 @@ def _table(found: Identification) -> TextTable:
         "design",
         "what it is",
     ]
-    return TextTable(head, [_row(one) for one in found.found])
+    return HtmlTable(head, [_row(one) for one in found.found])
 
 
 def _row(one: Identified) -> list[str]:
@@ -187,16 +187,16 @@ def _correlation(found: Identification) -> Section:
                    "asked for; near ±1 the tests tell a combination better than either.", chart.svg())  # fmt: skip
 
 
-def _noise(found: Identification) -> TextTable:
+def _noise(found: Identification) -> HtmlTable:
     rows = [
         [KINDS[one.kind], f"{one.groups}", f"{one.scale:.3g}", f"{one.freedom:.0f}",
          "measured: more than stated" if one.measured else "as stated"]
         for one in found.noise
     ]  # fmt: skip
-    return TextTable(["readings", "how many", "scatter over stated", "degrees of freedom", "taken"], rows)
+    return HtmlTable(["readings", "how many", "scatter over stated", "degrees of freedom", "taken"], rows)
 
 
-def _shifts(found: Identification) -> TextTable:
+def _shifts(found: Identification) -> HtmlTable:
     rows = [
         [cause, ", ".join(f"{one.of} {one.percent:+.2g} %" for one in of)]
         for cause, of in found.causes.items()
@@ -206,9 +206,9 @@ def _shifts(found: Identification) -> TextTable:
         "None of these is in the fit's interval. Each but creep is taken for one standard deviation, and the root of "
         "the sum of the squares of these and the fit's is what --write puts into [tolerances] and stiffness_spread."
     )
-    return TextTable(["if it were so", "the number would be"], rows, note)
+    return HtmlTable(["if it were so", "the number would be"], rows, note)
 
 
-def _outliers(found: Identification) -> TextTable:
+def _outliers(found: Identification) -> HtmlTable:
     rows = [[one.words, f"{one.deviations:.1f}"] for one in found.outliers]
-    return TextTable(["reading", "standard deviations off"], rows, "They hardly counted.")
+    return HtmlTable(["reading", "standard deviations off"], rows, "They hardly counted.")

@@ -6,10 +6,10 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.pages.budget_bars import CAPTION, draw_budget, worst
 from probedesign.pages.error_map import draw_error_map
 from probedesign.pages.force_chart import LIMITS, draw_forces, draw_limits, draw_sensitivity
-from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.side_views import draw_shapes, draw_workspace
 from probedesign.prediction.fused import SHOWN_N, shown
 from probedesign.prediction.predict import Prediction
+from probedesign.reports.html_page import HtmlTable, Section, report_page
 
 BUDGET_FORCE_N = 0.02
 """At which the budget of one reading is shown, or at the force of the grid nearest to it."""
@@ -41,7 +41,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
     after = [("What it rests on: standard deviations", _tolerances(prediction))]
     if prediction.monte_carlo:
         after.insert(0, ("Monte Carlo with the real estimator", _sampled(prediction)))
-    return page_of(f"{prediction.name}: what it will feel", about, _table(prediction), sections, after)
+    return report_page(f"{prediction.name}: what it will feel", about, _table(prediction), sections, after)
 
 
 def _errors(prediction: Prediction) -> list[Section]:
@@ -103,7 +103,7 @@ def _space(prediction: Prediction, estimator: Estimator) -> list[Section]:
     ]  # fmt: skip
 
 
-def _table(prediction: Prediction) -> TextTable:
+def _table(prediction: Prediction) -> HtmlTable:
     """Along the probe, worst of the directions: what it takes and what it stands."""
     k = prediction.pressing.touches
     head = [
@@ -128,7 +128,7 @@ def _table(prediction: Prediction) -> TextTable:
                   [r.force_mN_for_1_mm for r in here], fused)  # fmt: skip
         rows.append([f"{place:g} L", _force(felt), *map(_force, needed), _force([most]), LIMITS[least.limit][0],
                      "none" if least.deflection_mm is None else f"{least.deflection_mm:.3g} mm"])  # fmt: skip
-    return TextTable(head, rows)
+    return HtmlTable(head, rows)
 
 
 def _force(values: Sequence[float | None]) -> str:
@@ -140,20 +140,20 @@ def _force(values: Sequence[float | None]) -> str:
     return f"{most:.3g} mN" if most < 1000.0 else f"{1e-3 * most:.3g} N"
 
 
-def _tolerances(prediction: Prediction) -> TextTable:
+def _tolerances(prediction: Prediction) -> HtmlTable:
     sources = prediction.tolerances.sources()
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
-    return TextTable(["[tolerances]", "is", "from"], rows)
+    return HtmlTable(["[tolerances]", "is", "from"], rows)
 
 
-def _sampled(prediction: Prediction) -> TextTable:
+def _sampled(prediction: Prediction) -> HtmlTable:
     head = ["contact", "touches", "force", "direction", "budget", "Monte Carlo", "95 % within", "located"]
     rows = [
         [f"{r.contact_fraction:g} L", f"{r.touches}", f"{1e3 * r.force_N:g} mN", r.direction, _mm(r.first_order_mm),
          _mm(r.error_mm) + (" *" if r.differs else ""), _mm(r.error_95_mm), f"{r.located / r.draws:.0%}"]
         for r in prediction.monte_carlo
     ]  # fmt: skip
-    return TextTable(head, rows, "* differs from the budget by more than a tenth: believe Monte Carlo")
+    return HtmlTable(head, rows, "* differs from the budget by more than a tenth: believe Monte Carlo")
 
 
 def _mm(value: float | None) -> str:

@@ -3,8 +3,8 @@
 import math
 
 from probedesign.estimation.model import ProbeModel
-from probedesign.pages.page import Section, TextTable, page_of
 from probedesign.pages.validation_charts import draw_inner, draw_shape, draw_sizes, draw_squares
+from probedesign.reports.html_page import HtmlTable, Section, report_page
 from probedesign.units import MILLINEWTON, MM
 from probedesign.validation.trial import Trial
 from probedesign.validation.validate import WHY, Mean, Validation
@@ -32,13 +32,13 @@ def validation_page(validation: Validation) -> bytes:
     after = [("Which tests tell what", _table(validation))]
     if validation.notes or len(drawn) > MOST_SHAPES:
         more = [f"{len(drawn) - MOST_SHAPES} more shapes are not drawn"] if len(drawn) > MOST_SHAPES else []
-        after.append(("Notes", TextTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
-    return page_of(
+        after.append(("Notes", HtmlTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
+    return report_page(
         f"{model.name}: what it measured beside the reference", about, _summary(validation), sections, after
     )
 
 
-def _summary(validation: Validation) -> TextTable:
+def _summary(validation: Validation) -> HtmlTable:
     """Means by kind of test."""
     rows = []
     for kind, means in validation.summary.items():
@@ -57,14 +57,14 @@ def _summary(validation: Validation) -> TextTable:
         "RMS",
         "largest",
     ]
-    return TextTable(head, rows, "Shape: equation 6 of the paper. The reference's own errors are in both.")
+    return HtmlTable(head, rows, "Shape: equation 6 of the paper. The reference's own errors are in both.")
 
 
 def _told(mean: Mean) -> list[str]:
     return ["—" if value is None else f"{value:.3g} mm" for value in (mean.mean, mean.rms, mean.largest)]
 
 
-def _table(validation: Validation) -> TextTable:
+def _table(validation: Validation) -> HtmlTable:
     """Table I, with what was stated."""
     head = [
         "test",
@@ -97,7 +97,7 @@ def _table(validation: Validation) -> TextTable:
         "frictionless touch of that force, place and way, read once, without a reference. Method: weights are held by "
         "friction, so that they are estimated by the paper's method, which takes a force of any direction."
     )
-    return TextTable(head, rows, note)
+    return HtmlTable(head, rows, note)
 
 
 def _mm(value: float | None) -> str:

@@ -18,9 +18,9 @@ import cadquery as cq
 import trimesh
 
 from probedesign.cad import export_parts
-from probedesign.cad.documents import Documents
-from probedesign.cad.drawing import Drawing
+from probedesign.cad.assembly_docs import Documents
 from probedesign.cad.kernel import location
+from probedesign.cad.model import CadModel
 from probedesign.deployment import freeze
 from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
@@ -115,7 +115,7 @@ def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> No
     assert (radius <= cone + 1e-5).all()  # facets lie inside the cone, corners on it
 
 
-def test_step_holds_every_part_named_coloured_and_in_place(exported: Exported, large: Drawing) -> None:
+def test_step_holds_every_part_named_coloured_and_in_place(exported: Exported, large: CadModel) -> None:
     """Read by the kernel's own reader of assemblies."""
     read = cq.Assembly.importStep(str(exported[0] / "assembly.step"))
     assert read.name == "large" and {child.name for child in read.children} == set(large.parts)
@@ -240,7 +240,7 @@ def test_every_run_makes_the_same_bytes(exported: Exported, tmp_path: Path) -> N
 @pytest.fixture
 def undocumented(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out pictures and pages, which take seconds and have tests of their own."""
-    monkeypatch.setattr("probedesign.cad.export.documents_of", lambda *_: Documents({}, [], []))
+    monkeypatch.setattr("probedesign.cad.export.build_documents", lambda *_: Documents({}, [], []))
 
 
 def stop_at(step: str) -> Callable[[str], None]:
