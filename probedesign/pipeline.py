@@ -40,8 +40,8 @@ from probedesign.units import MM
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
     from probedesign.identification.identification import Identification
-    from probedesign.pages.comparison import Compared
     from probedesign.prediction.table_one import TableOne
+    from probedesign.reports.comparison_page import ComparedDesign
     from probedesign.search.found import Found
     from probedesign.search.grid import Axis
     from probedesign.search.optimum import Search
@@ -169,13 +169,13 @@ def predict(
         write_atomically(files[-1], table(prediction))
     if plots is False:
         return prediction, files
-    from probedesign.pages.prediction_page import prediction_page
+    from probedesign.reports.prediction_page import prediction_page
 
     estimator = probe.estimator()
     files.append(folder / "prediction.html")
     write_atomically(files[-1], prediction_page(prediction, estimator))
     if plots or find_spec("matplotlib") is not None:
-        from probedesign.report import draw_prediction
+        from probedesign.reports.png import draw_prediction
 
         files.append(folder / "prediction.png")
         write_atomically(files[-1], draw_prediction(prediction, estimator))
@@ -192,10 +192,10 @@ def predict_table_one() -> "TableOne":
 
 def compare(
     design_paths: list[Path], task: "Task", out: Path | None, page: bool
-) -> tuple["list[Compared]", Path | None]:
+) -> tuple["list[ComparedDesign]", Path | None]:
     """Designs → their figures for one task → a page with the same axes for all."""
-    from probedesign.pages.comparison import compare as side_by_side
-    from probedesign.pages.comparison import comparison_page
+    from probedesign.reports.comparison_page import compare as side_by_side
+    from probedesign.reports.comparison_page import comparison_page
 
     compared = side_by_side([load_design(path) for path in design_paths], task)
     if not page:
@@ -257,8 +257,8 @@ def optimize(
         files.append(path.with_name(f"{path.stem}-front.csv"))
         write_atomically(files[1], shown.csv())
     if find_spec("matplotlib") is not None:
-        from probedesign.pages.comparison import compare as side_by_side
-        from probedesign.pages.comparison import comparison_page
+        from probedesign.reports.comparison_page import compare as side_by_side
+        from probedesign.reports.comparison_page import comparison_page
 
         files.append(path.with_name(f"{path.stem}-compared.html"))
         compared = side_by_side([search.start, best.design], best.task)
@@ -295,7 +295,7 @@ def identify(
     write_atomically(files[0], (json.dumps(found.as_dict(), indent=1, ensure_ascii=False) + "\n").encode())
     write_atomically(files[1], found.csv())
     if page:
-        from probedesign.pages.identification_page import identification_page
+        from probedesign.reports.identification_page import identification_page
 
         files.append(place / "identification.html")
         write_atomically(files[2], identification_page(found))
@@ -381,11 +381,11 @@ def validate(
         "validation.csv": found.csv(),
     }
     if plots is not False:
-        from probedesign.pages.validation_page import validation_page
+        from probedesign.reports.validation_page import validation_page
 
         written["validation.html"] = validation_page(found)
         if plots or find_spec("matplotlib") is not None:
-            from probedesign.pages.validation_picture import draw_validation
+            from probedesign.reports.png import draw_validation
 
             written["validation.png"] = draw_validation(found)
     for name, content in written.items():

@@ -10,7 +10,7 @@ from probedesign.identification.design_changes import changes_of
 from probedesign.identification.hedged import hedged
 from probedesign.identification.identification import Identification, Identified, Shift
 from probedesign.identification.report import counted_in_all
-from probedesign.pages.identification_page import identification_page
+from probedesign.reports.identification_page import identification_page
 from tests.identification.conftest import LARGE
 
 NORMAL = 1.96

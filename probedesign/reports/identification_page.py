@@ -1,4 +1,4 @@
-"""What an identification found, on one page: the numbers, how the readings lie about the fit, what goes together."""
+"""The page of an identification: parameters, residuals, correlations."""
 
 import math
 
@@ -6,31 +6,31 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.identification.identification import Identification, Identified
-from probedesign.pages.chart import COLOURS, DASHES, MARKS, Axis, Chart, Entry, span_of
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, NO_LINE, Chart, ChartAxis, LegendEntry, span_of
 from probedesign.reports.html_page import HtmlTable, Section, report_page
 
-MOST_NAMES = 36
-"""Of tests that stand legibly along an axis; of more, every second or third is named."""
+MAX_TEST_NAMES = 36
+"""Maximum number of test names along an axis; of more tests, every second or third is named."""
 KINDS = {"markers": "marker", "wrenches": "wrench", "touches": "place touched"}
 _SIGNS = {kind: (colour, mark) for kind, colour, mark in zip(KINDS, COLOURS[1:], MARKS, strict=False)}
-"""Of each kind in every figure."""
+"""Colour and marker of each kind of reading."""
 _AXES = ("x", "y", "z")
 _SELF = "#dddddd"
-"""Of a number beside itself."""
+"""Colour of the diagonal of the correlation matrix."""
 
 
 def identification_page(found: Identification) -> bytes:
-    """The page.
+    """Return the page of an identification.
 
     Args:
-        found: the numbers.
+        found: the result.
     """
     about = [
-        f"{found.data}: {found.tests} tests, {found.numbers} measured numbers for {found.unknowns} unknowns; "
+        f"{found.data}: {found.tests} tests, {found.numbers} measured values for {found.unknowns} unknowns; "
         f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
-        f"Intervals hold 95 %: {found.quantile:.3g} standard deviations. First that of the fit, with the design's "
-        "dimensions taken as they are, as the frozen probe takes them; then with what the fit does not count, listed "
-        f"below: a design gets that; then the fit's with {found.dimensions}, as of the material.",
+        f"Intervals are 95 %: {found.quantile:.3g} standard deviations. First that of the fit with the design's "
+        "dimensions, as the frozen probe uses them; then including the systematic effects listed below, as written to "
+        f"a design; then the fit's with {found.dimensions}, as a property of the material.",
         *found.doubts,
         *found.notes,
     ]
@@ -41,9 +41,9 @@ def identification_page(found: Identification) -> bytes:
         sections += [_wrenches(found, "forces"), _wrenches(found, "moments")]
     if len(found.correlated) > 1:
         sections.append(_correlation(found))
-    after = [("How much the readings scatter", _noise(found)), ("What is not counted", _shifts(found))]
+    after = [("Scatter of the readings", _noise(found)), ("Systematic effects", _shifts(found))]
     if found.outliers:
-        after.append(("Readings that noise does not explain", _outliers(found)))
+        after.append(("Outliers", _outliers(found)))
     return report_page(f"{found.name}: identified", about, _table(found), sections, after)
 
 
@@ -51,11 +51,11 @@ def _table(found: Identification) -> HtmlTable:
     head = [
         "",
         "value",
-        "95 % within",
-        "with what is not counted",
+        "95 % interval",
+        "with systematic effects",
         f"with {found.dimensions}",
         "design",
-        "what it is",
+        "description",
     ]
     return HtmlTable(head, [_row(one) for one in found.found])
 
@@ -63,7 +63,7 @@ def _table(found: Identification) -> HtmlTable:
 def _row(one: Identified) -> list[str]:
     design = f"{one.design:.4g} {one.unit}"
     if not one.identified:
-        return [one.name, "not told", "", "", "", design, one.why]
+        return [one.name, "not identifiable", "", "", "", design, one.why]
     ends = ((one.low, one.high), (one.low_in_all, one.high_in_all), (one.low_of_print, one.high_of_print))
     return [
         one.name,
@@ -75,30 +75,30 @@ def _row(one: Identified) -> list[str]:
 
 
 def _by_test(found: Identification) -> Section:
-    """Root mean square of each test's misfits by kind."""
+    """Return the RMS of each test's normalised residuals by kind."""
     tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
-    each = math.ceil(len(tests) / MOST_NAMES)
-    x = Axis.named("", [test if i % each == 0 else "" for i, test in enumerate(tests)], upright=True)
+    each = math.ceil(len(tests) / MAX_TEST_NAMES)
+    x = ChartAxis.named("", [test if i % each == 0 else "" for i, test in enumerate(tests)], upright=True)
     lines = {}
     for kind in KINDS:
         of = [[r.deviations for r in found.residuals if (r.kind, r.test) == (kind, test)] for test in tests]
         if any(of):
             lines[kind] = [math.sqrt(sum(d * d for d in own) / len(own)) if own else math.nan for own in of]
-    most = max([v for line in lines.values() for v in line if math.isfinite(v)] + [2.0])
-    chart = Chart(x, Axis("RMS misfit [standard deviations]", 0.0, 1.08 * most))
+    high = max([v for line in lines.values() for v in line if math.isfinite(v)] + [2.0])
+    chart = Chart(x, ChartAxis("RMS residual [standard deviations]", 0.0, 1.08 * high))
     for kind, line in lines.items():
         colour, mark = _SIGNS[kind]
         for place, value in enumerate(line, 1):
             if math.isfinite(value):
                 chart.line([place], [value], colour, mark=mark)
-        chart.legend.append(Entry(KINDS[kind], colour, "0 99", mark))
-    chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="what noise makes")
-    caption = "Noise as stated, or as measured where it is more. Tests stand in the order of their table."
-    return Section("Does any test stand apart?", caption, chart.svg())
+        chart.legend.append(LegendEntry(KINDS[kind], colour, NO_LINE, mark))
+    chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="noise alone")
+    caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
+    return Section("Residuals by test", caption, chart.svg())
 
 
 def _normal(found: Identification) -> Section:
-    """Distances against those that normal noise makes."""
+    """Return the normalised residuals against their quantiles under normal noise."""
     sizes = {"markers": 3, "wrenches": 6, "touches": 3}
     lines = {}
     for kind, k in sizes.items():
@@ -106,23 +106,23 @@ def _normal(found: Identification) -> Section:
         if len(far) > 2:
             shares = (np.arange(len(far)) + 0.5) / len(far)
             lines[kind] = (np.sqrt(chi2.ppf(shares, k) / k).tolist(), far)
-    most = max([v for x, y in lines.values() for v in (*x, *y)] + [2.0]) * 1.05
+    high = max([v for x, y in lines.values() for v in (*x, *y)] + [2.0]) * 1.05
     chart = Chart(
-        Axis("by normal noise [standard deviations]", 0.0, most),
-        Axis("misfit [standard deviations]", 0.0, most),
+        ChartAxis("quantile of normal noise [standard deviations]", 0.0, high),
+        ChartAxis("residual [standard deviations]", 0.0, high),
     )
-    chart.line([0.0, most], [0.0, most], "#666666", "4 4", name="normal noise")
+    chart.line([0.0, high], [0.0, high], "#666666", "4 4", name="normal noise")
     for kind, (x, y) in lines.items():
         colour, mark = _SIGNS[kind]
         for a, b in zip(x, y, strict=True):
             chart.line([a], [b], colour, mark=mark)
-        chart.legend.append(Entry(KINDS[kind], colour, "0 99", mark))
-    return Section("Is the noise as it was taken?", "On the line it is; above it at the right end lie outliers. "
-                   "A little below is what the unknowns take up.", chart.svg())  # fmt: skip
+        chart.legend.append(LegendEntry(KINDS[kind], colour, NO_LINE, mark))
+    return Section("Quantiles of the residuals", "On the line the noise is as assumed; outliers are above its end. "
+                   "Slightly below it is expected, since the parameters are fitted.", chart.svg())  # fmt: skip
 
 
 def _along(found: Identification) -> Section:
-    """Markers' residuals along the probe: mean over tests and its scatter."""
+    """Return the markers' residuals along the probe: mean over the tests and its scatter."""
     rows = [one for one in found.residuals if one.kind == "markers" and one.s_mm is not None]
     places = sorted({one.s_mm for one in rows if one.s_mm is not None})
     means = {s: np.array([one.off for one in rows if one.s_mm == s]) for s in places}
@@ -135,8 +135,8 @@ def _along(found: Identification) -> Section:
         for v in (*(means[s].mean(0) - 2 * errors[s]), *(means[s].mean(0) + 2 * errors[s]))
     ]
     chart = Chart(
-        Axis("s [mm]", *span_of(places, False)),
-        Axis("measured - fitted, mean [mm]", *span_of([*ends, 0.0], False)),
+        ChartAxis("s [mm]", *span_of(places, False)),
+        ChartAxis("measured - fitted, mean [mm]", *span_of([*ends, 0.0], False)),
     )
     for i, (axis, colour, dashes, mark) in enumerate(zip(_AXES, COLOURS[1:], DASHES, MARKS, strict=False)):
         y = [float(means[s].mean(0)[i]) for s in places]
@@ -145,19 +145,19 @@ def _along(found: Identification) -> Section:
             chart.line([s, s], [at - e, at + e], colour, width=1.0)
         chart.line(places, y, colour, dashes, mark, f"along world {axis}")
     caption = (
-        "Mean over the tests, with two standard deviations of it. A bow that is plain in all tests says that the "
-        "taper, the root or a camera is other than taken."
+        "Mean over the tests with two standard deviations of it. A bow that is common to all tests indicates that the "
+        "taper, the root or a camera differs from its model."
     )
-    return Section("Is the shape right all along?", caption, chart.svg())
+    return Section("Residuals along the probe", caption, chart.svg())
 
 
 def _wrenches(found: Identification, what: str) -> Section:
-    """Each reading's residual by channel: the forces, or the moments."""
+    """Return each reading's residual by channel: the forces, or the moments."""
     first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
     off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
     chart = Chart(
-        Axis.named("", [f"{letter}{axis}" for axis in _AXES]),
-        Axis(f"measured - fitted [{unit}]", *span_of([*off.ravel().tolist(), 0.0], False)),
+        ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
+        ChartAxis(f"measured - fitted [{unit}]", *span_of([*off.ravel().tolist(), 0.0], False)),
     )
     chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
     colour, mark = _SIGNS["wrenches"]
@@ -165,14 +165,14 @@ def _wrenches(found: Identification, what: str) -> Section:
         for i, value in enumerate(off[:, channel]):
             spread = 0.7 * (i / max(len(off) - 1, 1) - 0.5)
             chart.line([channel + 1 + spread], [float(value)], colour, mark=mark)
-    return Section(f"And the {what}?", "At the base, from the first test at the left of each channel to the "
-                   "last at its right: a slope is a drift.", chart.svg())  # fmt: skip
+    return Section(f"Residuals of the {what}", "At the base, from the first test at the left of each channel to the "
+                   "last at its right: a slope indicates drift.", chart.svg())  # fmt: skip
 
 
 def _correlation(found: Identification) -> Section:
-    """What goes together."""
+    """Return the correlation matrix of the parameters' errors."""
     n, names = len(found.correlated), list(found.correlated)
-    chart = Chart(Axis.named("", names), Axis.named("", names[::-1]))
+    chart = Chart(ChartAxis.named("", names), ChartAxis.named("", names[::-1]))
     for i in range(n):
         for j in range(n):
             value = float(found.correlation[i, j])
@@ -181,19 +181,19 @@ def _correlation(found: Identification) -> Section:
             fill = _SELF if i == j else fill
             chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
             chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.6 and i != j else "#111")
-    chart.legend += [Entry("too great together", "#ff0000"), Entry("one too great, one too small", "#0000ff"),
-                     Entry("itself", _SELF)]  # fmt: skip
-    return Section("What goes together?", "Correlation of the errors, the print's dimensions as designed but for those "
-                   "asked for; near ±1 the tests tell a combination better than either.", chart.svg())  # fmt: skip
+    for name, colour in (("positive", "#ff0000"), ("negative", "#0000ff"), ("itself", _SELF)):
+        chart.legend.append(LegendEntry(name, colour))
+    return Section("Correlation", "Correlation of the errors, with the print's dimensions as designed except those "
+                   "identified; near ±1 the tests determine a combination better than each.", chart.svg())  # fmt: skip
 
 
 def _noise(found: Identification) -> HtmlTable:
     rows = [
         [KINDS[one.kind], f"{one.groups}", f"{one.scale:.3g}", f"{one.freedom:.0f}",
-         "measured: more than stated" if one.measured else "as stated"]
+         "measured, larger than stated" if one.measured else "as stated"]
         for one in found.noise
     ]  # fmt: skip
-    return HtmlTable(["readings", "how many", "scatter over stated", "degrees of freedom", "taken"], rows)
+    return HtmlTable(["readings", "number", "scatter over stated", "degrees of freedom", "noise used"], rows)
 
 
 def _shifts(found: Identification) -> HtmlTable:
@@ -201,14 +201,14 @@ def _shifts(found: Identification) -> HtmlTable:
         [cause, ", ".join(f"{one.of} {one.percent:+.2g} %" for one in of)]
         for cause, of in found.causes.items()
     ]
-    rows.append(["creep between tests and use", "not known"])
+    rows.append(["creep between tests and use", "unknown"])
     note = (
-        "None of these is in the fit's interval. Each but creep is taken for one standard deviation, and the root of "
-        "the sum of the squares of these and the fit's is what --write puts into [tolerances] and stiffness_spread."
+        "None of these is included in the fit's interval. Each except creep is one standard deviation; --write puts "
+        "the root sum of squares of these and the fit's into [tolerances] and stiffness_spread."
     )
-    return HtmlTable(["if it were so", "the number would be"], rows, note)
+    return HtmlTable(["effect", "change of the parameter"], rows, note)
 
 
 def _outliers(found: Identification) -> HtmlTable:
     rows = [[one.words, f"{one.deviations:.1f}"] for one in found.outliers]
-    return HtmlTable(["reading", "standard deviations off"], rows, "They hardly counted.")
+    return HtmlTable(["reading", "standard deviations"], rows, "Down-weighted in the fit.")

@@ -1,4 +1,4 @@
-"""The pages: whole, asking nothing of a network, and saying what the numbers say."""
+"""Report pages and charts: complete, without network access, and consistent with the data."""
 
 import json
 import math
@@ -11,14 +11,14 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
-from probedesign.pages.budget_bars import GROUPS, shares_of
-from probedesign.pages.chart import Axis, Chart
-from probedesign.pages.prediction_page import prediction_page
 from probedesign.prediction.fused_budget import FUSED_CAUSES
 from probedesign.probe import build_probe
+from probedesign.reports.chart import Chart, ChartAxis
 from probedesign.reports.html_page import Section
+from probedesign.reports.prediction_charts import GROUPS, shares_of
+from probedesign.reports.prediction_page import prediction_page
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 
 
 class Elements(HTMLParser):
@@ -44,21 +44,21 @@ def assert_whole(page: str) -> Elements:
     return elements
 
 
-def test_the_page_of_a_prediction_holds_the_figures_and_what_is_added():
+def test_the_prediction_page_has_all_figures_and_added_sections():
     probe = build_probe(load_design(DESIGNS / "small.toml"))
     prediction = probe.predict(fractions=(0.5, 0.8), forces_N=(0.02,), directions=("+y",))
     more = Section("Budget & causes", "what each costs", b'<svg id="budget"></svg>')
     page = prediction_page(prediction, probe.estimator(), [more]).decode()
-    assert assert_whole(page).seen["svg"] == 12
+    assert assert_whole(page).seen["svg"] == page.count('<svg role="img" aria-label="') > 1
     assert "Budget &amp; causes" in page and prediction.fingerprint in page
-    told = re.findall(r"<text[^>]*>([^<]*)</text>", page)
+    labels = re.findall(r"<text[^>]*>([^<]*)</text>", page)
     for condition in (*prediction.conditions, *prediction.fused):
-        assert f"{condition.total_error_mm:.2g}" in told
+        assert f"{condition.total_error_mm:.2g}" in labels
     for row in prediction.reach:
         assert f"<td>{row.force_mN_for_5_mm:.3g} mN</td>" in page
 
 
-def test_a_probe_that_cannot_stand_has_a_page_that_says_so():
+def test_a_buckled_probe_has_a_page():
     design = load_design(DESIGNS / "large.toml")
     soft = {**design.model_dump(by_alias=True, exclude_none=True), "name": "soft"}
     soft["material"]["youngs_modulus_mpa"], soft["material"]["shear_modulus_mpa"] = 0.11, 0.04
@@ -67,10 +67,10 @@ def test_a_probe_that_cannot_stand_has_a_page_that_says_so():
     probe = build_probe(check_design(soft))
     prediction = probe.predict(fractions=(0.5,), forces_N=(0.02,), directions=("+y",))
     assert prediction.tip_sag_mm is None and prediction.fused[0].result == "gives_way"
-    assert "it cannot stand" in prediction_page(prediction, probe.estimator()).decode()
+    assert "it buckles under its own weight" in prediction_page(prediction, probe.estimator()).decode()
 
 
-def test_the_shares_of_a_budget_are_whole():
+def test_the_shares_of_a_budget_sum_to_one():
     probe = build_probe(load_design(DESIGNS / "small.toml"))
     prediction = probe.predict(fractions=(0.6,), forces_N=(0.02,), directions=("+y",))
     assert {cause for group in GROUPS.values() for cause in group} == set(FUSED_CAUSES)
@@ -84,19 +84,19 @@ def test_the_shares_of_a_budget_are_whole():
 @pytest.mark.parametrize(
     ("axis", "ticks"),
     [
-        (Axis("", 0.09, 21.0, log=True), (0.1, 0.2, 0.5, 1, 2, 5, 10, 20)),
-        (Axis("", 0.09, 5000.0, log=True), (0.1, 1, 10, 100, 1000)),
-        (Axis("", -13.0, 61.0), (0, 20, 40, 60)),
-        (Axis("", 0.0, 1.0), (0, 0.2, 0.4, 0.6, 0.8, 1)),
-        (Axis.named("", ["a", "b"]), (1, 2)),
+        (ChartAxis("", 0.09, 21.0, log=True), (0.1, 0.2, 0.5, 1, 2, 5, 10, 20)),
+        (ChartAxis("", 0.09, 5000.0, log=True), (0.1, 1, 10, 100, 1000)),
+        (ChartAxis("", -13.0, 61.0), (0, 20, 40, 60)),
+        (ChartAxis("", 0.0, 1.0), (0, 0.2, 0.4, 0.6, 0.8, 1)),
+        (ChartAxis.named("", ["a", "b"]), (1, 2)),
     ],
 )
 def test_ticks_are_round_and_inside(axis, ticks):
-    assert axis.told == ticks
+    assert axis.shown_ticks == ticks
 
 
-def test_a_line_is_broken_where_there_is_no_number_and_names_are_escaped():
-    chart = Chart(Axis("x & y", 0.0, 4.0), Axis("[mm]", 0.0, 1.0))
+def test_lines_break_at_nan_and_names_are_escaped():
+    chart = Chart(ChartAxis("x & y", 0.0, 4.0), ChartAxis("[mm]", 0.0, 1.0))
     chart.line([0, 1, 2, 3, 4], [0.1, 0.2, math.nan, 0.3, 0.4], "#000", name="<a>")
     drawn = chart.svg().decode()
     assert drawn.count("stroke-linejoin") == 2 and "nan" not in drawn
@@ -104,8 +104,22 @@ def test_a_line_is_broken_where_there_is_no_number_and_names_are_escaped():
     assert ElementTree.fromstring(drawn).tag.endswith("svg")
 
 
-def test_what_is_square_is_drawn_to_scale():
-    chart = Chart(Axis("", 0.0, 100.0), Axis("", 0.0, 10.0), square=True)
+def test_matplotlib_draws_the_same_elements():
+    axes = pytest.importorskip("matplotlib.figure").Figure().subplots()
+    chart = Chart(ChartAxis("x", 0.0, 4.0), ChartAxis("y [mm]", 0.1, 10.0, log=True), down=True)
+    chart.line([0, 1, 2], [0.1, math.nan, 4.0], "#000", "7 4", "o", "a")
+    chart.area([(0.0, 1.0), (4.0, 1.0), (4.0, 2.0)], "#f00", name="b")
+    chart.draw_on(axes, "title")
+    drawn = axes.get_lines()[0]
+    assert drawn.get_xdata().tolist() == [0, 1, 2] and drawn.get_marker() == "o"
+    assert axes.patches[0].get_xy()[:3].tolist() == [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0]]
+    assert (axes.get_yscale(), axes.get_xlim(), axes.get_ylim()) == ("log", (0.0, 4.0), (10.0, 0.1))
+    assert axes.get_yticks().tolist() == list(chart.y.shown_ticks)
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["a", "b"]
+
+
+def test_square_axes_have_one_scale():
+    chart = Chart(ChartAxis("", 0.0, 100.0), ChartAxis("", 0.0, 10.0), square=True)
     (a, b), (c, d) = chart.at(0.0, 0.0), chart.at(50.0, 5.0)
     assert c - a == pytest.approx(10.0 * (b - d), rel=1e-12)  # rounding
 
@@ -116,7 +130,7 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
     assert run(["compare", *files, "--out", str(out), *places, "--json"]) == 0
     designs = json.loads(capsys.readouterr().out)["designs"]
     page = out.read_text(encoding="utf-8")
-    assert assert_whole(page).seen["svg"] == 7
+    assert assert_whole(page).seen["svg"] == page.count('<svg role="img" aria-label="') > 1
     row = re.search(r"<td>error_mm</td><td>(.*?)</td><td>(.*?)</td>", page)
     assert [float(cell) for cell in row.groups()] == pytest.approx([d["error_mm"] for d in designs], rel=1e-3)
 
