@@ -18,6 +18,7 @@ from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.errors import InputError
 from probedesign.geometry import build_geometry
+from probedesign.materials import RESINS
 from probedesign.printing.preform import client
 from probedesign.printing.preform.client import (
     Connection,
@@ -27,7 +28,7 @@ from probedesign.printing.preform.client import (
     connection_to,
 )
 from probedesign.printing.preform.job import PrintOrder, load_job, path_mapping, prepare_job
-from probedesign.printing.preform.settings import MaterialList, select_settings
+from probedesign.printing.preform.settings import PREFERRED, MaterialList, select_settings
 from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
 
@@ -165,18 +166,18 @@ def test_what_is_sent_waits_in_the_printers_queue(fake, place):
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "message"),
     [
         ({"cups": 1}, "probe: 1 cup(s) that trap resin"),
         ({"unsupported_minima": 3}, "probe: 3 place(s) that begin in mid-air"),
         ({"undersupported": True}, "probe: too few supports"),
     ],
 )
-def test_a_problem_keeps_the_job_from_the_printer_but_not_from_its_file(fake, place, found, told):
+def test_a_problem_keeps_the_job_from_the_printer_but_not_from_its_file(fake, place, found, message):
     fake.validation |= found
     form = place / "x.form"
     result = prepared(fake, place, PrintOrder(form_file=str(form), printer="Form3-TestyTest"))
-    assert result.problems == (told,)
+    assert result.problems == (message,)
     assert fake.printed == [] and result.sent_to is None and form.is_file()
     prepared(fake, place, PrintOrder(form_file=str(form), printer="Form3-TestyTest", force=True))
     assert len(fake.printed) == 1
@@ -192,12 +193,12 @@ def test_a_part_that_was_not_validated_is_a_problem(fake, place):
     assert prepared(fake, place).problems == ("probe: PreForm did not validate it",)
 
 
-def test_a_part_that_got_lost_is_a_problem(fake, place):
+def test_a_lost_part_is_a_problem(fake, place):
     fake.faults["auto-layout"] = lambda handler: [s["models"].clear() for s in fake.scenes.values()] and None
     assert prepared(fake, place).problems == ("probe: no longer in the scene",)
 
 
-def test_progress_is_told_step_by_step(fake, place):
+def test_progress_is_reported_by_step(fake, place):
     fake.polls, steps = 2, []
     prepared(fake, place, on_progress=lambda step, share: steps.append((step, share)))
     shares = [share for step, share in steps if step == "supports" and share is not None]
@@ -239,7 +240,7 @@ def test_the_material_is_found_in_preforms_own_list(product, resin, material, la
 
 
 @pytest.mark.parametrize(
-    ("product", "resin", "material", "told"),
+    ("product", "resin", "material", "message"),
     [
         ("Form 4", "rigid", None, "PreForm knows no Form 4; it has: Form 3/3+, Form 3L"),
         (
@@ -262,16 +263,27 @@ def test_the_material_is_found_in_preforms_own_list(product, resin, material, la
         ),
     ],
 )
-def test_what_preform_does_not_have_names_what_it_has(product, resin, material, told):
+def test_errors_name_what_preform_has(product, resin, material, message):
     with pytest.raises(InputError) as error:
         select_settings(MaterialList.model_validate(MATERIALS), product, resin, material)
-    assert told in str(error.value)
+    assert message in str(error.value)
+
+
+def test_every_resin_has_a_name_in_preform():
+    assert {*RESINS, "rigid"} <= set(PREFERRED)
+
+
+def test_a_resin_unknown_to_preform_needs_its_material_named():
+    materials = MaterialList.model_validate(MATERIALS)
+    with pytest.raises(InputError, match=r"new-resin: .* --material .* it has: "):
+        select_settings(materials, "Form 3", "new-resin")
+    assert select_settings(materials, "Form 3", "new-resin", "Grey V4").material == "Grey V4"
 
 
 # Whose files
 
 
-def test_a_server_elsewhere_is_told_its_own_paths(fake, place, tmp_path):
+def test_a_remote_server_gets_its_own_paths(fake, place, tmp_path):
     elsewhere = tmp_path / "other disk"
     shutil.copytree(place, elsewhere)
     fake.root = ("C:\\probes\\thin", elsewhere)
@@ -283,7 +295,7 @@ def test_a_server_elsewhere_is_told_its_own_paths(fake, place, tmp_path):
     assert not (place / "preform-probe.png").exists()
 
 
-def test_a_server_elsewhere_without_its_folder_is_refused_before_it_is_asked(fake, place, capsys):
+def test_a_remote_server_without_a_folder_is_refused_first(fake, place, capsys):
     assert run(["print", "thin.toml", "--preform", "http://192.0.2.1:44388"]) == 2
     assert "--server-folder names the folder there" in capsys.readouterr().err
     assert run(["print", "thin.toml", "--preform", fake.url, "--server-folder", "probes/thin"]) == 2
@@ -291,7 +303,7 @@ def test_a_server_elsewhere_without_its_folder_is_refused_before_it_is_asked(fak
     assert fake.diary == []
 
 
-def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
+def test_a_file_reported_as_written_must_exist(fake, place):
     fake.writes = False
     with pytest.raises(PreFormError, match="does not exist; if PreForm runs elsewhere, --server-folder"):
         prepared(fake, place)
@@ -299,7 +311,7 @@ def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda f: (f / "manifest.json").unlink(), "make the parts first: probedesign export"),
         (lambda f: (f / "manifest.json").write_text("[1]"), "is no manifest of an export"),
@@ -320,11 +332,11 @@ def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
         ),
     ],
 )
-def test_only_the_designs_own_export_is_printed(fake, place, capsys, spoil, told):
+def test_only_the_designs_own_export_is_printed(fake, place, capsys, spoil, message):
     spoil(place)
     assert run(["print", "thin.toml", "--preform", fake.url]) == 2
     captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and told in captured.err
+    assert captured.out == "" and captured.err.count("\n") == 1 and message in captured.err
     assert fake.diary == []
 
 
@@ -336,7 +348,7 @@ def test_manifest_names_cannot_lead_out_of_the_folder(fake, place):
     assert sorted(job.sizes) == ["clamp_ring", "sensor_adapter"]
 
 
-def test_a_part_that_came_in_in_inches_is_noticed(fake, place):
+def test_a_part_in_inches_is_detected(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 482.6, "y": 482.6, "z": 2108.2}}
     fake.model = {"bounding_box": box}
     with pytest.raises(
@@ -345,14 +357,14 @@ def test_a_part_that_came_in_in_inches_is_noticed(fake, place):
         prepared(fake, place)
 
 
-def test_a_part_that_lies_down_is_noticed(fake, place):
+def test_a_tilted_part_is_detected(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 83.0, "y": 19.0, "z": 19.0}}
     fake.model = {"bounding_box": box}
     with pytest.raises(PreFormError, match="wrong units, or not upright"):
         prepared(fake, place)
 
 
-def test_an_import_that_leaves_the_scene_empty_is_noticed(fake, place):
+def test_an_import_without_a_model_is_detected(fake, place):
     fake._import = lambda scene, body: {}
     with pytest.raises(PreFormError, match="imported probe as 0 models, not one"):
         prepared(fake, place)
@@ -431,7 +443,7 @@ HOSTILE = {"error": {"code": "EVIL\x1b[2J", "message": "two\nlines \x1b[31m" + "
 
 @pytest.mark.parametrize("step", ["/", "scene", "operations", "print"])
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         (closes, "not to the end"),
         (stops_in_the_headers, "not to the end"),
@@ -455,9 +467,9 @@ HOSTILE = {"error": {"code": "EVIL\x1b[2J", "message": "two\nlines \x1b[31m" + "
         "html", "deep", "list", "302", "500", "400", "hostile", "odd",
     ],
 )  # fmt: skip
-def test_whatever_answers_the_error_is_one_line_and_nothing_is_printed(fake, place, step, fault, told):
+def test_faulty_answers_are_one_line_errors(fake, place, step, fault, message):
     fake.faults[step] = fault
-    with pytest.raises(PreFormError, match=told) as error:
+    with pytest.raises(PreFormError, match=message) as error:
         prepared(fake, place, PrintOrder(printer="Form3-TestyTest"), timeout_s=0.3)
     text = str(error.value)
     assert text.isprintable() and len(text) < 700
@@ -489,7 +501,7 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
 
 
 @pytest.mark.parametrize(
-    ("state", "told"),
+    ("state", "message"),
     [
         ({"status": "PAUSED"}, "its answer to the import of probe: status"),
         ({"status": "IN_PROGRESS", "progress": float("nan")}, "progress"),
@@ -501,9 +513,9 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
         ({"status": "SUCCEEDED", "result": 3}, "result"),
     ],
 )
-def test_operations_that_go_astray(fake, place, state, told):
+def test_invalid_operation_states_are_errors(fake, place, state, message):
     fake.faults["operations"] = says(200, state)
-    with pytest.raises(PreFormError, match=told):
+    with pytest.raises(PreFormError, match=message):
         prepared(fake, place)
     assert fake.scenes == {}  # cleared up all the same
 
@@ -544,7 +556,7 @@ def forgets(handler):
     "fault",
     [closes, says(200, b"<html>"), says(502, b"Bad Gateway"), says(200, {"job_id": 5}), forgets],
 )
-def test_an_upload_without_an_answer_says_that_nobody_knows(fake, place, fault):
+def test_an_unanswered_upload_has_an_unknown_outcome(fake, place, fault):
     fake.faults["print"] = fault
     with pytest.raises(NoAnswerError, match="whether Form3-TestyTest has received the job is unknown"):
         prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
@@ -592,7 +604,7 @@ def test_ctrl_c_in_the_terminal(fake, place):
     assert fake.scenes == {} and left_over(place) == []
 
 
-def test_an_interrupted_upload_says_where_to_look(fake, place):
+def test_an_interrupted_upload_names_the_printer(fake, place):
     with pytest.raises(KeyboardInterrupt, match="whether X has received the job is unknown"):
         prepared(fake, place, PrintOrder(printer="X"), on_progress=interrupt_at("the upload"))
 
@@ -607,7 +619,7 @@ def test_an_interrupted_upload_says_where_to_look(fake, place):
         "http://me:secret@host", "http://host/scene/", "http://host?x=1", "ftp://host", "", "http://host:0",
     ],
 )  # fmt: skip
-def test_an_address_that_is_none_is_refused(url):
+def test_invalid_addresses_are_refused(url):
     with pytest.raises(
         InputError, match=r"is not the address of a PreFormServer; write http://localhost:44388$"
     ):
@@ -625,7 +637,7 @@ def test_addresses():
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "no-such-host.invalid", "a" * 80 + ".invalid", "a..b"])
-def test_nobody_there_says_how_to_start_it(host):
+def test_a_missing_server_error_names_the_start_command(host):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound and not listening: nobody else takes the port meanwhile
         port = taken.getsockname()[1]
@@ -635,7 +647,7 @@ def test_nobody_there_says_how_to_start_it(host):
             Connection(host, port, 5.0).request("the version", "GET", "/")
 
 
-def test_a_proxy_of_the_environment_is_not_asked(fake, place, monkeypatch):
+def test_environment_proxies_are_ignored(fake, place, monkeypatch):
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
     assert prepared(fake, place).api == "0.9.7"
@@ -644,7 +656,7 @@ def test_a_proxy_of_the_environment_is_not_asked(fake, place, monkeypatch):
 # The command
 
 
-def test_the_command_says_what_it_did_and_did_not(fake, place, capsys):
+def test_the_command_prints_its_outcome(fake, place, capsys):
     fake.polls = 0
     assert run(["print", "thin.toml", "--preform", fake.url, "--save-form", "exports/thin.form"]) == 0
     out = capsys.readouterr().out
@@ -690,7 +702,7 @@ def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, cap
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--save-form", "x.stl"], "PreForm's files end in .form"),
         (["--save-form", "none/x.form"], "there is no folder"),
@@ -703,9 +715,9 @@ def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, cap
         (["--material", "Gray V4"], "it has: Grey V4"),
     ],
 )
-def test_wrong_options_are_one_line(fake, place, capsys, options, told):
+def test_wrong_options_are_one_line(fake, place, capsys, options, message):
     Path("there.form").write_text("mine")
     assert run(["print", "thin.toml", "--preform", fake.url, *options]) == 2
     captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and told in captured.err
+    assert captured.out == "" and captured.err.count("\n") == 1 and message in captured.err
     assert Path("there.form").read_text() == "mine" and fake.printed == []

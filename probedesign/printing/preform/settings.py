@@ -210,8 +210,12 @@ def _asked(printer: PrinterType, name: str) -> PrintMaterial:
 
 
 def _preferred(printer: PrinterType, resin: str) -> PrintMaterial:
-    wanted = PREFERRED[resin]
     by_label = {material.label: material for material in printer.materials}
+    wanted = PREFERRED.get(resin)
+    if wanted is None:
+        raise InputError(
+            f"{resin}: its name in PreForm is unknown; --material names one of the {printer.label}; {_has(by_label)}"
+        )
     for label in wanted:
         if label in by_label:
             return by_label[label]
