@@ -82,11 +82,15 @@ class ChartAxis:
 
 
 def _log_ticks(low: float, high: float) -> tuple[float, ...]:
-    """Return 1, 2 and 5 times the powers of ten, or the powers alone over more than three decades."""
+    """Return powers of ten over more than three decades, else 1, 2 and 5 times them; more where these are too few."""
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     wide = math.log10(high / low) > 3.2
-    found = (digit * 10.0**k for k in powers for digit in ((1,) if wide else (1, 2, 5)))
-    return tuple(float(f"{v:.3g}") for v in found if low * 0.999 <= v <= high * 1.001)
+    for digits in ((1,),) if wide else ((1, 2, 5), range(1, 10)):
+        found = [float(f"{digit * 10.0**k:.3g}") for k in powers for digit in digits]
+        ticks = tuple(v for v in found if low * 0.999 <= v <= high * 1.001)
+        if len(ticks) > 1:
+            return ticks
+    return _even_ticks(low, high)  # within one step of the first digit
 
 
 def _even_ticks(low: float, high: float) -> tuple[float, ...]:

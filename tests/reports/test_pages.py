@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from probedesign.cli.main import run
@@ -86,6 +87,9 @@ def test_the_shares_of_a_budget_sum_to_one():
     [
         (ChartAxis("", 0.09, 21.0, log=True), (0.1, 0.2, 0.5, 1, 2, 5, 10, 20)),
         (ChartAxis("", 0.09, 5000.0, log=True), (0.1, 1, 10, 100, 1000)),
+        (ChartAxis("", 2.1, 4.9, log=True), (3, 4)),
+        (ChartAxis("", 1.3, 4.4, log=True), (2, 3, 4)),
+        (ChartAxis("", 0.31, 0.38, log=True), (0.32, 0.34, 0.36, 0.38)),
         (ChartAxis("", -13.0, 61.0), (0, 20, 40, 60)),
         (ChartAxis("", 0.0, 1.0), (0, 0.2, 0.4, 0.6, 0.8, 1)),
         (ChartAxis.named("", ["a", "b"]), (1, 2)),
@@ -139,3 +143,13 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
 def test_compare_takes_two_to_six(count, capsys):
     assert run(["compare", *[str(DESIGNS / "large.toml")] * count]) == 2
     assert "2 to 6 designs" in capsys.readouterr().err
+
+
+def test_every_logarithmic_axis_has_tick_labels():
+    for low in np.geomspace(1e-3, 1e3, 61):
+        for ratio in (1.02, 1.3, 1.69, 3.0, 10.0, 1e3, 1e5):
+            axis = ChartAxis("", low, low * ratio, log=True)
+            ticks = axis.shown_ticks
+            assert 2 <= len(ticks) <= 13 and ticks == tuple(sorted(set(ticks)))
+            assert low * 0.999 <= ticks[0] and ticks[-1] <= low * ratio * 1.001
+            assert len(set(axis.tick_labels)) == len(ticks)
