@@ -196,7 +196,10 @@ def compare(
     """Designs → their figures for one task → a page with the same axes for all."""
     from probedesign.reports.comparison_page import compare as side_by_side
     from probedesign.reports.comparison_page import comparison_page
+    from probedesign.reports.html_page import check_page_target
 
+    if page and out is not None:
+        check_page_target(out)
     compared = side_by_side([load_design(path) for path in design_paths], task)
     if not page:
         return compared, None

@@ -6,7 +6,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 
+from probedesign.errors import InputError
+
+DOCTYPE = "<!DOCTYPE html>"
 STYLE = """
 @page { size: A4; margin: 14mm }
 body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: #111;
@@ -70,10 +74,26 @@ def html_document(title: str, about: Sequence[str], body: str, style: str = "", 
         head: additions to the head element.
     """
     return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
         f'<body><h1>{escape(title)}</h1>\n<p class="about">{"<br>".join(about)}</p>\n{body}</body></html>\n'
     ).encode()
+
+
+def check_page_target(path: Path) -> None:
+    """Refuse to replace a file that is not an HTML page, such as a design given as output by mistake.
+
+    Raises:
+        InputError: the path exists and is not an HTML page.
+    """
+    if not path.exists():
+        return
+    try:
+        page = path.is_file() and path.read_bytes().startswith(DOCTYPE.encode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not page:
+        raise InputError(f"{path}: exists and is not an HTML page; name another file with --out")
 
 
 def report_page(

@@ -15,7 +15,7 @@ from probedesign.design import check_design, load_design
 from probedesign.prediction.fused_budget import FUSED_CAUSES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
-from probedesign.reports.html_page import Section
+from probedesign.reports.html_page import Section, html_document
 from probedesign.reports.prediction_charts import GROUPS, shares_of
 from probedesign.reports.prediction_page import prediction_page
 
@@ -137,6 +137,23 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
     assert assert_whole(page).seen["svg"] == page.count('<svg role="img" aria-label="') > 1
     row = re.search(r"<td>error_mm</td><td>(.*?)</td><td>(.*?)</td>", page)
     assert [float(cell) for cell in row.groups()] == pytest.approx([d["error_mm"] for d in designs], rel=1e-3)
+
+
+def test_compare_replaces_its_page_and_nothing_else(tmp_path, capsys):
+    files, places = (
+        [str(DESIGNS / f"{name}.toml") for name in ("large", "small")],
+        ("--places", "0.6:0.8:0.2"),
+    )
+    design, page = tmp_path / "design.toml", tmp_path / "page.html"
+    design.write_bytes((DESIGNS / "large.toml").read_bytes())
+    page.write_bytes(html_document("earlier", [], ""))
+    for target in (design, tmp_path):
+        assert run(["compare", *files, "--out", str(target), *places]) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1 and "is not an HTML page" in captured.err
+    assert design.read_bytes() == (DESIGNS / "large.toml").read_bytes()
+    assert run(["compare", *files, "--out", str(page), *places]) == 0
+    assert "error_mm" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("count", [1, 7])
