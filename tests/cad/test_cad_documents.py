@@ -41,7 +41,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 # ---- bill of materials
 
 
-def test_the_bill_counts_what_was_drawn(exported: Exported, large: CadModel) -> None:
+def test_the_bill_lists_every_part(exported: Exported, large: CadModel) -> None:
     table = list(csv.DictReader(io.StringIO((exported[0] / "bill_of_materials.csv").read_text("utf-8"))))
     assert [row["number"] for row in table] == [str(i) for i in range(1, len(large.parts) + 1)]
     assert {row["name"]: int(row["quantity"]) for row in table} == {
@@ -61,7 +61,7 @@ def test_the_bill_counts_what_was_drawn(exported: Exported, large: CadModel) -> 
     assert len(exported[1]["bill_of_materials"]) == len(table)
 
 
-def test_hand_torque_spares_the_resin(large: CadModel) -> None:
+def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
     """Torque over diameter and nut factor is the preload; it presses the ring under the head."""
     robot = large.plate.robot
     for use in large.screws:
@@ -76,7 +76,7 @@ def test_hand_torque_spares_the_resin(large: CadModel) -> None:
 # ---- order of assembly
 
 
-def test_every_part_has_its_step_and_its_place_in_the_exploded_picture(large: CadModel) -> None:
+def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None:
     exploded = [name for move in EXPLOSION for name in move.parts]
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
     assert {
@@ -84,7 +84,7 @@ def test_every_part_has_its_step_and_its_place_in_the_exploded_picture(large: Ca
     } == set(exploded)
 
 
-def test_parts_drawn_apart_do_not_meet(large: CadModel) -> None:
+def test_exploded_parts_do_not_overlap(large: CadModel) -> None:
     """Each move takes its parts clear of all that is fixed before, along the axis."""
     from probedesign.cad.exploded_view import exploded_bodies
     from probedesign.cad.render import render_body
@@ -182,7 +182,7 @@ def words_of(svg: bytes) -> list[str]:
     return [element.text or "" for element in ET.fromstring(svg).iter(f"{SVG}text")]
 
 
-def test_drawings_say_the_dimensions(large: CadModel) -> None:
+def test_drawings_show_the_dimensions(large: CadModel) -> None:
     words = {name: words_of(sheet) for name, sheet in part_drawings(large).items()}
     assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7) at s = 75", "⌀2 at s = 150"} <= set(words["probe"])
     a = large.adapter
@@ -197,7 +197,7 @@ def test_drawings_say_the_dimensions(large: CadModel) -> None:
         assert {large.geometry.fingerprint, "mm", f"{name}.stl"} <= set(words[name])
 
 
-def test_dimension_lines_are_as_long_as_they_say(large: CadModel) -> None:
+def test_dimension_lines_have_their_length(large: CadModel) -> None:
     """On the probe's sheet, scale 1 : 1: lines of 150, 19 and 3 mm of paper."""
     root = ET.fromstring(part_drawings(large)["probe"])
     assert "1 : 1" in [element.text for element in root.iter(f"{SVG}text")]
@@ -240,7 +240,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
-def test_nothing_leaves_the_paper(make_design: Callable[..., Design], probe: str) -> None:
+def test_drawings_stay_on_the_paper(make_design: Callable[..., Design], probe: str) -> None:
     for name, sheet in part_drawings(build_cad(make_design(probe))).items():
         root = ET.fromstring(sheet)
         for element in root.iter():
@@ -292,7 +292,7 @@ class Page(HTMLParser):
             self.words.append(data)
 
 
-def test_the_page_needs_nothing_else(exported: Exported) -> None:
+def test_the_page_is_self_contained(exported: Exported) -> None:
     text = (exported[0] / "assembly.html").read_text("utf-8")
     page = Page(text)
     assert page.fetched and all(url.startswith("data:image/png;base64,") for url in page.fetched)
@@ -302,17 +302,17 @@ def test_the_page_needs_nothing_else(exported: Exported) -> None:
     )  # a picture a step, and the exploded one
 
 
-def test_the_page_says_what_the_bench_must_know(exported: Exported, large: CadModel) -> None:
-    said = " ".join(" ".join(Page((exported[0] / "assembly.html").read_text("utf-8")).words).split())
-    assert said.index("by more than 3.5 mm destroys it") < said.index("Parts")  # before anything else
-    assert f"{1e3 * large.adapter.T_sensor_base[2, 3]:.2f} mm above the tool face" in said
+def test_the_page_has_warning_parts_steps_and_tools(exported: Exported, large: CadModel) -> None:
+    words = " ".join(" ".join(Page((exported[0] / "assembly.html").read_text("utf-8")).words).split())
+    assert words.index("by more than 3.5 mm destroys it") < words.index("Parts")  # before anything else
+    assert f"{1e3 * large.adapter.T_sensor_base[2, 3]:.2f} mm above the tool face" in words
     for item in bill_of_materials(large):
-        assert item.title in said and (item.file or item.what) in said
+        assert item.title in words and (item.file or item.what) in words
     for step in exported[1]["assembly_order"]:
-        assert step[1:] in said
+        assert step[1:] in words
     for tool in ("hexagon key 1.5 mm (M2)", "hexagon key 5 mm (M6)", "calipers"):
-        assert tool in said
-    assert large.geometry.fingerprint in said and "assumed" in said
+        assert tool in words
+    assert large.geometry.fingerprint in words and "assumed" in words
 
 
 def test_names_from_outside_are_escaped(make_design: Callable[..., Design], large: CadModel) -> None:

@@ -204,7 +204,7 @@ def test_a_flange_of_the_users_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "wrong", "said"),
+    ("given", "wrong", "text"),
     [
         ("36.0", "20.0", r"bolt_circle_d_mm = 20 .* at least 25 mm"),
         ("entry_mm = 6.0", "entry_mm = 3.0", r"max_bolt_entry_mm = 3 .* at least 3\.7 mm"),
@@ -223,8 +223,8 @@ def test_a_flange_of_the_users_own() -> None:
         ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
     ],
 )
-def test_a_flange_without_room_is_one_line(given: str, wrong: str, said: str) -> None:
-    with pytest.raises(InputError, match=r"^mount\.flange\." + said) as error:
+def test_a_flange_without_room_is_one_line(given: str, wrong: str, text: str) -> None:
+    with pytest.raises(InputError, match=r"^mount\.flange\." + text) as error:
         build_cad(with_flange(OWN_FLANGE.replace(given, wrong, 1)))
     assert "\n" not in str(error.value)
 
@@ -272,13 +272,13 @@ def ways(model: CadModel, **moved: CadPart) -> dict[str, float]:
     return blocked_tools({**model.parts, **moved}, model.screws, model.adapter, model.design.sensor_model)
 
 
-def test_keys_screws_nuts_and_pins_get_to_their_places(large: CadModel) -> None:
+def test_all_assembly_corridors_are_free(large: CadModel) -> None:
     free = ways(large)
     assert set(free) == {use.name for use in large.screws} | {"ring_nuts", "dowel_pins", "clamp_ring"}
     assert set(free.values()) == {0.0}
 
 
-def test_a_screw_that_is_covered_is_seen(large: CadModel) -> None:
+def test_a_covered_screw_is_detected(large: CadModel) -> None:
     """The ring a screw's width aside; a plate held over everything."""
     ring, plate = large.parts["clamp_ring"], large.parts["flange_adapter"]
     aside = replace(ring, T_sensor_part=pose(p=[2e-3, 0.0, 0.0]) @ ring.T_sensor_part)
@@ -287,7 +287,7 @@ def test_a_screw_that_is_covered_is_seen(large: CadModel) -> None:
     assert ways(large, flange_adapter=over)["sensor_adapter_screws"] > 0.0
 
 
-def test_every_part_is_mounted_once_and_onto_what_is_there(large: CadModel) -> None:
+def test_every_part_is_mounted_once_onto_present_parts(large: CadModel) -> None:
     there = {"sensor", "sensor_adapter"}
     for stage in STAGES:
         assert set(stage.onto) <= there | set(stage.mounted)
@@ -415,7 +415,7 @@ def test_a_flattened_probe_is_wide_along_the_clocking_mark(make_design: Callable
     assert all(filled(probe.shape, at(azimuth, 9.4, -1.5)) for azimuth in (0.0, 45.0, 90.0))  # a round flange
 
 
-def test_verify_sees_a_flattened_probe_that_is_turned(make_design: Callable[..., Design]) -> None:
+def test_verify_detects_a_turned_elliptic_probe(make_design: Callable[..., Design]) -> None:
     model = build_cad(make_design(ELLIPTIC + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"))
     probe = model.parts["probe"]
     turned = replace(probe, shape=probe.shape.rotate((0, 0, 0), (0, 0, 1), 90.0))
@@ -427,21 +427,21 @@ def test_verify_sees_a_flattened_probe_that_is_turned(make_design: Callable[...,
     assert "section_area" not in str(error.value) and "flexible_volume" not in str(error.value)
 
 
-def test_verify_sees_a_probe_that_is_a_micrometre_off(large: CadModel, large_meshes: Meshes) -> None:
+def test_verify_detects_an_error_of_a_micrometre(large: CadModel, large_meshes: Meshes) -> None:
     other = replace(large.geometry, radius=large.geometry.radius + 1e-6)
     with pytest.raises(CheckFailedError, match=r"flexible_volume.*section_area") as error:
         verify(replace(large, geometry=other), *large_meshes)
     assert "clamp_ring" not in str(error.value)
 
 
-def test_verify_sees_an_open_mesh(large: CadModel, large_meshes: Meshes) -> None:
+def test_verify_detects_an_open_mesh(large: CadModel, large_meshes: Meshes) -> None:
     meshes, packages = large_meshes
     ring = meshes["clamp_ring"]
     with pytest.raises(CheckFailedError, match="clamp_ring_mesh_closed"):
         verify(large, meshes | {"clamp_ring": Mesh(ring.vertices, ring.triangles[1:])}, packages)
 
 
-def test_overlap_is_seen(large: CadModel) -> None:
+def test_overlap_is_detected(large: CadModel) -> None:
     """The ring pressed 0.2 mm into the lip shares with it an annulus of that height."""
     ring, plain = large.parts["clamp_ring"], replace(large.adapter, on_flange=NOTHING_CUT)
     probe = replace(large.parts["probe"], shape=probe_solid(large.geometry, plain))

@@ -74,7 +74,7 @@ def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np
     return len(p) * small, p.mean(axis=0), small * np.einsum("ij,ik->jk", p, p)
 
 
-def test_what_is_cut_away_is_weighed_exactly() -> None:
+def test_the_engraving_mass_is_exact() -> None:
     cut = adapter_of(12.0).on_flange
     assert cut.text == "dbfe02e41516 large"
     area, mean, second = sampled(cut)

@@ -94,7 +94,7 @@ def test_adapter_fits_together(base_d: float) -> None:
     assert np.hypot(*a.p_ring_screws[0]) - a.nut_pocket_af / 2 > a.foot_d / 2  # nuts go in beside the sensor
 
 
-def test_hanging_mass_is_the_sum_of_its_parts() -> None:
+def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
     geometry = build_geometry(make_design())
     adapter = sensor_adapter_for(geometry, NANO17)
     whole = mount_mass_properties(geometry, adapter, 1010.0)
@@ -123,7 +123,7 @@ def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_weighing_the_mount_needs_no_cad() -> None:
+def test_the_mount_mass_needs_no_cad() -> None:
     code = "import sys, probedesign.mount; assert not {'cadquery', 'OCP', 'trimesh'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 

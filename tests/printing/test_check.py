@@ -92,7 +92,7 @@ def test_a_probe_too_long_names_the_smallest_printer_that_fits():
     assert "it fits no known printer" in found(design_of(length=400), "build_volume", "height").remedy
 
 
-def test_the_widest_place_counts_not_the_base():
+def test_the_width_is_that_of_the_widest_section():
     """A body of 60 mm across on a flange of 67 mm: 77 mm with the raft's margins."""
     assert found(design_of(base=60, tip=60), "build_volume", "width").measured == pytest.approx(77.0)
 
@@ -209,7 +209,7 @@ def test_the_rigid_parts_of_every_base_keep_their_rules(base, robot_flange):
     assert {f.rule for f in rigid} == {"build_volume", "wall", "hole", "slenderness"}
 
 
-def test_a_probe_that_no_ring_can_hold_is_an_error_with_the_mounts_own_words():
+def test_a_probe_too_wide_for_the_ring_is_an_error():
     design = design_of(length=80, base=6, profile=[[0.0, 6.0], [40.0, 40.0], [80.0, 40.0]])
     (finding,) = [f for f in check_print(design).findings if f.rule == "mount"]
     assert finding.severity == "error" and finding.measured is None
@@ -275,7 +275,7 @@ def test_the_check_needs_no_cad_and_no_mechanics():
 
 @pytest.mark.parametrize("key", ["scale_xy", "scale_z", "rigid_scale_xy", "rigid_scale_z"])
 @pytest.mark.parametrize("value", ["0.5", "101.0", "nan", '"1 %"'])
-def test_a_scale_that_is_a_slip_is_refused(key, value):
+def test_implausible_scales_are_refused(key, value):
     from probedesign.errors import InputError
 
     with pytest.raises(InputError, match=rf"print\.{key} = .*(0\.9 \.\.\. 1\.1|finite|number)"):
