@@ -4,13 +4,13 @@ Solids, cross-sections, meshes and packages are compared with closed forms; part
 clearance; every screw, nut and pin must reach its place, and a hexagon key every screw, past the parts mounted before.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import cadquery as cq
 import numpy as np
 
 from probedesign import section
+from probedesign.cad.exploded_view import assembly_steps
 from probedesign.cad.kernel import cylinder, hexagon, mass_properties, placed, revolved, section_properties
 from probedesign.cad.mesh import Mesh, package_objects, read_back
 from probedesign.cad.model import (
@@ -37,33 +37,6 @@ CORRIDOR = 60.0 * MM
 """Length of the corridors of nuts and pins below the adapter, which lies free on the bench."""
 
 
-@dataclass(frozen=True)
-class AssemblyStage:
-    """The parts present during one assembly step (see `exploded_view`).
-
-    Attributes:
-        mounted: names of the parts that are mounted in it.
-        onto: names of the parts that are present already.
-    """
-
-    mounted: tuple[str, ...]
-    onto: tuple[str, ...]
-
-
-_SENSOR = ("sensor", "flange_adapter", "mounting_screws")
-_ROBOT = (*_SENSOR, "robot_bolts")
-_BASE = ("sensor_adapter", "ring_nuts", "dowel_pins")
-_MOUNT = (*_ROBOT, *_BASE, "sensor_adapter_screws")
-STAGES = (
-    AssemblyStage(("flange_adapter", "mounting_screws"), ("sensor", "flange_adapter")),
-    AssemblyStage(("robot_bolts",), _SENSOR),
-    AssemblyStage(("ring_nuts", "dowel_pins"), ("sensor_adapter",)),
-    AssemblyStage(("sensor_adapter_screws",), (*_ROBOT, *_BASE)),
-    AssemblyStage(("probe",), _MOUNT),
-    AssemblyStage(("clamp_ring", "ring_screws"), (*_MOUNT, "probe", "clamp_ring")),
-)
-
-
 def blocked_tools(
     parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter, sensor: SensorModel
 ) -> dict[str, float]:
@@ -80,13 +53,19 @@ def blocked_tools(
     corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter, sensor)
     shapes = {name: part.placed for name, part in parts.items()}
     boxes = {name: box_of(shape) for name, shape in shapes.items()}
-    found = {}
-    for stage in STAGES:
-        for name in (name for name in stage.mounted if name in corridors):
-            corridor = cq.Compound.makeCompound(corridors[name])
-            box = box_of(corridor)
-            there = [other for other in stage.onto if other != name and boxes_meet(box, boxes[other])]
-            found[name] = sum(shared_volume(corridor, shapes[other]) for other in there)
+    found: dict[str, float] = {}
+    present = ["sensor"]
+    for step in assembly_steps(screws, pin_d=0.0):
+        there = [move.onto for move in step.moves] if step.on_bench else present
+        for name in step.parts:
+            if name in corridors and name not in found:
+                corridor = cq.Compound.makeCompound(corridors[name])
+                box = box_of(corridor)
+                near = [other for other in there if boxes_meet(box, boxes[other])]
+                found[name] = sum(shared_volume(corridor, shapes[other]) for other in near)
+            if name not in there:  # the adapter comes with its nuts and pins
+                there.append(name)
+        present += [name for name in step.parts if name not in present]
     return found
 
 
