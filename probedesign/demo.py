@@ -17,7 +17,7 @@ from probedesign.live.block import readings_in
 from probedesign.live.offline import estimate_recording
 from probedesign.live.recorder import write_recording
 from probedesign.live.simulate import Simulation
-from probedesign.report import Sweep, draw_sweep
+from probedesign.reports.png import SweepSeries, draw_sweep
 from probedesign.units import MM
 
 FOLDER = pipeline.EXPORTS / "demo"
@@ -133,7 +133,7 @@ def _exported(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
     return {str(folder / name): what[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
 
 
-def _pictured(sweep: Sweep, path: Path) -> dict[str, str]:
+def _pictured(sweep: SweepSeries, path: Path) -> dict[str, str]:
     try:
         write_atomically(path, draw_sweep(sweep))
     except MissingDependencyError:  # told already where the prediction was drawn
@@ -141,7 +141,7 @@ def _pictured(sweep: Sweep, path: Path) -> dict[str, str]:
     return {str(path): "truth and estimate, side by side"}
 
 
-def _touched(estimator: Estimator, recording: Path, contacts: Path) -> Sweep:
+def _touched(estimator: Estimator, recording: Path, contacts: Path) -> SweepSeries:
     """Simulate, record, estimate, and set the estimates beside the truth."""
     readings = list(readings_in(Simulation(estimator.model, TOUCH)))
     time = np.array([r.time for r in readings])
@@ -154,7 +154,7 @@ def _touched(estimator: Estimator, recording: Path, contacts: Path) -> Sweep:
     spread = np.array(
         [[row[f"cov_surface_base_{a}{a}_mm2"] for a in "xyz"] for row in estimates.rows], dtype=float
     )
-    return Sweep(
+    return SweepSeries(
         time_s=time,
         true_s_mm=truth[:, 0],
         s_mm=found[:, 0],

@@ -25,19 +25,23 @@ from probedesign.prediction.paper_probes import PROBES, paper_design
 from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
 from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.printing.check import PrintCheck, check_print
-from probedesign.printing.preform.connection import connection_to
-from probedesign.printing.preform.job import job_of
-from probedesign.printing.preform.places import check_form_file, places_of
-from probedesign.printing.preform.prepare import Order, Prepared, prepare
-from probedesign.printing.preform.server import PreForm
+from probedesign.printing.preform.client import PreForm, connection_to
+from probedesign.printing.preform.job import (
+    PreparedJob,
+    PrintOrder,
+    check_form_file,
+    load_job,
+    path_mapping,
+    prepare_job,
+)
 from probedesign.probe import Probe, build_probe
 from probedesign.units import MM
 
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
     from probedesign.identification.result import Identification
-    from probedesign.pages.comparison import Compared
     from probedesign.prediction.table_one import TableOne
+    from probedesign.reports.comparison_page import ComparedDesign
     from probedesign.search.found import Found
     from probedesign.search.grid import Axis
     from probedesign.search.optimum import Search
@@ -106,16 +110,20 @@ def export(
 
 
 def prepare_print(
-    design_path: Path, preform: str, order: Order, timeout_s: float, tell: Callable[[str, float | None], None]
-) -> Prepared:
+    design_path: Path,
+    preform: str,
+    order: PrintOrder,
+    timeout_s: float,
+    tell: Callable[[str, float | None], None],
+) -> PreparedJob:
     """Exported parts → PreForm → form file, and the queue of a printer if one is named."""
     design = load_design(design_path)
     connection = connection_to(preform)
-    job = job_of(design, order.folder or EXPORTS / design.name, order.parts)
-    places = places_of(job.folder, order.server_folder, connection.local, connection.url)
+    job = load_job(design, order.folder or EXPORTS / design.name, order.parts)
+    places = path_mapping(job.folder, order.server_folder, connection.local, connection.url)
     if order.form_file is not None:
         order = replace(order, form_file=check_form_file(order.form_file, places, order.force))
-    return prepare(PreForm(connection, timeout_s, tell=tell), job, places, order)
+    return prepare_job(PreForm(connection, timeout_s, on_progress=tell), job, places, order)
 
 
 def predict(
@@ -160,13 +168,13 @@ def predict(
         write_atomically(files[-1], table(prediction))
     if plots is False:
         return prediction, files
-    from probedesign.pages.prediction_page import prediction_page
+    from probedesign.reports.prediction_page import prediction_page
 
     estimator = probe.estimator()
     files.append(folder / "prediction.html")
     write_atomically(files[-1], prediction_page(prediction, estimator))
     if plots or find_spec("matplotlib") is not None:
-        from probedesign.report import draw_prediction
+        from probedesign.reports.png import draw_prediction
 
         files.append(folder / "prediction.png")
         write_atomically(files[-1], draw_prediction(prediction, estimator))
@@ -183,11 +191,14 @@ def predict_table_one() -> "TableOne":
 
 def compare(
     design_paths: list[Path], task: "Task", out: Path | None, page: bool
-) -> tuple["list[Compared]", Path | None]:
+) -> tuple["list[ComparedDesign]", Path | None]:
     """Designs → their figures for one task → a page with the same axes for all."""
-    from probedesign.pages.comparison import compare as side_by_side
-    from probedesign.pages.comparison import comparison_page
+    from probedesign.reports.comparison_page import compare as side_by_side
+    from probedesign.reports.comparison_page import comparison_page
+    from probedesign.reports.html_page import check_page_target
 
+    if page and out is not None:
+        check_page_target(out)
     compared = side_by_side([load_design(path) for path in design_paths], task)
     if not page:
         return compared, None
@@ -248,8 +259,8 @@ def optimize(
         files.append(path.with_name(f"{path.stem}-front.csv"))
         write_atomically(files[1], shown.csv())
     if find_spec("matplotlib") is not None:
-        from probedesign.pages.comparison import compare as side_by_side
-        from probedesign.pages.comparison import comparison_page
+        from probedesign.reports.comparison_page import compare as side_by_side
+        from probedesign.reports.comparison_page import comparison_page
 
         files.append(path.with_name(f"{path.stem}-compared.html"))
         compared = side_by_side([search.start, best.design], best.task)
@@ -273,20 +284,20 @@ def identify(
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
     from probedesign.identification.parameters import check_requested
-    from probedesign.mounting import hanging_parts, sensor_adapter_for
+    from probedesign.mount import mount_part_masses, sensor_adapter_for
 
     design = load_design(design_path)
     names = check_requested(names)
     probe = build_probe(design)
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
-    flange = hanging_parts(probe.geometry, adapter, design.density.value)["flange"]
+    flange = mount_part_masses(probe.geometry, adapter, design.density.value)["flange"]
     found = run(data_of(read_campaign(data), probe.model, flange.volume), names)
     place = EXPORTS / design.name / "identification" if folder is None else folder
     files = [place / "identification.json", place / "residuals.csv"]
     write_atomically(files[0], (json.dumps(found.as_dict(), indent=1, ensure_ascii=False) + "\n").encode())
     write_atomically(files[1], found.csv())
     if page:
-        from probedesign.pages.identification_page import identification_page
+        from probedesign.reports.identification_page import identification_page
 
         files.append(place / "identification.html")
         write_atomically(files[2], identification_page(found))
@@ -372,11 +383,11 @@ def validate(
         "validation.csv": found.csv(),
     }
     if plots is not False:
-        from probedesign.pages.validation_page import validation_page
+        from probedesign.reports.validation_page import validation_page
 
         written["validation.html"] = validation_page(found)
         if plots or find_spec("matplotlib") is not None:
-            from probedesign.pages.validation_picture import draw_validation
+            from probedesign.reports.png import draw_validation
 
             written["validation.png"] = draw_validation(found)
     for name, content in written.items():

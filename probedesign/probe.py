@@ -16,7 +16,7 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mass import MassProperties
-from probedesign.mounting import hanging_mass, sensor_adapter_for
+from probedesign.mount import mount_mass_properties, sensor_adapter_for
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Columns, Mode, Rod
 from probedesign.sensor import averaged_noise
@@ -92,7 +92,7 @@ class Probe:
             rod=self.rod,
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,
-            hanging=hanging_mass(self.geometry, adapter, d.density.value),
+            hanging=mount_mass_properties(self.geometry, adapter, d.density.value),
             wrench_range=np.array([*calibration.force_range, *calibration.moment_range]),
             noise=averaged_noise(calibration, d.sensor.averaging_samples),
             averaging_samples=d.sensor.averaging_samples,

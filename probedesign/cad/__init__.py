@@ -1,44 +1,44 @@
-"""Solids, meshes and files of a design. The only package that reaches CadQuery, and only when it is asked."""
+"""Solids, meshes and files of a design: the only package that uses CadQuery, imported on demand."""
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from probedesign.cad.staging import undisturbed
+from probedesign.cad.staging import defer_sigint
 from probedesign.design import Design
 from probedesign.errors import MissingDependencyError
 
 
 def _quiet(_: str) -> None:
-    """Say nothing."""
+    """Ignore progress."""
 
 
 def export_parts(
     design: Design, out: Path | None = None, progress: Callable[[str], None] = _quiet
 ) -> dict[str, Any]:
-    """Draw a design's parts, check them, and write the files of one export.
+    """Build a design's parts, verify them, and write the files of one export.
 
     Args:
-        design: what to draw.
-        out: folder to write; `exports/NAME` if None.
-        progress: told each step in a few words.
+        design: the design to export.
+        out: output folder; `exports/NAME` if None.
+        progress: called with the name of each step.
 
     Returns:
-        The manifest, with the folder written under `folder`.
+        The manifest, with the output folder under `folder`.
 
     Raises:
-        InputError: the folder cannot be written, or the probe cannot be held by this mount; one line.
-        CheckFailedError: a part does not agree with its formulae; nothing is written.
+        InputError: the folder cannot be written, or the mount cannot clamp the probe.
+        CheckFailedError: a part disagrees with its closed form; nothing is written.
         MissingDependencyError: CadQuery, trimesh or lib3mf is not installed.
     """
     try:
-        with undisturbed():  # the kernel dies of a Ctrl-C while it loads
+        with defer_sigint():  # Ctrl-C while the kernel loads would crash it
             from probedesign.cad.export import export_parts as export
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("probedesign"):
             raise
         raise MissingDependencyError("export needs CadQuery: pip install 'probedesign[cad]'") from None
-    except ImportError as error:  # CadQuery is there, a library of the system is not
+    except ImportError as error:  # CadQuery is installed, a system library is missing
         raise MissingDependencyError(
             f"CadQuery does not load: {error}; on Debian and Ubuntu: apt-get install libgl1 libexpat1"
         ) from None

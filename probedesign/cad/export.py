@@ -1,4 +1,4 @@
-"""From a design to its folder of files: all of them checked, or none."""
+"""Export a design to its folder of files, with their manifest: all files verified, or none written."""
 
 import hashlib
 import json
@@ -8,64 +8,177 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from probedesign.cad.assembly import assembly_of
-from probedesign.cad.documents import documents_of
-from probedesign.cad.drawing import Drawing, draw
-from probedesign.cad.manifest import manifest_of
-from probedesign.cad.mesh import Mesh, mesh_of, stl_bytes
-from probedesign.cad.packages import packages_of
+import cadquery as cq
+import numpy as np
+
+from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.kernel import mass_properties
+from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
+from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
 from probedesign.cad.staging import MANIFEST, check_target, staged
-from probedesign.cad.threemf import read_back
-from probedesign.cad.verify import verify
+from probedesign.cad.verify import Findings, verify
 from probedesign.design import Design
 from probedesign.errors import CheckFailedError
-from probedesign.printing.check import check_print
-from probedesign.printing.compensation import compensated, scale_note, scale_of
+from probedesign.frames import Array
+from probedesign.mass import MassProperties, combined
+from probedesign.mount.sensor_adapter import SQUEEZE, exported_root_radii
+from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
+from probedesign.stl import stl_bytes
+from probedesign.units import MM
+
+SCHEMA = 1
+
+
+def manifest_of(
+    model: CadModel, documents: Documents, files: dict[str, dict[str, Any]], findings: Findings
+) -> dict[str, Any]:
+    """Return the manifest of an export.
+
+    Args:
+        model: of the design.
+        documents: of the export.
+        files: sha256 and size by name.
+        findings: of `verify`.
+    """
+    design = model.design
+    return {
+        "schema": SCHEMA,
+        "name": design.name,
+        "fingerprint": model.geometry.fingerprint,
+        "made_with": {"cadquery": cq.__version__},
+        "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
+        "assumptions": [*design.assumptions, "density of the rigid parts", "density of the steel parts"],
+        "files": files,
+        "parts": {part.name: _part(part) for part in model.printed},
+        "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
+        "T_sensor_base": _pose(model.adapter.T_sensor_base),
+        "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
+        "mass": _mass(model),
+        "bill_of_materials": bill_records(documents.bill),
+        "screws": [use.as_record() for use in model.screws],
+        "also_needed": _also_needed(model),
+        "engraved": _engraved(model),
+        "assembly_order": documents.steps,
+        "base": _base(model),
+        "verification": findings,
+        "intersections_m3": model.shared_volumes,
+    }
+
+
+def _also_needed(model: CadModel) -> dict[str, int]:
+    """Return the needed items that are neither printed nor screws."""
+    pin_d = model.plate.robot.pin_d / MM
+    robots = {f"dowel pin of {pin_d:g} mm that the robot's flange takes": 1} if pin_d > 0.0 else {}
+    return {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(model.adapter.p_dowels), **robots}
+
+
+def _part(part: CadPart) -> dict[str, Any]:
+    return {
+        "frame": part.frame,
+        "T_sensor_part": _pose(part.T_sensor_part),
+        "density_kg_m3": part.density,
+        **_body(mass_properties(part.shape, part.density)),
+    }
+
+
+def _pose(T: Array) -> list[list[float]]:
+    rounded = np.round(T, 12) + 0.0  # to a picometre, which hides round-off such as 0.008199999999999999
+    return [[float(x) for x in row] for row in rounded]
+
+
+def _mass(model: CadModel) -> dict[str, Any]:
+    bodies = model.bodies
+    rigid = combined(body for name, body in bodies.items() if name != "flexible")
+    return {
+        "frame": "sensor; inertia about the centre of mass",
+        "counts": "everything beyond the tool face: the probe with its flange, sensor adapter, clamp ring, "
+        "and the screws, nuts and dowel pins on the tool side",
+        "bodies": {name: _body(body) for name, body in bodies.items()},
+        "rigid": _body(rigid),
+        "whole": _body(combined([bodies["flexible"], rigid])),
+    }
+
+
+def _body(body: MassProperties) -> dict[str, Any]:
+    return {
+        "volume_m3": body.volume,
+        "mass_kg": body.mass,
+        "p_com_m": body.p_com.tolist(),
+        "inertia_kg_m2": body.inertia.tolist(),
+    }
+
+
+def _engraved(model: CadModel) -> dict[str, str]:
+    """Return the engraved text of each printed part: the fingerprint, then as much of the name as fits."""
+    a = model.adapter
+    return {
+        "probe": a.on_flange.text,
+        "sensor_adapter": a.on_wall.text,
+        "clamp_ring": a.on_ring.text,
+        "flange_adapter": model.plate.on_plate.text,
+    }
+
+
+def _base(model: CadModel) -> dict[str, Any]:
+    flange, a = model.geometry.flange, model.adapter
+    return {
+        "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
+        f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
+        f"{SQUEEZE / MM:g} mm",
+        "root_rigid_radii": model.design.mount.root_rigid_radii,
+        "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
+        f"bonded to a rigid part, this soft flange yields by about {exported_root_radii(model.geometry):.2f}, "
+        "computed for a full round probe, not measured: identify it on the bench",
+        "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
+    }
+
 
 STEP_END = b"END-ISO-10303-21;"
 
 
 def export_parts(design: Design, out: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Draw, check and write; see `probedesign.cad.export_parts`."""
+    """Build, verify and write an export; see `probedesign.cad.export_parts`."""
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     progress("drawing the parts")
-    drawing = draw(design)
+    model = build_cad(design)
     progress("meshing")
-    meshes = {part.name: mesh_of(part.shape) for part in drawing.printed}
-    packages = packages_of(drawing, meshes)
+    meshes = {part.name: tessellate(part.shape) for part in model.printed}
+    packages = threemf_packages(model, meshes)
     progress("checking solids, slices and meshes against the formulae")
-    findings = verify(drawing, meshes, packages)
-    progress("taking pictures, drawing sheets")
-    documents = documents_of(drawing, meshes)
-    if compensated(design):  # what is checked is what was drawn; what is printed is that, stretched
-        meshes = {name: mesh.scaled(scale_of(design, name)) for name, mesh in meshes.items()}
-        packages = packages_of(drawing, meshes)
+    findings = verify(model, meshes, packages)
+    progress("rendering pictures and drawings")
+    documents = build_documents(model, meshes)
+    if is_compensated(design):  # verified as drawn, printed scaled
+        meshes = {name: mesh.scaled(print_scale(design, name)) for name, mesh in meshes.items()}
+        packages = threemf_packages(model, meshes)
         for content in packages.values():
             read_back(content)
     progress("writing")
     with staged(folder) as staging:
-        for name, content in (_stl_files(drawing, meshes) | packages | documents.files).items():
+        for name, content in (_stl_files(model, meshes) | packages | documents.files).items():
             (staging / name).write_bytes(content)
-        _write_step(drawing, staging / "assembly.step")
-        manifest = manifest_of(drawing, documents, _digests(staging), findings)
+        _write_step(model, staging / "assembly.step")
+        manifest = manifest_of(model, documents, _digests(staging), findings)
         manifest["print_check"] = check_print(design).as_record()
-        manifest["print_scale"] = {name: list(scale_of(design, name)) for name in meshes}
+        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
 
 
-def _stl_files(drawing: Drawing, meshes: dict[str, Mesh]) -> dict[str, bytes]:
-    # An STL header must not begin with "solid": readers take such a file for text.
-    title, design = f"probedesign {drawing.geometry.fingerprint}", drawing.design
+def _stl_files(model: CadModel, meshes: dict[str, Mesh]) -> dict[str, bytes]:
+    # An STL header must not begin with "solid", which marks a text file.
+    title, design = f"probedesign {model.geometry.fingerprint}", model.design
     return {
-        f"{name}.stl": stl_bytes(mesh, f"{title}{scale_note(design, name)} {design.name} {name}")
+        f"{name}.stl": stl_bytes(
+            mesh.vertices[mesh.triangles], f"{title}{scale_note(design, name)} {design.name} {name}"
+        )
         for name, mesh in meshes.items()
     }
 
 
-def _write_step(drawing: Drawing, path: Path) -> None:
-    assembly_of(drawing.parts, drawing.design.name).export(str(path), "STEP")
+def _write_step(model: CadModel, path: Path) -> None:
+    assembly_of(model.parts, model.design.name).export(str(path), "STEP")
     if not path.is_file() or not path.read_bytes().rstrip().endswith(STEP_END):
         raise CheckFailedError(f"{path.name}: the kernel did not write it to its end")
 
@@ -76,7 +189,7 @@ def _digests(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _as_json(manifest: dict[str, Any]) -> str:
-    """JSON that a person can read: each row of numbers on one line."""
+    """Return readable JSON: each row of numbers on one line."""
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
     row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
     return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"

@@ -1,4 +1,4 @@
-"""The CAD kernel's door: metres in, CadQuery shapes in millimetres out, SI mass properties back."""
+"""Interface to the CAD kernel: arguments in metres, CadQuery shapes in millimetres, mass properties in SI."""
 
 from collections.abc import Sequence
 
@@ -17,38 +17,37 @@ from OCP.TColStd import TColStd_Array1OfReal
 from probedesign.errors import CheckFailedError
 from probedesign.frames import Array
 from probedesign.mass import MassProperties
-from probedesign.mounting.engraving import DEPTH, Engraving
-from probedesign.mounting.prism import Point
+from probedesign.mount.engraving import DEPTH, XY, Engraving
 from probedesign.units import MM
 
 ARCS = 8
-"""Pieces of an ellipse. The kernel's quadrature of an eighth is good to 1e-14, of a quarter to 1e-8 only."""
+"""Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8."""
 
 
-def revolved(outline: Sequence[Point]) -> cq.Solid:
-    """A closed polygon of (radius, z) [m], two of its corners on the axis, turned about z."""
+def revolved(outline: Sequence[XY]) -> cq.Solid:
+    """Revolve a closed polygon of (radius, z) [m], two of its corners on the axis, about z."""
     corners = [(r / MM, z / MM) for r, z in outline]
-    return single(cq.Workplane("XZ").polyline(corners).close().revolve(360, (0, 0), (0, 1)).val())
+    return single_solid(cq.Workplane("XZ").polyline(corners).close().revolve(360, (0, 0), (0, 1)).val())
 
 
-def frusta(taper: Sequence[Point], flatness: float = 1.0) -> cq.Solid:
-    """Ruled between ellipses of half-width r along x and `flatness` r along y, at the (r, z) of a taper [m]."""
+def frusta(taper: Sequence[XY], flatness: float = 1.0) -> cq.Solid:
+    """Loft ruled faces between ellipses of half-width r along x and `flatness` r along y, at (r, z) of a taper [m]."""
     rings = [_ellipse(r / MM, flatness * r / MM, z / MM) for r, z in taper]
-    return single(cq.Solid.makeLoft(rings, ruled=True))
+    return single_solid(cq.Solid.makeLoft(rings, ruled=True))
 
 
 def _ellipse(a: float, b: float, z: float) -> cq.Wire:
-    """About the z axis, semi-axes a and b, all in [mm].
+    """Return an ellipse about the z axis with semi-axes a and b, all in [mm].
 
-    Of rational arcs, which are ellipses exactly: the kernel's own ellipses become polynomials, 1e-9 off,
-    when it spans a face between two.
+    It is made of rational arcs, which are exact. The kernel's own ellipses become polynomials with an error of 1e-9
+    when it lofts a face between two of them.
     """
     ends = np.linspace(0.0, 2.0 * np.pi, ARCS + 1)
     return cq.Wire.assembleEdges([_arc(a, b, z, *ends[i : i + 2]) for i in range(ARCS)])
 
 
 def _arc(a: float, b: float, z: float, start: float, end: float) -> cq.Edge:
-    """From angle `start` to `end` [rad] of the circle that was squeezed to the ellipse."""
+    """Return the arc from angle `start` to `end` [rad] of the parametric circle."""
     middle, weight = (start + end) / 2.0, np.cos((end - start) / 2.0)
     points, weights = TColgp_Array1OfPnt(1, 3), TColStd_Array1OfReal(1, 3)
     for i, (angle, w) in enumerate([(start, 1.0), (middle, weight), (end, 1.0)], 1):
@@ -57,78 +56,78 @@ def _arc(a: float, b: float, z: float, start: float, end: float) -> cq.Edge:
     return cq.Edge(BRepBuilderAPI_MakeEdge(Geom_BezierCurve(points, weights)).Edge())
 
 
-def cylinder(d: float, z0: float, z1: float, p: Point = (0.0, 0.0)) -> cq.Solid:
-    """An upright cylinder of diameter d between z0 and z1 about p [m]."""
+def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:
+    """Return an upright cylinder of diameter d between z0 and z1 about p [m]."""
     return cq.Solid.makeCylinder(d / 2 / MM, (z1 - z0) / MM, _vector(p, z0))
 
 
-def hexagon(af: float, z0: float, z1: float, p: Point) -> cq.Solid:
-    """An upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis."""
+def hexagon(af: float, z0: float, z1: float, p: XY) -> cq.Solid:
+    """Return an upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis."""
     outline = cq.Workplane().polygon(6, 2 * af / np.sqrt(3.0) / MM).extrude((z1 - z0) / MM)
     azimuth = np.degrees(np.arctan2(p[1], p[0]))
-    return single(
+    return single_solid(
         outline.val().rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0).moved(cq.Location(_vector(p, z0)))
     )
 
 
-def engraved(engraving: Engraving) -> list[cq.Solid]:
-    """What an engraving takes away, a solid a character."""
+def engraving_cuts(engraving: Engraving) -> list[cq.Solid]:
+    """Return the solids that an engraving removes, one per character."""
     solids, up = [], cq.Vector(0, 0, DEPTH / MM)
     for loops in filter(None, engraving.outlines()):
-        # Every character is of one piece, and what turns the other way is an island in it.
+        # Every character is connected; a loop of the other orientation is an island in it.
         corners = [[_vector(p, engraving.top - DEPTH) for p in loop] for loop in sorted(loops, key=_turns)]
         *islands, cut = [cq.Wire.makePolygon(points, close=True) for points in corners]
         solids.append(cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up))
     return solids
 
 
-def _turns(loop: list[Point]) -> float:
-    """Twice the signed area of a polygon."""
+def _turns(loop: list[XY]) -> float:
+    """Return twice the signed area of a polygon."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
 
 
-def block(x: Point, y: Point, z: Point) -> cq.Solid:
-    """A box between the two values of x, of y and of z [m]."""
+def block(x: XY, y: XY, z: XY) -> cq.Solid:
+    """Return a box between the two values of x, of y and of z [m]."""
     lengths = [(b - a) / MM for a, b in (x, y, z)]
     return cq.Solid.makeBox(*lengths, pnt=_vector((x[0], y[0]), z[0]))
 
 
 def placed(shape: cq.Shape, T_a_b: Array) -> cq.Shape:
-    """A shape given in frame b, told in frame a; T (4, 4) in metres."""
+    """Return a shape of frame b in the coordinates of frame a; T (4, 4) in metres."""
     return shape.moved(location(T_a_b))
 
 
 def location(T: Array) -> cq.Location:
-    """CadQuery's form of a pose (4, 4) in metres."""
+    """Return a pose (4, 4) in metres as CadQuery's location."""
     origin = _vector((T[0, 3], T[1, 3]), T[2, 3])
     return cq.Location(cq.Plane(origin=origin, xDir=cq.Vector(*T[:3, 0]), normal=cq.Vector(*T[:3, 2])))
 
 
-def single(shape: cq.Shape) -> cq.Solid:
-    """The one closed, valid solid that a shape is made of.
+def single_solid(shape: cq.Shape) -> cq.Solid:
+    """Return the single closed, valid solid of a shape.
 
     Raises:
-        CheckFailedError: there is none, or more than one, or it is not valid.
+        CheckFailedError: there is not exactly one, or it is not valid.
     """
     solids = shape.Solids()
     if len(solids) != 1 or not solids[0].isValid():
-        raise CheckFailedError(f"the kernel returned {len(solids)} solids where one valid solid was drawn")
+        raise CheckFailedError(f"the kernel returned {len(solids)} solids instead of one valid solid")
     return solids[0]
 
 
-def mass_of(shape: cq.Shape, density: float) -> MassProperties:
-    """Mass properties of a solid, in SI, from its exact surfaces; density [kg/m³]."""
+def mass_properties(shape: cq.Shape, density: float) -> MassProperties:
+    """Return the mass properties of a solid, in SI, from its exact surfaces; density [kg/m³]."""
     gprops = GProp_GProps()
     BRepGProp.VolumeProperties_s(shape.wrapped, gprops)
-    centre, matrix = gprops.CentreOfMass(), gprops.MatrixOfInertia()  # the matrix is about the centre
+    centre, matrix = gprops.CentreOfMass(), gprops.MatrixOfInertia()  # about the centre of mass
     inertia = np.array([[matrix.Value(i, j) for j in (1, 2, 3)] for i in (1, 2, 3)])
     volume = gprops.Mass() * MM**3
     p_com = np.array([centre.X(), centre.Y(), centre.Z()]) * MM
     return MassProperties(volume, density * volume, p_com, density * inertia * MM**5)
 
 
-def section_of(solid: cq.Solid, z: float) -> tuple[float, float, float]:
-    """Area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m]."""
+def section_properties(solid: cq.Solid, z: float) -> tuple[float, float, float]:
+    """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m]."""
     box = solid.BoundingBox()
     width = 4.0 * max(box.xmax - box.xmin, box.ymax - box.ymin)
     cut = cq.Face.makePlane(width, width, _vector((0.0, 0.0), z)).intersect(solid)
@@ -141,10 +140,10 @@ def section_of(solid: cq.Solid, z: float) -> tuple[float, float, float]:
 
 
 def _iso_cut(solid: cq.Solid, z: float) -> cq.Face:
-    """The cut at height z [mm] through ruled faces, along the faces' own coordinate lines.
+    """Return the cut at height z [mm] through ruled faces, along the faces' own coordinate lines.
 
-    A plane's cut through a cone of less than about 0.02° is not a circle to the kernel but a curve fitted
-    to 1e-5, and through an elliptic face it is always fitted; the coordinate lines are exact.
+    The kernel does not recognise a plane's cut through a cone of less than about 0.02° as a circle but fits a curve
+    to 1e-5; through an elliptic face it always fits one. The coordinate lines are exact.
     """
     boxes = ((face, face.BoundingBox()) for face in solid.Faces())
     lines = [_iso_line(face, z) for face, box in boxes if box.zmin < z < box.zmax]
@@ -153,7 +152,7 @@ def _iso_cut(solid: cq.Solid, z: float) -> cq.Face:
 
 
 def _iso_line(face: cq.Face, z: float) -> cq.Edge:
-    """The coordinate line at height z [mm] of a face that is ruled about the axis."""
+    """Return the coordinate line at height z [mm] of a face that is ruled about the axis."""
     surface = BRep_Tool.Surface_s(face.wrapped)
     u, _, v0, v1 = BRepTools.UVBounds_s(face.wrapped)
     z0, z1 = (surface.Value(u, v).Z() for v in (v0, v1))
@@ -164,5 +163,5 @@ def _iso_line(face: cq.Face, z: float) -> cq.Edge:
     return edge
 
 
-def _vector(p: Point, z: float) -> cq.Vector:
+def _vector(p: XY, z: float) -> cq.Vector:
     return cq.Vector(p[0] / MM, p[1] / MM, z / MM)

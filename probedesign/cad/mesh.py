@@ -1,20 +1,30 @@
-"""Triangles of a solid and the STL file that holds them."""
+"""Triangle meshes of the printed parts and their 3MF packages.
 
+A package holds the parts of one resin with their unit, names and the design's fingerprint; a strict reader checks it.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cadquery as cq
+import lib3mf
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.IMeshTools import IMeshTools_Parameters
 
+from probedesign.cad.model import CadModel
+from probedesign.errors import CheckFailedError
+from probedesign.frames import Array
+from probedesign.materials import RIGID_RESIN
+from probedesign.printing.check import scale_note
 from probedesign.units import MM
 
 LINEAR_TOLERANCE_MM = 0.01
 ANGULAR_TOLERANCE_RAD = 0.05
-"""Decides a cone's mesh: 0.05 rad leaves out 0.04 % of its volume, the default 0.1 four times that."""
-STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""Determines a cone's mesh: 0.05 rad omits 0.04 % of its volume, the default 0.1 four times that."""
 
 
 @dataclass(frozen=True)
@@ -31,29 +41,29 @@ class Mesh:
 
     @property
     def volume(self) -> float:
-        """Enclosed volume [m³]."""
+        """Return the enclosed volume [m³]."""
         return float(self._as_trimesh().volume) * MM**3
 
     @property
     def closed(self) -> bool:
-        """Whether every edge joins two triangles that turn the same way, with the outside outside."""
+        """Return whether every edge joins two consistently oriented triangles and the normals point outwards."""
         mesh = self._as_trimesh()
         return bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0)
 
     def scaled(self, factors: tuple[float, float, float]) -> "Mesh":
-        """The mesh stretched along x, y and z about the origin of its frame."""
+        """Return the mesh scaled along x, y and z about the origin of its frame."""
         return Mesh(self.vertices * np.array(factors, dtype=np.float32), self.triangles)
 
     def _as_trimesh(self) -> trimesh.Trimesh:
         return trimesh.Trimesh(self.vertices.astype(float), self.triangles, process=False)
 
 
-def mesh_of(shape: cq.Shape) -> Mesh:
-    """Triangles of a solid, the same ones on every run."""
-    fresh = shape.copy()  # a copy carries no coarser mesh from earlier use
+def tessellate(shape: cq.Shape) -> Mesh:
+    """Return the triangles of a solid, the same on every run."""
+    fresh = shape.copy()  # a copy has no coarser mesh from earlier use
     wanted = IMeshTools_Parameters()
     wanted.Deflection, wanted.Angle = LINEAR_TOLERANCE_MM, ANGULAR_TOLERANCE_RAD
-    # Between rulings a facet is as good as its edge; looking inside takes a minute on a flattened probe.
+    # Between rulings a facet is as accurate as its edge; checking its interior takes a minute on an elliptic probe.
     wanted.ControlSurfaceDeflection = False
     BRepMesh_IncrementalMesh(fresh.wrapped, wanted)
     points, corners = fresh.tessellate(LINEAR_TOLERANCE_MM, ANGULAR_TOLERANCE_RAD)
@@ -61,20 +71,132 @@ def mesh_of(shape: cq.Shape) -> Mesh:
 
 
 def _welded(points: NDArray[np.float32], corners: NDArray[np.int64]) -> Mesh:
-    """Faces come with corners of their own: make equal points one, drop triangles that lose a corner so."""
-    points = points + np.float32(0.0)  # -0.0 and 0.0 are one point
+    """Merge equal corners of adjacent faces, and drop triangles that degenerate by it."""
+    points = points + np.float32(0.0)  # makes -0.0 equal to 0.0
     vertices, index = np.unique(points, axis=0, return_inverse=True)
     triangles = index.reshape(-1)[corners]
     a, b, c = triangles.T
     return Mesh(vertices, triangles[(a != b) & (b != c) & (c != a)])
 
 
-def stl_bytes(mesh: Mesh, title: str) -> bytes:
-    """The mesh as a binary STL file; millimetres, as slicers take it."""
-    corners = mesh.vertices[mesh.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    records = np.zeros(len(corners), dtype=STL_RECORD)
-    records["corners"] = corners
-    records["normal"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    header = f"{title}, mm".encode("ascii", "replace")[:80].ljust(80)
-    return header + np.uint32(len(records)).tobytes() + records.tobytes()
+XML_STRING = "xs:string"
+BETWEEN_MM = 5.0
+"""Distance between parts on the build plate."""
+
+
+@dataclass(frozen=True)
+class ThreemfObject:
+    """One object of a 3MF package.
+
+    Attributes:
+        name: of the part.
+        part_number: of the object and of its build item.
+        mesh: in millimetres, in the part's own frame.
+    """
+
+    name: str
+    part_number: str
+    mesh: Mesh
+
+
+def threemf_bytes(objects: Sequence[ThreemfObject], metadata: dict[str, str]) -> bytes:
+    """Return a 3MF package with objects in a row on the build plate, each with its vertices in its own frame.
+
+    Args:
+        objects: the objects, of one resin.
+        metadata: names of the 3MF core specification (`Title`, `Designer`, `Description`, ...).
+    """
+    wrapper = lib3mf.get_wrapper()
+    model = wrapper.CreateModel()
+    model.SetUnit(lib3mf.ModelUnit.MilliMeter)
+    group = model.GetMetaDataGroup()
+    for key, value in metadata.items():
+        group.AddMetaData("", key, value, XML_STRING, True)
+    for piece, place in zip(objects, platform_positions(objects), strict=True):
+        body = model.AddMeshObject()
+        body.SetName(piece.name)
+        body.SetPartNumber(piece.part_number)
+        body.SetGeometry(
+            _structs(lib3mf.Position, piece.mesh.vertices.astype("<f4")),
+            _structs(lib3mf.Triangle, piece.mesh.triangles.astype("<u4")),
+        )
+        model.AddBuildItem(body, wrapper.GetTranslationTransform(*place)).SetPartNumber(piece.part_number)
+    return bytes(model.QueryWriter("3mf").WriteToBuffer())
+
+
+def platform_positions(objects: Sequence[ThreemfObject]) -> list[list[float]]:
+    """Return each object's origin on the plate [mm]: side by side, all coordinates positive as 3MF requires."""
+    places, x = [], 0.0
+    for piece in objects:
+        low, high = piece.mesh.vertices.min(axis=0), piece.mesh.vertices.max(axis=0)
+        places.append([x - float(low[0]), -float(low[1]), -float(low[2])])
+        x += float(high[0] - low[0]) + BETWEEN_MM
+    return places
+
+
+def read_back(content: bytes) -> tuple[list[tuple[ThreemfObject, Array]], int]:
+    """Read a 3MF package with a strict reader.
+
+    Returns:
+        Each object with the position of its origin on the build plate [mm], (3,), and the number of warnings.
+
+    Raises:
+        CheckFailedError: the package is rejected, or is not in millimetres.
+    """
+    model = lib3mf.get_wrapper().CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.SetStrictModeActive(True)
+    try:
+        reader.ReadFromBuffer(content)
+    except lib3mf.ELib3MFException as error:
+        raise CheckFailedError(f"3MF: a strict reader rejects it: {error}") from None
+    if model.GetUnit() != lib3mf.ModelUnit.MilliMeter:
+        raise CheckFailedError(f"3MF: unit {model.GetUnit()}, not millimetres")
+    items, found = model.GetBuildItems(), []
+    while items.MoveNext():
+        item = items.GetCurrent()
+        body = model.GetMeshObjectByID(item.GetObjectResource().GetResourceID())
+        vertices = _rows(lib3mf.Position, body.GetVertices(), "<f4")
+        triangles = _rows(lib3mf.Triangle, body.GetTriangleIndices(), "<u4").astype(np.int64)
+        piece = ThreemfObject(body.GetName(), item.GetPartNumber(), Mesh(vertices, triangles))
+        found.append((piece, np.array(list(item.GetObjectTransform().Fields[3]))))
+    return found, reader.GetWarningCount()
+
+
+def _structs(kind: Any, rows: NDArray[Any]) -> Any:
+    """Return rows of three numbers as an array of lib3mf's structures of three."""
+    return (kind * len(rows)).from_buffer_copy(rows.tobytes())
+
+
+def _rows(kind: Any, structs: Any, dtype: str) -> NDArray[Any]:
+    """Return an array of lib3mf's structures as rows of three numbers."""
+    return np.frombuffer((kind * len(structs))(*structs), dtype=dtype).reshape(-1, 3)
+
+
+def package_objects(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, list[ThreemfObject]]:
+    """Return the objects of each package by file name."""
+    number = f"{model.design.name}-{model.geometry.fingerprint}"
+    objects = [ThreemfObject(name, f"{number}-{name}", mesh) for name, mesh in meshes.items()]
+    return {
+        "probe.3mf": [piece for piece in objects if piece.name == "probe"],
+        "adapters.3mf": [piece for piece in objects if piece.name != "probe"],
+    }
+
+
+def threemf_packages(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, bytes]:
+    """Return the content of each package by file name."""
+    design = model.design
+    resins = {"probe.3mf": design.resin.name, "adapters.3mf": RIGID_RESIN}
+    titles = {"probe.3mf": "flexible probe", "adapters.3mf": "adapters and clamp ring"}
+    return {
+        file: threemf_bytes(
+            objects,
+            {
+                "Title": f"{design.name}: {titles[file]}",
+                "Designer": "probedesign",
+                "Description": f"geometry {model.geometry.fingerprint}{scale_note(design, objects[0].name)}, "
+                f"{resins[file]}",
+            },
+        )
+        for file, objects in package_objects(model, meshes).items()
+    }

@@ -1,4 +1,4 @@
-"""A folder of files that belong together: written aside, moved into place whole, never left half done."""
+"""Write a folder of files as a whole: to a temporary sibling first, then moved into place."""
 
 import json
 import os
@@ -17,7 +17,7 @@ MANIFEST = "manifest.json"
 
 
 def check_target(folder: Path) -> None:
-    """Refuse, before any work, a folder that can neither be written nor be made."""
+    """Check, before any work, that a folder can be written or created."""
     nearest = next(path for path in (folder, *folder.parents) if path.exists())
     if not nearest.is_dir():
         raise InputError(f"{folder}: {nearest} is a file; name a folder to export into")
@@ -27,9 +27,9 @@ def check_target(folder: Path) -> None:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A temporary sibling of `folder`: its files move there if the block ends well, and vanish otherwise.
+    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
 
-    What a killed process left of its own is removed first.
+    What killed processes left behind is removed first.
     """
     staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
     try:
@@ -37,7 +37,7 @@ def staged(folder: Path) -> Iterator[Path]:
         with _claimed(staging):
             _remove_abandoned(folder)
             yield staging
-            with undisturbed():
+            with defer_sigint():
                 _put_in_place(staging, folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
@@ -47,14 +47,14 @@ def staged(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _claimed(staging: Path) -> Iterator[None]:
-    """Hold a lock on a folder; the system drops it with the process, however that ends.
+    """Lock a folder; the system releases the lock with the process, however it ends.
 
     Raises:
         BlockingIOError: another process holds it.
     """
     try:
         import fcntl
-    except ImportError:  # Windows: nothing is locked there, so nothing counts as abandoned
+    except ImportError:  # Windows: no locks, so no folder counts as abandoned
         yield
         return
     handle = os.open(staging, os.O_RDONLY)
@@ -66,7 +66,7 @@ def _claimed(staging: Path) -> Iterator[None]:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove staging folders that no process holds any more; one of an export that runs right now stays."""
+    """Remove staging folders that no process has locked; those of running exports stay."""
     if os.name == "nt":
         return
     for left in folder.parent.glob(f".{folder.name}.????????.partial"):
@@ -75,9 +75,9 @@ def _remove_abandoned(folder: Path) -> None:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """Let Ctrl-C wait until the block has ended."""
-    if threading.current_thread() is not threading.main_thread():  # which alone receives it
+def defer_sigint() -> Iterator[None]:
+    """Defer Ctrl-C until the block has ended."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread receives it
         yield
         return
     asked: list[int] = []
@@ -95,9 +95,9 @@ def undisturbed() -> Iterator[None]:
 
 
 def _put_in_place(staging: Path, folder: Path) -> None:
-    """Move the files. What the folder's last export made and this one does not goes; whatever else lies there stays.
+    """Move the files into place. Files of the folder's last export that this one lacks are removed; all others stay.
 
-    The old manifest goes first and the new one comes last: a folder with a manifest is a whole export.
+    The old manifest is removed first and the new one moved last, so a folder with a manifest is a complete export.
     """
     if not folder.exists():
         staging.rename(folder)
@@ -111,7 +111,7 @@ def _put_in_place(staging: Path, folder: Path) -> None:
 
 
 def _made_before(folder: Path) -> set[str]:
-    """Names of the files beside a manifest that lists them; none if it does not read."""
+    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
     try:
         listed = set(json.loads((folder / MANIFEST).read_text("utf-8"))["files"])
     except (OSError, ValueError, KeyError, TypeError):

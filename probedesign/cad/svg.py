@@ -1,20 +1,20 @@
-"""A drawing as SVG text: lines, circles, words. Numbers are rounded, so equal drawings are equal bytes."""
+"""SVG canvas for technical drawings. Numbers are rounded, so equal drawings are equal bytes."""
 
 from collections.abc import Iterable
 from xml.etree import ElementTree as ET
 
-Point = tuple[float, float]
+XY = tuple[float, float]
 
 FONT = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
 
 
 class Svg:
-    """An SVG picture that grows by what is drawn into it; x to the right, y down.
+    """An SVG picture to which elements are added; x to the right, y down.
 
     Args:
         width, height: in `unit`, which is also the unit of every coordinate.
-        unit: of CSS, "mm" or "px".
-        title: for those who cannot see it.
+        unit: CSS unit, "mm" or "px".
+        title: text alternative.
     """
 
     def __init__(self, width: float, height: float, unit: str, title: str) -> None:
@@ -31,26 +31,26 @@ class Svg:
         ET.SubElement(self.root, "title").text = title
         self._add("rect", width=_n(width), height=_n(height), fill="#fff")
 
-    def line(self, a: Point, b: Point, width: float, colour: str = "#000", dash: str = "") -> None:
-        """A straight line from a to b."""
+    def line(self, a: XY, b: XY, width: float, colour: str = "#000", dash: str = "") -> None:
+        """Draw a straight line from a to b."""
         self.polylines([[a, b]], width, colour, dash)
 
     def polylines(
-        self, lines: Iterable[Iterable[Point]], width: float, colour: str = "#000", dash: str = ""
+        self, lines: Iterable[Iterable[XY]], width: float, colour: str = "#000", dash: str = ""
     ) -> None:
-        """Many lines of one kind, as one element."""
+        """Draw lines of one style as one element."""
         path = "".join("M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in line) for line in lines)
         dashes = {"stroke-dasharray": dash} if dash else {}
         self._add("path", {"stroke-width": _n(width), "stroke-linecap": "round", **dashes},
                   d=path, fill="none", stroke=colour)  # fmt: skip
 
-    def area(self, loops: Iterable[Iterable[Point]], fill: str) -> None:
-        """Closed outlines, filled; an outline inside another is a hole."""
+    def area(self, loops: Iterable[Iterable[XY]], fill: str) -> None:
+        """Fill closed outlines; an outline inside another is a hole."""
         path = "".join("M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in loop) + "Z" for loop in loops)
         self._add("path", {"fill-rule": "evenodd"}, d=path, fill=fill)
 
-    def hatched(self, loops: Iterable[Iterable[Point]]) -> None:
-        """The same, hatched as material that was cut."""
+    def hatched(self, loops: Iterable[Iterable[XY]]) -> None:
+        """Hatch closed outlines as cut material."""
         if self.root.find("defs") is None:
             pattern = ET.SubElement(ET.SubElement(self.root, "defs"), "pattern", {
                 "id": "hatch", "width": "1.6", "height": "1.6",
@@ -61,22 +61,22 @@ class Svg:
         self.area(loops, "url(#hatch)")
 
     def circle(
-        self, centre: Point, r: float, fill: str = "none", colour: str = "none", width: float = 0.0
+        self, centre: XY, r: float, fill: str = "none", colour: str = "none", width: float = 0.0
     ) -> None:
-        """A circle."""
+        """Draw a circle."""
         self._add("circle", {"stroke-width": _n(width)}, cx=_n(centre[0]), cy=_n(centre[1]), r=_n(r),
                   fill=fill, stroke=colour)  # fmt: skip
 
     def text(
         self,
-        at: Point,
+        at: XY,
         words: str,
         size: float,
         anchor: str = "middle",
         turned: bool = False,
         bold: bool = False,
     ) -> None:
-        """Words on a baseline at a point; `turned` to be read from the right."""
+        """Write text on a baseline at a point; `turned` reads from the right."""
         x, y = _n(at[0]), _n(at[1])
         how = {"font-size": _n(size), "text-anchor": anchor}
         how |= {"transform": f"rotate(-90 {x} {y})"} if turned else {}
@@ -84,7 +84,7 @@ class Svg:
         self._add("text", how, x=x, y=y).text = words
 
     def image(self, x: float, y: float, width: float, height: float, png_base64: str) -> None:
-        """A PNG inside the picture."""
+        """Embed a PNG."""
         self._add("image", x=_n(x), y=_n(y), width=_n(width), height=_n(height),
                   href=f"data:image/png;base64,{png_base64}")  # fmt: skip
 
@@ -92,11 +92,11 @@ class Svg:
         return ET.SubElement(self.root, tag, {**(how or {}), **more})
 
     def __str__(self) -> str:
-        """As text to put into a page."""
+        """Return the element as text for an HTML page."""
         return ET.tostring(self.root, encoding="unicode")
 
     def __bytes__(self) -> bytes:
-        """As a file."""
+        """Return the content of an SVG file."""
         return b"<?xml version='1.0' encoding='utf-8'?>\n" + str(self).encode() + b"\n"
 
 

@@ -1,42 +1,117 @@
-"""Proof that what was drawn is what the mechanics compute with: solids, slices, meshes against formulae."""
+"""Verify the CAD model against the mechanics and for assembly.
+
+Solids, cross-sections, meshes and packages are compared with closed forms; parts must not overlap or enter the sensor's
+clearance; every screw, nut and pin must reach its place, and a hexagon key every screw, past the parts mounted before.
+"""
 
 from typing import Any
 
+import cadquery as cq
 import numpy as np
 
 from probedesign import section
-from probedesign.cad.assembly import air_of, cable_sector, shared_volume
-from probedesign.cad.drawing import Drawing
-from probedesign.cad.kernel import mass_of, section_of
-from probedesign.cad.mesh import Mesh
-from probedesign.cad.packages import pieces_of
-from probedesign.cad.reach import obstructed
-from probedesign.cad.threemf import read_back
+from probedesign.cad.exploded_view import assembly_steps
+from probedesign.cad.kernel import cylinder, hexagon, mass_properties, placed, revolved, section_properties
+from probedesign.cad.mesh import Mesh, package_objects, read_back
+from probedesign.cad.model import (
+    CadModel,
+    CadPart,
+    box_of,
+    boxes_meet,
+    cable_sector,
+    clearance_volumes,
+    shared_volume,
+)
+from probedesign.cad.parts import ScrewGroup
 from probedesign.errors import CheckFailedError
-from probedesign.frames import Array
+from probedesign.frames import Array, pose
 from probedesign.geometry import ProbeGeometry
 from probedesign.mass import MassProperties, combined, flexible_part
-from probedesign.mounting import hanging_mass, hanging_parts
+from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
+from probedesign.mount.fasteners import M2_NUT_AF
+from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
+from probedesign.sensor import SensorModel
 from probedesign.units import MM
+
+CORRIDOR = 60.0 * MM
+"""Length of the corridors of nuts and pins below the adapter, which lies free on the bench."""
+
+
+def blocked_tools(
+    parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter, sensor: SensorModel
+) -> dict[str, float]:
+    """Return the obstruction of each group of screws, nuts and pins, and of the ring.
+
+    Args:
+        parts: of the assembly.
+        screws: with their seats and directions.
+        adapter, sensor: that they connect.
+
+    Returns:
+        By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
+    """
+    corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter, sensor)
+    shapes = {name: part.placed for name, part in parts.items()}
+    boxes = {name: box_of(shape) for name, shape in shapes.items()}
+    found: dict[str, float] = {}
+    present = ["sensor"]
+    for step in assembly_steps(screws, pin_d=0.0):
+        there = [move.onto for move in step.moves] if step.on_bench else present
+        for name in step.parts:
+            if name in corridors and name not in found:
+                corridor = cq.Compound.makeCompound(corridors[name])
+                box = box_of(corridor)
+                near = [other for other in there if boxes_meet(box, boxes[other])]
+                found[name] = sum(shared_volume(corridor, shapes[other]) for other in near)
+            if name not in there:  # the adapter comes with its nuts and pins
+                there.append(name)
+        present += [name for name in step.parts if name not in present]
+    return found
+
+
+def screw_corridors(use: ScrewGroup) -> list[cq.Solid]:
+    """Return the corridor of each screw: its shank, and above it the head's width over the length of the key."""
+    out = -1.0 if use.up else 1.0  # from point to head
+    seat, head, shank = use.seat, use.screw.head_d / 2, use.screw.pitch_d / 2
+    point, free = seat - out * use.length, seat + out * (use.screw.head_height + use.screw.key_length)
+    outline = [(0.0, point), (shank, point), (shank, seat), (head, seat), (head, free), (0.0, free)]
+    corridor = revolved(outline)
+    return [placed(corridor, pose(p=[*p, 0.0])) for p in use.points]
+
+
+def _part_corridors(
+    parts: dict[str, CadPart], a: SensorAdapter, sensor: SensorModel
+) -> dict[str, list[cq.Solid]]:
+    """Return the corridors of nuts and pins from below the adapter, and that of the ring from above the tip."""
+    tip = float(parts["probe"].placed.BoundingBox().zmax) * MM
+    ring = cylinder(a.body_d, a.ring_top, tip).cut(cylinder(a.ring_bore_d, a.ring_top, tip))
+    return {
+        "ring_nuts": [hexagon(M2_NUT_AF, -CORRIDOR, a.nut_pocket_top, p) for p in a.p_ring_screws],
+        "dowel_pins": [
+            cylinder(sensor.dowel_d, -CORRIDOR, DOWEL_PIN_LENGTH - sensor.dowel_depth, p) for p in a.p_dowels
+        ],
+        "clamp_ring": [ring],
+    }
+
 
 Findings = dict[str, dict[str, Any]]
 
 SOLID_LIMIT = 1e-9
-"""Relative. The kernel integrates these surfaces to about 1e-14; anything drawn wrongly is far above."""
+"""Relative. The kernel integrates these surfaces to about 1e-14; modelling errors are far larger."""
 SECTION_LIMIT = 1e-6
-"""Relative."""
+"""Relative, for cross-sections."""
 MESH_LIMIT = 5e-4
-"""Relative. Facets that turn by at most δ = 0.05 rad leave out δ²/6 = 4.2e-4 of a round body, and nothing else."""
+"""Relative. Facets that turn by at most δ = 0.05 rad omit δ²/6 = 4.2e-4 of a round body."""
 OVERLAP_LIMIT = 0.0
-"""Of volume [m³]: touching faces share none, and no fit is drawn pressed."""
+"""Shared volume [m³]: touching faces share none, and no fit is drawn compressed."""
 STATIONS = 9
 
 
-def verify(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
-    """Check a drawing, its meshes and its 3MF packages.
+def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
+    """Check a CAD model, its meshes and its 3MF packages.
 
     Args:
-        drawing: of the design.
+        model: of the design.
         meshes: of the printed parts, by name.
         packages: content of the 3MF files, by name.
 
@@ -44,31 +119,31 @@ def verify(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, bytes]
         Each finding by name, with `measured`, `limit`, `ok` and `what`.
 
     Raises:
-        CheckFailedError: naming every finding that is not ok.
+        CheckFailedError: names every finding that is not ok.
     """
     findings = {
-        **_solids(drawing),
-        **_sections(drawing),
-        **_meshes(drawing, meshes),
-        **_packages(drawing, meshes, packages),
-        **_room(drawing),
-        **_reach(drawing),
+        **_solids(model),
+        **_sections(model),
+        **_meshes(model, meshes),
+        **_packages(model, meshes, packages),
+        **_room(model),
+        **_reach(model),
     }
     failed = [
         f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
     ]
     if failed:
-        raise CheckFailedError(f"{drawing.design.name}: the drawn parts do not hold: {'; '.join(failed)}")
+        raise CheckFailedError(f"{model.design.name}: the CAD model fails verification: {'; '.join(failed)}")
     return findings
 
 
-def _solids(drawing: Drawing) -> Findings:
-    geometry, adapter = drawing.geometry, drawing.adapter
-    density = drawing.design.density.value
-    drawn = dict(drawing.bodies)
+def _solids(model: CadModel) -> Findings:
+    geometry, adapter = model.geometry, model.adapter
+    density = model.design.density.value
+    drawn = dict(model.bodies)
     drawn["hanging"] = combined(body for name, body in drawn.items() if name != "flexible")
-    formula = hanging_parts(geometry, adapter, density)
-    formula["hanging"] = hanging_mass(geometry, adapter, density)
+    formula = mount_part_masses(geometry, adapter, density)
+    formula["hanging"] = mount_mass_properties(geometry, adapter, density)
     formula["flexible"] = flexible_part(geometry, density).moved(adapter.T_sensor_base)
     findings: Findings = {}
     for name, body in drawn.items():
@@ -88,15 +163,15 @@ def _same_body(name: str, drawn: MassProperties, formula: MassProperties) -> Fin
     }
 
 
-def _sections(drawing: Drawing) -> Findings:
-    geometry, solid = drawing.geometry, drawing.parts["probe"].shape
+def _sections(model: CadModel) -> Findings:
+    geometry, solid = model.geometry, model.parts["probe"].shape
     formulae = {
         "section_area": section.area,
         "section_second_moment_xx": section.second_moment_xx,
         "section_second_moment_yy": section.second_moment_yy,
     }
     stations = _stations(geometry)
-    drawn = np.array([section_of(solid, s) for s in stations])
+    drawn = np.array([section_properties(solid, s) for s in stations])
     wanted = np.column_stack([formula(geometry, stations) for formula in formulae.values()])
     worst = np.abs(drawn / wanted - 1.0).max(axis=0)
     what = f"relative, worst of {STATIONS} slices of the solid"
@@ -104,7 +179,7 @@ def _sections(drawing: Drawing) -> Findings:
 
 
 def _stations(geometry: ProbeGeometry) -> list[float]:
-    """Heights spread evenly, kept off the knots: a cut along the edge between two faces is ill-posed."""
+    """Return evenly spread heights away from the knots, where a cut along an edge would be ill-posed."""
     even = (np.arange(STATIONS) + 0.5) / STATIONS * geometry.length
     gaps = np.diff(geometry.s)
     i = np.clip(np.searchsorted(geometry.s, even, side="right") - 1, 0, len(gaps) - 1)
@@ -112,18 +187,20 @@ def _stations(geometry: ProbeGeometry) -> list[float]:
     return [float(s) for s in np.clip(even, geometry.s[i] + clear, geometry.s[i + 1] - clear)]
 
 
-def _meshes(drawing: Drawing, meshes: dict[str, Mesh]) -> Findings:
+def _meshes(model: CadModel, meshes: dict[str, Mesh]) -> Findings:
     findings: Findings = {}
     for name, mesh in meshes.items():
-        missing = abs(mesh.volume / mass_of(drawing.parts[name].shape, 1.0).volume - 1.0)
-        findings[f"{name}_mesh_closed"] = _yes(mesh.closed, "watertight, winding consistent, outside outside")
+        missing = abs(mesh.volume / mass_properties(model.parts[name].shape, 1.0).volume - 1.0)
+        findings[f"{name}_mesh_closed"] = _flag(
+            mesh.closed, "watertight, consistent winding, outward normals"
+        )
         findings[f"{name}_mesh_volume"] = _finding(missing, MESH_LIMIT, "relative, to the solid")
     return findings
 
 
-def _packages(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
+def _packages(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
     findings: Findings = {}
-    for file, wanted in pieces_of(drawing, meshes).items():
+    for file, wanted in package_objects(model, meshes).items():
         found, warnings = read_back(packages[file])
         read = [piece for piece, _ in found]
         named = [(p.name, p.part_number) for p in read] == [(p.name, p.part_number) for p in wanted]
@@ -132,45 +209,47 @@ def _packages(drawing: Drawing, meshes: dict[str, Mesh], packages: dict[str, byt
         worst = max(abs(a.volume / b.volume - 1.0) for a, b in pairs) if pairs else np.inf
         findings |= {
             f"{file}_warnings": _finding(warnings, 0.0, "of a strict reader"),
-            f"{file}_names": _yes(named, "its objects, their names and part numbers survive"),
+            f"{file}_names": _flag(named, "its objects, their names and part numbers survive"),
             f"{file}_triangles": _finding(lost, 0.0, "difference to the meshes"),
-            # 3MF writes coordinates as decimals, cut after some digits.
+            # 3MF stores truncated decimals.
             f"{file}_volume": _finding(worst, 1e-5, "relative, to the meshes"),
         }
     return findings
 
 
-def _room(drawing: Drawing) -> Findings:
-    ours = [part for part in drawing.parts.values() if part.name != "sensor"]
-    sector = cable_sector(drawing.design.sensor_model)
-    in_sector = sum(shared_volume(sector, part.placed) for part in ours)
+def _room(model: CadModel) -> Findings:
+    mount = [part for part in model.parts.values() if part.name != "sensor"]
+    sector = cable_sector(model.design.sensor_model)
+    in_sector = sum(shared_volume(sector, part.placed) for part in mount)
     in_air = sum(
-        shared_volume(air, part.placed) for air in air_of(drawing.design.sensor_model) for part in ours
+        shared_volume(air, part.placed)
+        for air in clearance_volumes(model.design.sensor_model)
+        for part in mount
     )
     wide = ("probe", "sensor_adapter", "clamp_ring", "ring_screws", "ring_nuts")
-    lowest = min(drawing.parts[name].placed.BoundingBox().zmin for name in wide) * MM
+    lowest = min(model.parts[name].placed.BoundingBox().zmin for name in wide) * MM
     return {
-        "overlap": _finding(max(drawing.shared_volumes.values()), OVERLAP_LIMIT, "m³, worst pair of parts"),
-        "cable_sector": _finding(in_sector, OVERLAP_LIMIT, "m³ of our parts where the cable must be free"),
+        "overlap": _finding(max(model.shared_volumes.values()), OVERLAP_LIMIT, "m³, worst pair of parts"),
+        "cable_sector": _finding(in_sector, OVERLAP_LIMIT, "m³ of mount parts in the cable's sector"),
         "air": _finding(
-            in_air, OVERLAP_LIMIT, "m³ of our parts within 0.5 mm of the sensor's body and cable"
+            in_air, OVERLAP_LIMIT, "m³ of mount parts within 0.5 mm of the sensor's body and cable"
         ),
-        # A nanometre: the kernel's boxes are wider than the part by its tolerance of 1e-10 m.
+        # A nanometre: the kernel pads bounding boxes by its tolerance of 1e-10 m.
         "below_tool_face": _finding(max(0.0, -lowest), 1e-9, "m that wide parts reach below the tool face"),
     }
 
 
-def _reach(drawing: Drawing) -> Findings:
-    ways = obstructed(drawing.parts, drawing.screws, drawing.adapter, drawing.design.sensor_model)
-    what = "m³ of what is mounted before in the way in, and in the way of the key"
-    return {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in ways.items()}
+def _reach(model: CadModel) -> Findings:
+    blocked = blocked_tools(model.parts, model.screws, model.adapter, model.design.sensor_model)
+    what = "m³ of earlier parts in the corridors of the fastener and its key"
+    return {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
 
 
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:
     return {"measured": float(measured), "limit": limit, "ok": bool(measured <= limit), "what": what}
 
 
-def _yes(ok: bool, what: str) -> dict[str, Any]:
+def _flag(ok: bool, what: str) -> dict[str, Any]:
     return _finding(0.0 if ok else 1.0, 0.0, f"{what} (0 is yes)")
 
 

@@ -9,7 +9,7 @@ from probedesign.cli.output import counted, print_json
 
 if TYPE_CHECKING:
     from probedesign.printing.check import PrintCheck
-    from probedesign.printing.rule import Finding
+    from probedesign.printing.rules import Finding
 
 
 def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:

@@ -36,9 +36,9 @@ def compare(
         document = [{"name": one.design.name, **one.worth.as_dict()} for one in compared]
         print_json({"task": task, "designs": document, "page": file})
         return
-    from probedesign.pages.comparison import table_of
+    from probedesign.reports.comparison_page import comparison_table
 
-    table = table_of(compared)
+    table = comparison_table(compared)
     print(task.text)
     for row in (table.head, *table.rows):
         print(f"  {row[0]:<16}" + "".join(f"{cell:>18}" for cell in row[1:]))

@@ -9,7 +9,7 @@ from probedesign.cli.output import print_json, print_table, telling
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.printing.preform.prepare import Prepared
+    from probedesign.printing.preform.job import PreparedJob
 
 
 def print_job(
@@ -47,7 +47,7 @@ def print_job(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.printing.preform.prepare import Order
+    from probedesign.printing.preform.job import PrintOrder
 
     if send is not None and not (send.strip() and send.isprintable()):
         raise InputError(f"--send {send!r} is no name of a printer")
@@ -56,7 +56,7 @@ def print_job(
     errors = [f.message for f in pipeline.check(design).errors if (f.part == "probe") == (parts == "probe")]
     if errors and not force:
         raise InputError(f"{design}: the print check says: {'; '.join(errors)}; --force goes on")
-    order = Order(parts, folder, server_folder, material, save_form, send, force)
+    order = PrintOrder(parts, folder, server_folder, material, save_form, send, force)
     with telling() as tell:
         prepared = pipeline.prepare_print(design, preform, order, timeout_s, tell)
     if as_json:
@@ -66,14 +66,14 @@ def print_job(
     return 1 if prepared.problems and not force else 0
 
 
-def _document(prepared: "Prepared", wanted: str | None) -> dict[str, Any]:
+def _document(prepared: "PreparedJob", wanted: str | None) -> dict[str, Any]:
     return {
         "ok": not prepared.problems,
         "preform_api": prepared.api,
-        "printer": prepared.chosen.printer,
-        "material": prepared.chosen.material,
-        "setting": prepared.chosen.setting,
-        "scene_settings": prepared.chosen.scene_settings,
+        "printer": prepared.selection.printer,
+        "material": prepared.selection.material,
+        "setting": prepared.selection.setting,
+        "scene_settings": prepared.selection.scene_settings,
         "parts": prepared.parts,
         "layer_count": prepared.layer_count,
         "volume_ml": prepared.volume_ml,
@@ -87,10 +87,10 @@ def _document(prepared: "Prepared", wanted: str | None) -> dict[str, Any]:
     }
 
 
-def _print(prepared: "Prepared", preform: str, wanted: str | None) -> None:
-    chosen = prepared.chosen
+def _print(prepared: "PreparedJob", preform: str, wanted: str | None) -> None:
+    selection = prepared.selection
     rows = {
-        "job": f"{chosen.material} on a {chosen.printer}, {chosen.setting}",
+        "job": f"{selection.material} on a {selection.printer}, {selection.setting}",
         "parts": f"{', '.join(prepared.parts)}: upright, supports below",
         "resin": "not told" if prepared.volume_ml is None else f"{prepared.volume_ml:.1f} ml with supports",
         "layers": "not told" if prepared.layer_count is None else f"{prepared.layer_count}",
@@ -104,7 +104,7 @@ def _print(prepared: "Prepared", preform: str, wanted: str | None) -> None:
     print_table(rows)
 
 
-def _sent(prepared: "Prepared", wanted: str | None) -> str:
+def _sent(prepared: "PreparedJob", wanted: str | None) -> str:
     if prepared.sent_to is not None:
         job = f" as job {prepared.job_id}" if prepared.job_id else ""
         return f"to the queue of {prepared.sent_to}{job}: start it there"

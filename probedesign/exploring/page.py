@@ -16,21 +16,16 @@ from probedesign.exploring.legend import STROKE_COLOUR, SWATCH, TRUTH_COLOUR, le
 from probedesign.exploring.picture import NORMAL, svg_of
 from probedesign.exploring.scene import TIMES, Scene
 from probedesign.exploring.table import PAIRS, line_of, unlocated_lines
+from probedesign.reports.html_page import html_document
 from probedesign.units import MILLINEWTON, MM
 
 SCRIPT = Path(__file__).with_name("turning.js")
-STYLE = """
-body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", sans-serif; color: #111; max-width: 260mm;
-  margin: 8mm auto; padding: 0 4mm }
-h1 { font-size: 18pt; margin: 0 } .about { color: #444; margin: 1mm 0 3mm }
-canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab; display: block }
+STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab;
+  display: block }
 #said { color: #333; min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }
 #times { margin: 0 0 1.5mm } #times label { margin-left: 3mm } #times input { vertical-align: -1px }
 .legend { list-style: none; padding: 0; margin: 0 0 5mm; color: #333; font-size: 9.5pt }
 .legend svg { vertical-align: -2px; margin-right: 1.5mm }
-table { border-collapse: collapse; font-size: 9.5pt }
-th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb; white-space: nowrap }
-thead th { border-bottom: 1pt solid #111 }
 .still { display: none }
 """
 STILL = "canvas, #times, #said, .legend { display: none } .still { display: block }"
@@ -48,23 +43,16 @@ def page_of(scene: Scene, title: str, about: Sequence[str]) -> bytes:
         about: lines under it: what the numbers rest on.
     """
     data = json.dumps(_data(scene), allow_nan=False).replace("<", "\\u003c")
-    return (
-        f'{_head(escape(title))}\n<body><h1>{escape(title)}</h1>\n<p class="about">'
-        f"{'<br>'.join(map(escape, about))}</p>\n{_magnified(scene.times)}\n"
+    body = (
+        f"{_magnified(scene.times)}\n"
         '<canvas id="cloud" role="img" aria-label="points and their ellipsoids"></canvas>'
         f'<div class="still">{svg_of(scene).decode()}</div>\n<p id="said">{HINT}</p>\n{_legend(bool(scene.truth))}\n'
         f"{_table(scene.cloud)}{_unlocated(scene.cloud)}\n"
         f'<script type="application/json" id="data">{data}</script>\n'
-        f"<script>\n{SCRIPT.read_text()}</script></body></html>\n"
-    ).encode()
-
-
-def _head(title: str) -> str:
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{STYLE}@media print {{ {STILL} }}</style>'
-        f"<noscript><style>{STILL}</style></noscript></head>"
+        f"<script>\n{SCRIPT.read_text()}</script>"
     )
+    style, head = f"{STYLE}@media print {{ {STILL} }}\n", f"<noscript><style>{STILL}</style></noscript>"
+    return html_document(title, list(map(escape, about)), body, style, head)
 
 
 def _magnified(shown: int) -> str:

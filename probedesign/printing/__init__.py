@@ -1,1 +1,1 @@
-"""From a design to a print: the rules it must keep, and PreForm that prints it. No CAD, no mechanics."""
+"""Print rules of a design, and preparation of the print job in PreForm; needs no CAD and no mechanics."""

@@ -1,4 +1,9 @@
-"""The print check of a design: every rule, on every part, before anything is drawn."""
+"""Check that a design can be printed, and scale its parts for the print.
+
+The check applies every rule to every part before anything is drawn. Scale compensation enlarges printed parts by their
+shrinkage. It changes only the files to print: not the mechanics, the fingerprint, the STEP file or the check of the
+drawn parts.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,28 +11,52 @@ from typing import Any
 from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.geometry import ProbeGeometry, build_geometry
-from probedesign.mounting import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
-from probedesign.printing import limits
-from probedesign.printing.compensation import scale_of
-from probedesign.printing.mount_rules import mount_findings
-from probedesign.printing.probe_rules import flange_findings, probe_findings
-from probedesign.printing.rule import Finding
-from probedesign.printing.volume_rules import part_fits, probe_fits
+from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
+from probedesign.printing.rules import (
+    BUILD_VOLUME,
+    LAYER,
+    MOUNT,
+    Finding,
+    flange_findings,
+    mount_findings,
+    part_fits,
+    probe_findings,
+    probe_fits,
+)
 from probedesign.units import MM
+
+AS_DRAWN = (1.0, 1.0, 1.0)
+
+
+def print_scale(design: Design, part: str) -> tuple[float, float, float]:
+    """Return the printed size over the drawn size, along x, y and z, of a printed part."""
+    return design.print_.scale if part == "probe" else design.print_.rigid_scale
+
+
+def is_compensated(design: Design) -> bool:
+    """Return whether any part is printed in another size than drawn."""
+    return any(print_scale(design, part) != AS_DRAWN for part in ("probe", "rigid parts"))
+
+
+def scale_note(design: Design, part: str) -> str:
+    """Return the note for a part's file; empty if the part is printed as drawn."""
+    scale = print_scale(design, part)
+    return "" if scale == AS_DRAWN else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
+
 
 CURE = {"elastic-50a": "wash 20 min, cure 20 min at 60 °C (Formlabs, Elastic 50A)"}
 
 
 @dataclass(frozen=True)
 class PrintCheck:
-    """What the rules say of a design.
+    """The findings of all rules on a design.
 
     Attributes:
         name: of the design.
         fingerprint: of its geometry.
-        printer, resin: that the rules were taken for.
-        findings: one a rule and place, those that are ok too.
-        advice: what no rule can measure.
+        printer, resin: the rules depend on.
+        findings: one per rule and feature, passed ones included.
+        advice: for what no rule can measure.
     """
 
     name: str
@@ -39,31 +68,31 @@ class PrintCheck:
 
     @property
     def errors(self) -> list[Finding]:
-        """What is not to be expected to print."""
+        """Return the findings that are not expected to print."""
         return [f for f in self.findings if f.severity == "error"]
 
     @property
     def warnings(self) -> list[Finding]:
-        """What may fail or come out badly."""
+        """Return the findings that may fail or print badly."""
         return [f for f in self.findings if f.severity == "warning"]
 
     @property
     def passed(self) -> list[Finding]:
-        """What keeps its rule."""
+        """Return the findings that meet their limit."""
         return [f for f in self.findings if f.severity == "ok"]
 
     @property
     def fits(self) -> bool:
-        """Whether the flexible part stands in the printer."""
-        return not any(f.rule == limits.BUILD_VOLUME.name and f.part == "probe" for f in self.errors)
+        """Return whether the flexible part fits the printer's build volume."""
+        return not any(f.rule == BUILD_VOLUME.name and f.part == "probe" for f in self.errors)
 
     def as_record(self) -> dict[str, Any]:
-        """For JSON and the manifest, without what passed."""
+        """Return the check for JSON and the manifest, without the passed findings."""
         return {
             "ok": not self.errors,
             "printer": self.printer,
             "resin": self.resin,
-            "layer_mm": limits.LAYER,
+            "layer_mm": LAYER,
             "errors": len(self.errors),
             "warnings": len(self.warnings),
             "findings": [f.as_record() for f in (*self.errors, *self.warnings)],
@@ -79,7 +108,7 @@ def check_print(design: Design) -> PrintCheck:
     try:
         adapter = sensor_adapter_for(geometry, design.sensor_model)
     except InputError as error:
-        findings.append(limits.MOUNT.impossible("clamp_ring", str(error)))
+        findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:
         findings += [*flange_findings(adapter), *mount_findings(adapter, plate)]
         findings += _rigid_sizes(design, adapter, plate)
@@ -89,14 +118,14 @@ def check_print(design: Design) -> PrintCheck:
 
 
 def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
-    sx, _, sz = scale_of(design, "probe")
+    sx, _, sz = print_scale(design, "probe")
     width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max()))
     below, length = geometry.flange.thickness / MM, geometry.length / MM
     return probe_fits(design.printer, sx * width / MM, below, length, sz)
 
 
 def _rigid_sizes(design: Design, a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
-    sx, _, sz = scale_of(design, "rigid parts")
+    sx, _, sz = print_scale(design, "rigid parts")
     sizes = {
         "sensor_adapter": (a.body_d, a.body_top),
         "clamp_ring": (a.body_d, a.ring_thickness),
@@ -111,8 +140,8 @@ def _rigid_sizes(design: Design, a: SensorAdapter, plate: FlangeAdapter) -> list
 def _advice(design: Design) -> tuple[str, ...]:
     cure = CURE.get(design.resin.name, "wash and cure as the resin's data sheet says")
     return (
-        f"print it standing on its flange, {limits.LAYER:g} mm layers, supports below the flange only",
+        f"print it upright on its flange, {LAYER:g} mm layers, supports below the flange only",
         cure,
-        "cure it hanging or in a V-groove: lying down, its own weight would cure in as a bend",
-        "measure its diameters when cured: they decide its stiffness",
+        "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
+        "measure its diameters after curing: they determine its stiffness",
     )

@@ -13,8 +13,8 @@ from probedesign.design_tables import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.geometry import flange_for
-from probedesign.mounting import widest_through_ring
-from probedesign.printing import limits
+from probedesign.mount import max_ring_passage_d
+from probedesign.printing import rules as limits
 from probedesign.search.grid import tables_of
 from probedesign.units import MM
 
@@ -120,7 +120,7 @@ class Body:
     @property
     def bounds(self) -> list[tuple[float, float]]:
         """Least and most of each number."""
-        found = [(max(MIN_DIAMETER_MM, 0.8 * limits.TIP), MAX_DIAMETER_MM)] * self.controls
+        found = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
         for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
             if name in self.free:
                 found.append((low / _UNIT[name], high / _UNIT[name]))
@@ -134,19 +134,20 @@ class Body:
         s, d = self.knots_mm(x)
         ratio, hollow = self.ratio(x), self.start.probe.section == "hollow"
         thin = d * (ratio if ratio is not None and not hollow else 1.0)
-        steepest = math.tan(math.radians(limits.OVERHANG))
+        steepest = math.tan(math.radians(limits.MIN_OVERHANG))
         rules = {
-            "print rule smallest_feature": thin / limits.TIP - 1.0,
-            "print rule slenderness": (thin[:-1] - limits.TOO_SLENDER * (s[-1] - s[:-1])) / limits.TIP,
+            "print rule smallest_feature": thin / limits.MIN_THICKNESS - 1.0,
+            "print rule slenderness": (thin[:-1] - limits.MIN_SLENDERNESS * (s[-1] - s[:-1]))
+            / limits.MIN_THICKNESS,
             "print rule overhang": (np.diff(s) - steepest * np.diff(d) / 2.0) / s[-1],
         }
         if hollow and ratio is not None:
-            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.HELD_WALL - 1.0
-            rules["print rule hole"] = ratio * d / limits.HOLE - 1.0
+            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
+            rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
         if self.controls > 2:
-            rules["room for the clamp ring"] = (_widest_mm(d[0]) - d) / limits.TIP
+            rules["room for the clamp ring"] = (_widest_mm(d[0]) - d) / limits.MIN_THICKNESS
         if self.controls == 2:
-            rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.TIP
+            rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
         spare = _ROUNDED if "section" in self.free else 0.0
         return {name: room - spare for name, room in rules.items()}
 
@@ -180,4 +181,4 @@ class Body:
 
 def _widest_mm(base_d_mm: float) -> float:
     """Over which the clamp ring comes that holds the flange of such a base [mm]."""
-    return widest_through_ring(flange_for(base_d_mm * MM)) / MM
+    return max_ring_passage_d(flange_for(base_d_mm * MM)) / MM

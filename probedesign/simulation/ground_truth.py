@@ -18,7 +18,7 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.friction import draw_friction
+from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
 from probedesign.rod.surface_force import line_of_action, solve_surface_force
 from probedesign.units import MM

@@ -1,4 +1,4 @@
-"""One drawing and one export, made once for all tests of the parts."""
+"""One CAD model and one export, made once for all tests of the parts."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -24,9 +24,9 @@ def make_design() -> Callable[..., Design]:
 @pytest.fixture(scope="session")
 def large() -> Any:
     """The 150 × 12→2 mm cone, drawn."""
-    from probedesign.cad.drawing import draw
+    from probedesign.cad.model import build_cad
 
-    return draw(design_of())
+    return build_cad(design_of())
 
 
 @pytest.fixture(scope="session")

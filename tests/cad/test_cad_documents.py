@@ -20,20 +20,18 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import trimesh
 from PIL import Image
 
-from probedesign.cad.assembly import overlaps
-from probedesign.cad.bill import RESIN_PRESSURE, bill_of, hand_torque
-from probedesign.cad.drawing import Drawing, draw
-from probedesign.cad.part_sheets import sheets_of
-from probedesign.cad.picture import Body, Camera, photographed, view_of
-from probedesign.cad.projection import FRONT, cut, seen
-from probedesign.cad.raster import NOBODY
-from probedesign.cad.sensor_adapter import clamp_ring_solid
-from probedesign.cad.sheet import HEIGHT, WIDTH
-from probedesign.cad.steps import DOWN, EXPLOSION, steps_of
-from probedesign.cad.threemf import places_of, read_back
+from probedesign.cad.assembly_docs import RESIN_PRESSURE, assembly_page, bill_of_materials, hand_torque
+from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
+from probedesign.cad.mesh import platform_positions, read_back
+from probedesign.cad.model import CadModel, build_cad, overlaps
+from probedesign.cad.part_drawings import part_drawings
+from probedesign.cad.parts import clamp_ring_solid
+from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
+from probedesign.cad.sheet import FRONT, HEIGHT, WIDTH, cut, seen
+from probedesign.cad.svg import Svg
 from probedesign.design import Design
 from probedesign.frames import pose
-from probedesign.mounting.engraving import Engraving
+from probedesign.mount.engraving import Engraving
 
 Exported = tuple[Path, dict[str, Any]]
 PRINTED = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
@@ -43,7 +41,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 # ---- bill of materials
 
 
-def test_the_bill_counts_what_was_drawn(exported: Exported, large: Drawing) -> None:
+def test_the_bill_lists_every_part(exported: Exported, large: CadModel) -> None:
     table = list(csv.DictReader(io.StringIO((exported[0] / "bill_of_materials.csv").read_text("utf-8"))))
     assert [row["number"] for row in table] == [str(i) for i in range(1, len(large.parts) + 1)]
     assert {row["name"]: int(row["quantity"]) for row in table} == {
@@ -63,7 +61,7 @@ def test_the_bill_counts_what_was_drawn(exported: Exported, large: Drawing) -> N
     assert len(exported[1]["bill_of_materials"]) == len(table)
 
 
-def test_hand_torque_spares_the_resin(large: Drawing) -> None:
+def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
     """Torque over diameter and nut factor is the preload; it presses the ring under the head."""
     robot = large.plate.robot
     for use in large.screws:
@@ -78,22 +76,22 @@ def test_hand_torque_spares_the_resin(large: Drawing) -> None:
 # ---- order of assembly
 
 
-def test_every_part_has_its_step_and_its_place_in_the_exploded_picture(large: Drawing) -> None:
+def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None:
     exploded = [name for move in EXPLOSION for name in move.parts]
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
-    assert {name for step in steps_of(large.screws, large.plate.robot.pin_d) for name in step.parts} == set(
-        exploded
-    )
+    assert {
+        name for step in assembly_steps(large.screws, large.plate.robot.pin_d) for name in step.parts
+    } == set(exploded)
 
 
-def test_parts_drawn_apart_do_not_meet(large: Drawing) -> None:
+def test_exploded_parts_do_not_overlap(large: CadModel) -> None:
     """Each move takes its parts clear of all that is fixed before, along the axis."""
-    from probedesign.cad.explosion import moved_apart
-    from probedesign.cad.picture import body_of
+    from probedesign.cad.exploded_view import exploded_bodies
+    from probedesign.cad.render import render_body
 
-    bodies = {name: body_of(part) for name, part in large.parts.items()}
+    bodies = {name: render_body(part) for name, part in large.parts.items()}
     seat = 1e3 * large.adapter.T_sensor_base[2, 3]
-    apart = moved_apart(bodies, EXPLOSION, seat)
+    apart = exploded_bodies(bodies, EXPLOSION, seat)
     for name, body in apart.items():
         along = body.corners - bodies[name].corners
         assert np.ptp(along.reshape(-1, 3), axis=0) == pytest.approx(0.0, abs=1e-9)  # rigidly
@@ -106,13 +104,13 @@ def test_parts_drawn_apart_do_not_meet(large: Drawing) -> None:
                 assert high < onto[0]
             elif move.onto != "probe":  # what slips over the probe is drawn around it
                 assert low > onto[1]
-    lifted = {
+    translated = {
         name: large.parts[name].placed.moved(
             type(large.parts[name].placed.location())((0.0, 0.0, body.span[0] - bodies[name].span[0]))
         )
         for name, body in apart.items()
     }
-    parts = {name: _Placed(shape) for name, shape in lifted.items()}
+    parts = {name: _Placed(shape) for name, shape in translated.items()}
     assert max(overlaps(parts).values(), default=0.0) == 0.0  # type: ignore[arg-type]
 
 
@@ -126,34 +124,34 @@ class _Placed:
 # ---- pictures
 
 
-def box(x: float, y: float, z: float, at: tuple[float, float, float], colour: float) -> Body:
+def box(x: float, y: float, z: float, at: tuple[float, float, float], colour: float) -> RenderBody:
     mesh = trimesh.creation.box((x, y, z), pose(p=list(at)))
     corners = mesh.triangles
-    return Body(corners, np.repeat(mesh.face_normals[:, None], 3, axis=1), (colour, colour, colour))
+    return RenderBody(corners, np.repeat(mesh.face_normals[:, None], 3, axis=1), (colour, colour, colour))
 
 
 def test_pixels_cover_what_is_projected() -> None:
     """A ball of 10 mm, at any scale, is a disc of π·10² mm²; a level camera sees a box as a rectangle."""
     ball = trimesh.creation.icosphere(5, 10.0)
-    body = Body(ball.triangles, ball.vertex_normals[ball.faces], (0.5, 0.5, 0.5))
-    view = view_of([body], Camera(), (400, 400))
-    _, owners = photographed([body], view)
-    covered = (owners != NOBODY).sum() / view.scale**2
+    body = RenderBody(ball.triangles, ball.vertex_normals[ball.faces], (0.5, 0.5, 0.5))
+    view = fit_view([body], OrthographicCamera(), (400, 400))
+    _, owners = render_bodies([body], view)
+    covered = (owners != BACKGROUND).sum() / view.scale**2
     assert covered == pytest.approx(np.pi * 100.0, rel=5e-3)  # a pixel of a rim of 1200 is left to chance
     slab = box(20.0, 6.0, 30.0, (1.0, 2.0, 3.0), 0.5)
-    view = view_of([slab], Camera(azimuth_deg=-90.0, elevation_deg=0.0), (300, 300))
-    _, owners = photographed([slab], view)
-    rows, columns = np.nonzero(owners != NOBODY)
+    view = fit_view([slab], OrthographicCamera(azimuth_deg=-90.0, elevation_deg=0.0), (300, 300))
+    _, owners = render_bodies([slab], view)
+    rows, columns = np.nonzero(owners != BACKGROUND)
     assert np.ptp(columns) + 1 == pytest.approx(20.0 * view.scale, abs=1.5)  # pixels
     assert np.ptp(rows) + 1 == pytest.approx(30.0 * view.scale, abs=1.5)
 
 
 def test_the_nearer_body_hides_the_farther_one() -> None:
     near, far = box(4.0, 4.0, 4.0, (0.0, -20.0, 0.0), 0.2), box(8.0, 8.0, 8.0, (0.0, 20.0, 0.0), 0.9)
-    front = Camera(azimuth_deg=-90.0, elevation_deg=0.0)
+    front = OrthographicCamera(azimuth_deg=-90.0, elevation_deg=0.0)
     for bodies in ([near, far], [far, near]):
-        view = view_of(bodies, front, (200, 200))
-        pixels, owners = photographed(bodies, view)
+        view = fit_view(bodies, front, (200, 200))
+        pixels, owners = render_bodies(bodies, view)
         middle = tuple(n // 2 for n in owners.shape)
         assert bodies[owners[middle]] is near
         assert (pixels[0, 0] == 255).all() and (pixels[middle] < 120).all()
@@ -161,8 +159,8 @@ def test_the_nearer_body_hides_the_farther_one() -> None:
 
 def test_light_comes_from_above_left() -> None:
     ball = trimesh.creation.icosphere(5, 10.0)
-    body = Body(ball.triangles, ball.vertex_normals[ball.faces], (0.8, 0.8, 0.8))
-    pixels, _ = photographed([body], view_of([body], Camera(), (200, 200)))
+    body = RenderBody(ball.triangles, ball.vertex_normals[ball.faces], (0.8, 0.8, 0.8))
+    pixels, _ = render_bodies([body], fit_view([body], OrthographicCamera(), (200, 200)))
     height, width = pixels.shape[:2]
     assert pixels[height // 4, width // 4].mean() > pixels[3 * height // 4, 3 * width // 4].mean() + 40
 
@@ -184,8 +182,8 @@ def words_of(svg: bytes) -> list[str]:
     return [element.text or "" for element in ET.fromstring(svg).iter(f"{SVG}text")]
 
 
-def test_drawings_say_the_dimensions(large: Drawing) -> None:
-    words = {name: words_of(sheet) for name, sheet in sheets_of(large).items()}
+def test_drawings_show_the_dimensions(large: CadModel) -> None:
+    words = {name: words_of(sheet) for name, sheet in part_drawings(large).items()}
     assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7) at s = 75", "⌀2 at s = 150"} <= set(words["probe"])
     a = large.adapter
     for d in (a.foot_d, a.recess_d, a.body_d):
@@ -199,9 +197,9 @@ def test_drawings_say_the_dimensions(large: Drawing) -> None:
         assert {large.geometry.fingerprint, "mm", f"{name}.stl"} <= set(words[name])
 
 
-def test_dimension_lines_are_as_long_as_they_say(large: Drawing) -> None:
+def test_dimension_lines_have_their_length(large: CadModel) -> None:
     """On the probe's sheet, scale 1 : 1: lines of 150, 19 and 3 mm of paper."""
-    root = ET.fromstring(sheets_of(large)["probe"])
+    root = ET.fromstring(part_drawings(large)["probe"])
     assert "1 : 1" in [element.text for element in root.iter(f"{SVG}text")]
     lengths = []
     for path in root.iter(f"{SVG}path"):
@@ -214,7 +212,7 @@ def test_dimension_lines_are_as_long_as_they_say(large: Drawing) -> None:
         )  # a thousandth of a millimetre is written
 
 
-def test_edges_are_those_of_the_solid(large: Drawing) -> None:
+def test_edges_are_those_of_the_solid(large: CadModel) -> None:
     probe = np.concatenate(seen(large.parts["probe"].shape, FRONT))
     assert probe.min(axis=0) == pytest.approx([-9.5, -3.0], abs=1e-6)
     assert probe.max(axis=0) == pytest.approx([9.5, 150.0], abs=1e-6)
@@ -242,8 +240,8 @@ ODD = {
 
 
 @pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
-def test_nothing_leaves_the_paper(make_design: Callable[..., Design], probe: str) -> None:
-    for name, sheet in sheets_of(draw(make_design(probe))).items():
+def test_drawings_stay_on_the_paper(make_design: Callable[..., Design], probe: str) -> None:
+    for name, sheet in part_drawings(build_cad(make_design(probe))).items():
         root = ET.fromstring(sheet)
         for element in root.iter():
             for x, y in _points(element):
@@ -294,7 +292,7 @@ class Page(HTMLParser):
             self.words.append(data)
 
 
-def test_the_page_needs_nothing_else(exported: Exported) -> None:
+def test_the_page_is_self_contained(exported: Exported) -> None:
     text = (exported[0] / "assembly.html").read_text("utf-8")
     page = Page(text)
     assert page.fetched and all(url.startswith("data:image/png;base64,") for url in page.fetched)
@@ -304,28 +302,23 @@ def test_the_page_needs_nothing_else(exported: Exported) -> None:
     )  # a picture a step, and the exploded one
 
 
-def test_the_page_says_what_the_bench_must_know(exported: Exported, large: Drawing) -> None:
-    said = " ".join(" ".join(Page((exported[0] / "assembly.html").read_text("utf-8")).words).split())
-    assert said.index("by more than 3.5 mm destroys it") < said.index("Parts")  # before anything else
-    assert f"{1e3 * large.adapter.T_sensor_base[2, 3]:.2f} mm above the tool face" in said
-    for item in bill_of(large):
-        assert item.title in said and (item.file or item.what) in said
+def test_the_page_has_warning_parts_steps_and_tools(exported: Exported, large: CadModel) -> None:
+    words = " ".join(" ".join(Page((exported[0] / "assembly.html").read_text("utf-8")).words).split())
+    assert words.index("by more than 3.5 mm destroys it") < words.index("Parts")  # before anything else
+    assert f"{1e3 * large.adapter.T_sensor_base[2, 3]:.2f} mm above the tool face" in words
+    for item in bill_of_materials(large):
+        assert item.title in words and (item.file or item.what) in words
     for step in exported[1]["assembly_order"]:
-        assert step[1:] in said
+        assert step[1:] in words
     for tool in ("hexagon key 1.5 mm (M2)", "hexagon key 5 mm (M6)", "calipers"):
-        assert tool in said
-    assert large.geometry.fingerprint in said and "assumed" in said
+        assert tool in words
+    assert large.geometry.fingerprint in words and "assumed" in words
 
 
-def test_names_from_outside_are_words_not_markup(make_design: Callable[..., Design]) -> None:
-    from probedesign.cad.page import _head
-
-    design = make_design().model_copy(update={"name": "<b>&"})
-    drawing = draw(make_design())
-    assert "<b>&" not in _head(Drawing(design, *(getattr(drawing, f) for f in _FIELDS)))
-
-
-_FIELDS = ("geometry", "adapter", "plate", "screws", "parts")
+def test_names_from_outside_are_escaped(make_design: Callable[..., Design], large: CadModel) -> None:
+    model = replace(large, design=make_design().model_copy(update={"name": "<b>&"}))
+    page = assembly_page(model, [], [], Svg(1.0, 1.0, "px", ""), []).decode()
+    assert "<b>&" not in page and page.count("&lt;b&gt;&amp;: assembly") == 2  # title and heading
 
 
 # ---- 3MF
@@ -345,7 +338,9 @@ def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Export
         )  # the plate; 3MF cuts digits
         for (_, high), (low, _) in pairwise(boxes):
             assert low[0] - high[0] > 4.9  # millimetres
-        assert np.allclose(places_of([piece for piece, _ in found]), [p for _, p in found], atol=1e-3)
+        assert np.allclose(
+            platform_positions([piece for piece, _ in found]), [p for _, p in found], atol=1e-3
+        )
 
 
 def test_another_reader_sees_the_same_parts(exported: Exported) -> None:

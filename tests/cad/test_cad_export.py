@@ -18,16 +18,16 @@ import cadquery as cq
 import trimesh
 
 from probedesign.cad import export_parts
-from probedesign.cad.documents import Documents
-from probedesign.cad.drawing import Drawing
+from probedesign.cad.assembly_docs import Documents
 from probedesign.cad.kernel import location
+from probedesign.cad.model import CadModel
 from probedesign.deployment import freeze
 from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.geometry import build_geometry
 from probedesign.mass import MassProperties, combined, flexible_part
-from probedesign.mounting import hanging_mass, sensor_adapter_for
-from probedesign.printing.preform.job import job_of
+from probedesign.mount import mount_mass_properties, sensor_adapter_for
+from probedesign.printing.preform.job import load_job
 from probedesign.probe import build_probe
 
 FILES = {
@@ -55,7 +55,7 @@ def test_files_and_their_digests(exported: Exported) -> None:
         )
 
 
-def test_manifest_says_what_was_made(exported: Exported, make_design: Callable[..., Design]) -> None:
+def test_manifest_describes_the_export(exported: Exported, make_design: Callable[..., Design]) -> None:
     _, manifest = exported
     design = make_design()
     assert manifest["schema"] == 1 and manifest["name"] == "large"
@@ -71,14 +71,14 @@ def test_manifest_says_what_was_made(exported: Exported, make_design: Callable[.
     assert "about -0.18, computed" in manifest["base"]["root_rigid_radii_means"]  # Ø12 mm
 
 
-def test_manifest_weighs_what_the_mechanics_weigh(
+def test_manifest_masses_equal_those_of_the_mechanics(
     exported: Exported, make_design: Callable[..., Design]
 ) -> None:
     _, manifest = exported
     design = make_design()
     geometry = build_geometry(design)
     adapter = sensor_adapter_for(geometry, design.sensor_model, design.name)
-    rigid = hanging_mass(geometry, adapter, design.density.value)
+    rigid = mount_mass_properties(geometry, adapter, design.density.value)
     whole = combined([rigid, flexible_part(geometry, design.density.value).moved(adapter.T_sensor_base)])
     for name, formula in (("rigid", rigid), ("whole", whole)):
         record = manifest["mass"][name]
@@ -115,7 +115,7 @@ def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> No
     assert (radius <= cone + 1e-5).all()  # facets lie inside the cone, corners on it
 
 
-def test_step_holds_every_part_named_coloured_and_in_place(exported: Exported, large: Drawing) -> None:
+def test_step_holds_every_part_named_coloured_and_in_place(exported: Exported, large: CadModel) -> None:
     """Read by the kernel's own reader of assemblies."""
     read = cq.Assembly.importStep(str(exported[0] / "assembly.step"))
     assert read.name == "large" and {child.name for child in read.children} == set(large.parts)
@@ -199,23 +199,23 @@ def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
         assert printed[untouched] == drawn[untouched]
 
 
-def test_the_manifest_tells_what_the_print_check_found(exported: Exported) -> None:
+def test_the_manifest_has_the_print_check(exported: Exported) -> None:
     check = exported[1]["print_check"]
     assert check["ok"] and check["errors"] == 0
     assert check["warnings"] == len(check["findings"])
     assert exported[1]["print_scale"]["probe"] == [1.0, 1.0, 1.0]
 
 
-def test_the_export_is_what_print_takes(exported: Exported, make_design: Callable[..., Design]) -> None:
+def test_print_accepts_the_export(exported: Exported, make_design: Callable[..., Design]) -> None:
     folder, manifest = exported
-    probe, adapters = (job_of(make_design(), folder, parts) for parts in ("probe", "adapters"))
+    probe, adapters = (load_job(make_design(), folder, parts) for parts in ("probe", "adapters"))
     # Facets have corners at both ends of both axes; single precision.
     assert probe.sizes == {"probe": pytest.approx((19.0, 19.0, 153.0), abs=0.02)}
     assert {"probe", *adapters.sizes} == set(manifest["parts"])
     assert all(job.file(part).is_file() for job in (probe, adapters) for part in job.sizes)
 
 
-def test_every_run_makes_the_same_bytes(exported: Exported, tmp_path: Path) -> None:
+def test_exports_are_reproducible(exported: Exported, tmp_path: Path) -> None:
     """In another process, with another seed of Python's hashes; STEP and 3MF alone carry the time.
 
     And it says nothing on stdout, which `--json` owns: the kernel likes to chat.
@@ -225,12 +225,12 @@ def test_every_run_makes_the_same_bytes(exported: Exported, tmp_path: Path) -> N
         "from probedesign.cad import export_parts; import sys;"
         "export_parts(design_of(), Path(sys.argv[1]), lambda step: print(step, file=sys.stderr))"
     )
-    said = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "again")],
         env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
         check=True, capture_output=True, text=True,
     )  # fmt: skip
-    assert said.stdout == "" and "meshing" in said.stderr.splitlines()
+    assert result.stdout == "" and "meshing" in result.stderr.splitlines()
     again = json.loads((tmp_path / "again" / "manifest.json").read_text("utf-8"))
     assert again["fingerprint"] == exported[1]["fingerprint"]
     timeless = [name for name in FILES - {"manifest.json"} if not name.endswith((".step", ".3mf"))]
@@ -240,12 +240,12 @@ def test_every_run_makes_the_same_bytes(exported: Exported, tmp_path: Path) -> N
 @pytest.fixture
 def undocumented(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out pictures and pages, which take seconds and have tests of their own."""
-    monkeypatch.setattr("probedesign.cad.export.documents_of", lambda *_: Documents({}, [], []))
+    monkeypatch.setattr("probedesign.cad.export.build_documents", lambda *_: Documents({}, [], []))
 
 
 def stop_at(step: str) -> Callable[[str], None]:
-    def progress(said: str) -> None:
-        if said == step:
+    def progress(text: str) -> None:
+        if text == step:
             raise KeyboardInterrupt
 
     return progress

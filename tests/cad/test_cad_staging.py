@@ -66,7 +66,7 @@ def test_an_interrupted_process_leaves_nothing(tmp_path: Path) -> None:
 
 
 @posix
-def test_an_export_that_runs_now_is_not_swept_away(tmp_path: Path) -> None:
+def test_a_running_export_is_not_removed(tmp_path: Path) -> None:
     folder = tmp_path / "large"
     with staged(folder) as first:
         write(first, "manifest.json", "first")
@@ -78,7 +78,7 @@ def test_an_export_that_runs_now_is_not_swept_away(tmp_path: Path) -> None:
 
 
 @posix
-def test_ctrl_c_waits_for_the_last_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_is_deferred_until_the_last_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "large"
     folder.mkdir()
     write(folder, "a", "old")
@@ -102,7 +102,7 @@ def test_ctrl_c_waits_for_the_last_file(tmp_path: Path, monkeypatch: pytest.Monk
     )
 
 
-def test_what_the_last_export_made_goes_and_all_else_stays(tmp_path: Path) -> None:
+def test_outdated_files_are_removed_and_others_kept(tmp_path: Path) -> None:
     folder = tmp_path / "large"
     folder.mkdir()
     write(tmp_path, "mine", "keep")
@@ -116,7 +116,7 @@ def test_what_the_last_export_made_goes_and_all_else_stays(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("nonsense", ["", "[]", '{"files": 3}', "\x00"])
-def test_an_older_manifest_that_does_not_read_is_no_hindrance(tmp_path: Path, nonsense: str) -> None:
+def test_an_unreadable_manifest_is_ignored(tmp_path: Path, nonsense: str) -> None:
     folder = tmp_path / "large"
     folder.mkdir()
     write(folder, "manifest.json", nonsense)

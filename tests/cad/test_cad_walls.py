@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
-from probedesign.mounting.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
 from probedesign.printing.check import check_print
 from probedesign.units import MM
 
@@ -27,8 +27,8 @@ def apart(some: list[Any], others: list[Any]) -> float:
     return min(a.distance(b) for a in some for b in others)
 
 
-def test_walls_of_the_rigid_parts_are_as_thick_as_the_check_says(large: Any) -> None:
-    told = {(f.part, f.what): f.measured for f in check_print(large.design).findings}
+def test_walls_of_the_rigid_parts_equal_the_check(large: Any) -> None:
+    message = {(f.part, f.what): f.measured for f in check_print(large.design).findings}
     a, plate = large.adapter, large.plate
     adapter, ring, flange = (large.parts[n].shape for n in ("sensor_adapter", "clamp_ring", "flange_adapter"))
     cone = [face for face in ring.Faces() if face.geomType() == "CONE"]
@@ -51,24 +51,24 @@ def test_walls_of_the_rigid_parts_are_as_thick_as_the_check_says(large: Any) -> 
             round_faces(flange, M2_COUNTERBORE_D), round_faces(flange, plate.robot.spigot[0])),
     }  # fmt: skip
     for key, (some, others) in drawn.items():
-        assert apart(some, others) == pytest.approx(told[key], abs=1e-6), (
+        assert apart(some, others) == pytest.approx(message[key], abs=1e-6), (
             key
         )  # mm: the kernel's tolerance is 1e-7
 
 
-def test_the_nuts_pocket_is_at_least_as_far_from_the_rim_as_the_check_says(large: Any) -> None:
+def test_the_nut_pocket_is_not_nearer_to_the_rim_than_checked(large: Any) -> None:
     """The check goes by the pocket's corners, however they are turned."""
     a, adapter = large.adapter, large.parts["sensor_adapter"].shape
-    told = {f.what: f.measured for f in check_print(large.design).findings if f.part == "sensor_adapter"}
+    message = {f.what: f.measured for f in check_print(large.design).findings if f.part == "sensor_adapter"}
     sides = [f for f in adapter.Faces() if f.geomType() == "PLANE" and abs(f.normalAt().z) < 1e-6]
     pocket = [f for f in sides if f.BoundingBox().zmax < a.nut_pocket_top / MM + 1e-6]
     assert len(pocket) == 4 * 6
     wall = apart(pocket, round_faces(adapter, a.body_d))
-    assert told["between nut pocket and rim"] - 1e-6 <= wall
-    assert told["between nut pocket and recess"] == pytest.approx((a.floor - a.nut_pocket_top) / MM)
+    assert message["between nut pocket and rim"] - 1e-6 <= wall
+    assert message["between nut pocket and recess"] == pytest.approx((a.floor - a.nut_pocket_top) / MM)
 
 
-def test_the_web_at_the_clocking_hole_is_as_thin_as_the_check_says(large: Any) -> None:
+def test_the_web_at_the_clocking_hole_equals_the_check(large: Any) -> None:
     probe = large.parts["probe"].shape
     (found,) = [f for f in check_print(large.design).findings if "its rim" in f.what]
     web = apart(

@@ -10,7 +10,7 @@ from probedesign import load_design, load_estimator, pipeline
 from probedesign.cli.main import run
 from probedesign.identification.result import UNITS
 from tests.identification.conftest import LARGE, TRUE_E
-from tests.test_pages import assert_whole
+from tests.reports.test_pages import assert_whole
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_a_dry_run_changes_nothing_and_prints_the_changes(here: Path, stage_fold
     folder = here / "exports/large/identification"
     page = (folder / "identification.html").read_text()
     assert_whole(page)
-    assert "What is not counted" in page
+    assert "Systematic effects" in page
     rows = (folder / "residuals.csv").read_text().splitlines()
     document = json.loads((folder / "identification.json").read_text())
     assert len(rows) == 1 + len(document["residuals"])

@@ -14,7 +14,7 @@ from probedesign.identification.result import (
     with_caveats,
     with_systematics,
 )
-from probedesign.pages.identification_page import identification_page
+from probedesign.reports.identification_page import identification_page
 from tests.identification.conftest import LARGE
 
 NORMAL = 1.96

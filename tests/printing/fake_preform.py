@@ -1,4 +1,4 @@
-"""A PreFormServer on the loopback that follows the published API, keeps a diary, and fails when told to.
+"""A PreFormServer on the loopback that follows the published API, keeps a diary, and fails when message to.
 
 Source: Formlabs Local API 0.9.7 (formlabs-api-local-openapi.yaml): paths, bodies, required keys, replies.
 """
@@ -147,10 +147,10 @@ class FakePreForm:
                 raw = self.rfile.read(int(self.headers.get("Content-Length") or 0))
                 body = json.loads(raw) if raw else None
                 parts = [part for part in path.split("/") if part]
-                told = "/".join(
+                message = "/".join(
                     "*" if part in fake.scenes or part in fake.operations else part for part in parts
                 )
-                fake.diary.append((self.command, f"/{told}/" if told else "/", body))
+                fake.diary.append((self.command, f"/{message}/" if message else "/", body))
                 fault = fake.faults.get(
                     parts[-1] if parts and parts[0] != "operations" else parts[0] if parts else "/"
                 )

@@ -71,7 +71,7 @@ def test_a_flange_without_pin_and_spigot_has_no_walls_there():
 
 @pytest.mark.parametrize("printer", PRINTERS)
 @pytest.mark.parametrize("scale_z", [1.0, 1.05])
-def test_the_longest_that_it_names_fits_and_a_millimetre_more_does_not(printer, scale_z):
+def test_the_named_maximum_length_fits_and_a_millimetre_more_does_not(printer, scale_z):
     print_ = f'printer = "{printer}"\nscale_z = {scale_z}'
     finding = found(design_of(length=400, print_=print_), "build_volume", "height")
     assert finding.severity == "error"
@@ -81,18 +81,18 @@ def test_the_longest_that_it_names_fits_and_a_millimetre_more_does_not(printer, 
     assert not check_print(design_of(length=longest + 1, print_=print_)).fits
 
 
-def test_a_probe_too_long_names_the_smallest_printer_that_takes_it():
+def test_a_probe_too_long_names_the_smallest_printer_that_fits():
     for length, printer in (
         (200, "form-4"),
         (201, "form-3l"),
         (300, "form-4l"),
     ):  # 210 mm is a form-4's height
-        assert f"a {printer} takes it" in found(design_of(length=length), "build_volume", "height").remedy
+        assert f"it fits a {printer}" in found(design_of(length=length), "build_volume", "height").remedy
         assert check_print(design_of(length=length, print_=f'printer = "{printer}"')).fits
-    assert "no printer known here takes it" in found(design_of(length=400), "build_volume", "height").remedy
+    assert "it fits no known printer" in found(design_of(length=400), "build_volume", "height").remedy
 
 
-def test_the_widest_place_counts_not_the_base():
+def test_the_width_is_that_of_the_widest_section():
     """A body of 60 mm across on a flange of 67 mm: 77 mm with the raft's margins."""
     assert found(design_of(base=60, tip=60), "build_volume", "width").measured == pytest.approx(77.0)
 
@@ -121,7 +121,7 @@ def test_a_neck_counts_like_a_tip():
     ("base", "tip", "severity"),
     [(12.0, 2.0, "ok"), (7.5, 7.5, "ok"), (7.0, 2.0, "warning"), (3.75, 2.0, "warning"), (3.7, 2.0, "error")],
 )
-def test_slenderness_is_diameter_over_what_stands_on_it(base, tip, severity):
+def test_slenderness_is_diameter_over_the_height_above(base, tip, severity):
     finding = found(design_of(base=base, tip=tip), "slenderness")
     assert finding.severity == severity
     assert finding.measured == pytest.approx(base / 150.0)
@@ -209,7 +209,7 @@ def test_the_rigid_parts_of_every_base_keep_their_rules(base, robot_flange):
     assert {f.rule for f in rigid} == {"build_volume", "wall", "hole", "slenderness"}
 
 
-def test_a_probe_that_no_ring_can_hold_is_an_error_with_the_mounts_own_words():
+def test_a_probe_too_wide_for_the_ring_is_an_error():
     design = design_of(length=80, base=6, profile=[[0.0, 6.0], [40.0, 40.0], [80.0, 40.0]])
     (finding,) = [f for f in check_print(design).findings if f.rule == "mount"]
     assert finding.severity == "error" and finding.measured is None
@@ -244,8 +244,11 @@ def test_the_command_fails_on_errors(written, capsys):
     assert captured.err == ""
     lines = [line for line in captured.out.splitlines() if line.startswith("  error")]
     assert len(lines) == 2
-    assert "250 mm, at most 185 mm wanted; the longest for a form-3 is 175 mm; a form-3l takes it" in lines[0]
-    assert "1.2 mm, at least 1.5 mm wanted" in lines[1]
+    assert (
+        "250 mm, required at most 185 mm; the longest probe for a form-3 is 175 mm; it fits a form-3l"
+        in lines[0]
+    )
+    assert "1.2 mm, required at least 1.5 mm" in lines[1]
     assert "low confidence: assumed" in captured.out
 
 
@@ -272,7 +275,7 @@ def test_the_check_needs_no_cad_and_no_mechanics():
 
 @pytest.mark.parametrize("key", ["scale_xy", "scale_z", "rigid_scale_xy", "rigid_scale_z"])
 @pytest.mark.parametrize("value", ["0.5", "101.0", "nan", '"1 %"'])
-def test_a_scale_that_is_a_slip_is_refused(key, value):
+def test_implausible_scales_are_refused(key, value):
     from probedesign.errors import InputError
 
     with pytest.raises(InputError, match=rf"print\.{key} = .*(0\.9 \.\.\. 1\.1|finite|number)"):

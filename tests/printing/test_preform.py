@@ -18,15 +18,18 @@ from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.errors import InputError
 from probedesign.geometry import build_geometry
-from probedesign.printing.limits import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
-from probedesign.printing.preform import connection
-from probedesign.printing.preform.connection import Connection, NoAnswerError, PreFormError, connection_to
-from probedesign.printing.preform.job import job_of
-from probedesign.printing.preform.places import places_of
-from probedesign.printing.preform.prepare import Order, prepare
-from probedesign.printing.preform.replies import Materials
-from probedesign.printing.preform.server import PreForm
-from probedesign.printing.preform.settings import choose
+from probedesign.materials import RESINS
+from probedesign.printing.preform import client
+from probedesign.printing.preform.client import (
+    Connection,
+    NoAnswerError,
+    PreForm,
+    PreFormError,
+    connection_to,
+)
+from probedesign.printing.preform.job import PrintOrder, load_job, path_mapping, prepare_job
+from probedesign.printing.preform.settings import PREFERRED, MaterialList, select_settings
+from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
 
 SIZES = {"probe": (19, 19, 83), "sensor_adapter": (30, 30, 8), "clamp_ring": (30, 30, 2.5)}
@@ -73,13 +76,16 @@ def fake(place):
         yield server
 
 
-def prepared(fake, place, order=Order(), timeout_s=5.0, operation_s=20.0, tell=None):  # noqa: B008
+def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008
     """What the command does, with quick timeouts."""
     server = PreForm(
-        connection_to(fake.url, timeout_s), operation_s, poll_s=0.005, tell=tell or (lambda step, share: None)
+        connection_to(fake.url, timeout_s),
+        operation_s,
+        poll_s=0.005,
+        on_progress=on_progress or (lambda step, share: None),
     )
-    job = job_of(load_design("thin.toml"), place, order.parts)
-    return prepare(server, job, places_of(place, order.server_folder, True, fake.url), order)
+    job = load_job(load_design("thin.toml"), place, order.parts)
+    return prepare_job(server, job, path_mapping(place, order.server_folder, True, fake.url), order)
 
 
 def left_over(folder):
@@ -128,9 +134,9 @@ def test_the_probe_is_prepared_upright_and_supported_and_nothing_is_sent(fake, p
 
 
 def test_the_adapters_are_another_job_in_a_rigid_resin(fake, place):
-    result = prepared(fake, place, Order(parts="adapters"))
+    result = prepared(fake, place, PrintOrder(parts="adapters"))
     assert sorted(result.parts) == ["clamp_ring", "sensor_adapter"]
-    assert (result.chosen.material, result.chosen.setting) == ("Grey V4", "0.100 mm (Default settings)")
+    assert (result.selection.material, result.selection.setting) == ("Grey V4", "0.100 mm (Default settings)")
     assert (place / "preform-adapters.png").is_file()
 
 
@@ -138,13 +144,15 @@ def test_the_adapters_are_another_job_in_a_rigid_resin(fake, place):
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize("parts", ["probe", "adapters"])
 def test_nothing_goes_to_a_printer_without_send(fake, place, form, force, parts):
-    prepared(fake, place, Order(parts=parts, form_file=str(place / "x.form") if form else None, force=force))
+    prepared(
+        fake, place, PrintOrder(parts=parts, form_file=str(place / "x.form") if form else None, force=force)
+    )
     assert fake.printed == []
     assert not any("print/" in call for call in fake.calls)
 
 
 def test_what_is_sent_waits_in_the_printers_queue(fake, place):
-    result = prepared(fake, place, Order(printer="Form3-TestyTest"))
+    result = prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
     fingerprint = build_geometry(load_design("thin.toml")).fingerprint
     assert fake.printed == [
         {
@@ -158,20 +166,20 @@ def test_what_is_sent_waits_in_the_printers_queue(fake, place):
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "message"),
     [
         ({"cups": 1}, "probe: 1 cup(s) that trap resin"),
         ({"unsupported_minima": 3}, "probe: 3 place(s) that begin in mid-air"),
         ({"undersupported": True}, "probe: too few supports"),
     ],
 )
-def test_a_problem_keeps_the_job_from_the_printer_but_not_from_its_file(fake, place, found, told):
+def test_a_problem_keeps_the_job_from_the_printer_but_not_from_its_file(fake, place, found, message):
     fake.validation |= found
     form = place / "x.form"
-    result = prepared(fake, place, Order(form_file=str(form), printer="Form3-TestyTest"))
-    assert result.problems == (told,)
+    result = prepared(fake, place, PrintOrder(form_file=str(form), printer="Form3-TestyTest"))
+    assert result.problems == (message,)
     assert fake.printed == [] and result.sent_to is None and form.is_file()
-    prepared(fake, place, Order(form_file=str(form), printer="Form3-TestyTest", force=True))
+    prepared(fake, place, PrintOrder(form_file=str(form), printer="Form3-TestyTest", force=True))
     assert len(fake.printed) == 1
 
 
@@ -185,14 +193,14 @@ def test_a_part_that_was_not_validated_is_a_problem(fake, place):
     assert prepared(fake, place).problems == ("probe: PreForm did not validate it",)
 
 
-def test_a_part_that_got_lost_is_a_problem(fake, place):
+def test_a_lost_part_is_a_problem(fake, place):
     fake.faults["auto-layout"] = lambda handler: [s["models"].clear() for s in fake.scenes.values()] and None
     assert prepared(fake, place).problems == ("probe: no longer in the scene",)
 
 
-def test_progress_is_told_step_by_step(fake, place):
+def test_progress_is_reported_by_step(fake, place):
     fake.polls, steps = 2, []
-    prepared(fake, place, tell=lambda step, share: steps.append((step, share)))
+    prepared(fake, place, on_progress=lambda step, share: steps.append((step, share)))
     shares = [share for step, share in steps if step == "supports" and share is not None]
     assert shares == pytest.approx([1 / 3, 2 / 3])
     assert steps[0] == ("the version", None)
@@ -224,7 +232,7 @@ def test_an_answer_at_once_is_as_good_as_an_operation(fake, place):
     ],
 )
 def test_the_material_is_found_in_preforms_own_list(product, resin, material, label, code):
-    chosen = choose(Materials.model_validate(MATERIALS), product, resin, material)
+    chosen = select_settings(MaterialList.model_validate(MATERIALS), product, resin, material)
     assert (chosen.printer, chosen.material) == (product, label)
     assert chosen.scene_settings["material_code"] == code
     assert chosen.scene_settings["layer_thickness_mm"] == 0.1
@@ -232,7 +240,7 @@ def test_the_material_is_found_in_preforms_own_list(product, resin, material, la
 
 
 @pytest.mark.parametrize(
-    ("product", "resin", "material", "told"),
+    ("product", "resin", "material", "message"),
     [
         ("Form 4", "rigid", None, "PreForm knows no Form 4; it has: Form 3/3+, Form 3L"),
         (
@@ -255,20 +263,31 @@ def test_the_material_is_found_in_preforms_own_list(product, resin, material, la
         ),
     ],
 )
-def test_what_preform_does_not_have_names_what_it_has(product, resin, material, told):
+def test_errors_name_what_preform_has(product, resin, material, message):
     with pytest.raises(InputError) as error:
-        choose(Materials.model_validate(MATERIALS), product, resin, material)
-    assert told in str(error.value)
+        select_settings(MaterialList.model_validate(MATERIALS), product, resin, material)
+    assert message in str(error.value)
+
+
+def test_every_resin_has_a_name_in_preform():
+    assert {*RESINS, "rigid"} <= set(PREFERRED)
+
+
+def test_a_resin_unknown_to_preform_needs_its_material_named():
+    materials = MaterialList.model_validate(MATERIALS)
+    with pytest.raises(InputError, match=r"new-resin: .* --material .* it has: "):
+        select_settings(materials, "Form 3", "new-resin")
+    assert select_settings(materials, "Form 3", "new-resin", "Grey V4").material == "Grey V4"
 
 
 # Whose files
 
 
-def test_a_server_elsewhere_is_told_its_own_paths(fake, place, tmp_path):
+def test_a_remote_server_gets_its_own_paths(fake, place, tmp_path):
     elsewhere = tmp_path / "other disk"
     shutil.copytree(place, elsewhere)
     fake.root = ("C:\\probes\\thin", elsewhere)
-    order = Order(server_folder="C:\\probes\\thin", form_file="thin.form")
+    order = PrintOrder(server_folder="C:\\probes\\thin", form_file="thin.form")
     result = prepared(fake, place, order)
     assert fake.body("import-model")["file"] == "C:\\probes\\thin\\probe.stl"
     assert result.form_file == fake.body("save-form")["file"] == "C:\\probes\\thin\\thin.form"
@@ -276,7 +295,7 @@ def test_a_server_elsewhere_is_told_its_own_paths(fake, place, tmp_path):
     assert not (place / "preform-probe.png").exists()
 
 
-def test_a_server_elsewhere_without_its_folder_is_refused_before_it_is_asked(fake, place, capsys):
+def test_a_remote_server_without_a_folder_is_refused_first(fake, place, capsys):
     assert run(["print", "thin.toml", "--preform", "http://192.0.2.1:44388"]) == 2
     assert "--server-folder names the folder there" in capsys.readouterr().err
     assert run(["print", "thin.toml", "--preform", fake.url, "--server-folder", "probes/thin"]) == 2
@@ -284,15 +303,15 @@ def test_a_server_elsewhere_without_its_folder_is_refused_before_it_is_asked(fak
     assert fake.diary == []
 
 
-def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
+def test_a_file_reported_as_written_must_exist(fake, place):
     fake.writes = False
-    with pytest.raises(PreFormError, match="is not here; if PreForm runs elsewhere, --server-folder"):
+    with pytest.raises(PreFormError, match="does not exist; if PreForm runs elsewhere, --server-folder"):
         prepared(fake, place)
     assert left_over(place) == [] and fake.scenes == {}
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda f: (f / "manifest.json").unlink(), "make the parts first: probedesign export"),
         (lambda f: (f / "manifest.json").write_text("[1]"), "is no manifest of an export"),
@@ -301,23 +320,23 @@ def test_a_file_that_preform_says_it_wrote_must_be_there(fake, place):
         (lambda f: (f / "probe.stl").unlink(), "cannot be read: No such file"),
         (
             lambda f: Path("thin.toml").write_text(DESIGN.replace("80.0", "81.0")),
-            "of another geometry, resin or scale",
+            "another geometry, resin or scale",
         ),
         (
             lambda f: Path("thin.toml").write_text(DESIGN + "[print]\nscale_z = 1.01\n"),
-            "of another geometry, resin or",
+            "another geometry, resin or",
         ),
         (
             lambda f: Path("thin.toml").write_text(DESIGN + '[material]\nresin = "silicone-40a"\n'),
-            "of another geometry",
+            "another geometry",
         ),
     ],
 )
-def test_only_the_designs_own_export_is_printed(fake, place, capsys, spoil, told):
+def test_only_the_designs_own_export_is_printed(fake, place, capsys, spoil, message):
     spoil(place)
     assert run(["print", "thin.toml", "--preform", fake.url]) == 2
     captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and told in captured.err
+    assert captured.out == "" and captured.err.count("\n") == 1 and message in captured.err
     assert fake.diary == []
 
 
@@ -325,27 +344,27 @@ def test_manifest_names_cannot_lead_out_of_the_folder(fake, place):
     manifest = json.loads((place / "manifest.json").read_text())
     manifest["files"]["../../secret.stl"] = manifest["files"]["clamp_ring.stl"]
     (place / "manifest.json").write_text(json.dumps(manifest))
-    job = job_of(load_design("thin.toml"), place, "adapters")
+    job = load_job(load_design("thin.toml"), place, "adapters")
     assert sorted(job.sizes) == ["clamp_ring", "sensor_adapter"]
 
 
-def test_a_part_that_came_in_in_inches_is_noticed(fake, place):
+def test_a_part_in_inches_is_detected(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 482.6, "y": 482.6, "z": 2108.2}}
     fake.model = {"bounding_box": box}
     with pytest.raises(
-        PreFormError, match=r"sees probe as 482\.6 x 482\.6 x 2108\.2 mm, its file says 19\.0 x"
+        PreFormError, match=r"reads probe as 482\.6 x 482\.6 x 2108\.2 mm; its file has 19\.0 x"
     ):
         prepared(fake, place)
 
 
-def test_a_part_that_lies_down_is_noticed(fake, place):
+def test_a_tilted_part_is_detected(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 83.0, "y": 19.0, "z": 19.0}}
     fake.model = {"bounding_box": box}
-    with pytest.raises(PreFormError, match="not its size, or not upright"):
+    with pytest.raises(PreFormError, match="wrong units, or not upright"):
         prepared(fake, place)
 
 
-def test_an_import_that_leaves_the_scene_empty_is_noticed(fake, place):
+def test_an_import_without_a_model_is_detected(fake, place):
     fake._import = lambda scene, body: {}
     with pytest.raises(PreFormError, match="imported probe as 0 models, not one"):
         prepared(fake, place)
@@ -424,7 +443,7 @@ HOSTILE = {"error": {"code": "EVIL\x1b[2J", "message": "two\nlines \x1b[31m" + "
 
 @pytest.mark.parametrize("step", ["/", "scene", "operations", "print"])
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "message"),
     [
         (closes, "not to the end"),
         (stops_in_the_headers, "not to the end"),
@@ -448,17 +467,17 @@ HOSTILE = {"error": {"code": "EVIL\x1b[2J", "message": "two\nlines \x1b[31m" + "
         "html", "deep", "list", "302", "500", "400", "hostile", "odd",
     ],
 )  # fmt: skip
-def test_whatever_answers_the_error_is_one_line_and_nothing_is_printed(fake, place, step, fault, told):
+def test_faulty_answers_are_one_line_errors(fake, place, step, fault, message):
     fake.faults[step] = fault
-    with pytest.raises(PreFormError, match=told) as error:
-        prepared(fake, place, Order(printer="Form3-TestyTest"), timeout_s=0.3)
+    with pytest.raises(PreFormError, match=message) as error:
+        prepared(fake, place, PrintOrder(printer="Form3-TestyTest"), timeout_s=0.3)
     text = str(error.value)
     assert text.isprintable() and len(text) < 700
     assert fake.printed == [] and left_over(place) == []
 
 
 def test_an_answer_without_end_is_not_read(fake, place, monkeypatch):
-    monkeypatch.setattr(connection, "MAX_REPLY", 2**21)
+    monkeypatch.setattr(client, "MAX_REPLY", 2**21)
     fake.faults["list-materials"] = floods
     with pytest.raises(PreFormError, match="is longer than 2097152 bytes"):
         prepared(fake, place)
@@ -482,7 +501,7 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
 
 
 @pytest.mark.parametrize(
-    ("state", "told"),
+    ("state", "message"),
     [
         ({"status": "PAUSED"}, "its answer to the import of probe: status"),
         ({"status": "IN_PROGRESS", "progress": float("nan")}, "progress"),
@@ -494,9 +513,9 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
         ({"status": "SUCCEEDED", "result": 3}, "result"),
     ],
 )
-def test_operations_that_go_astray(fake, place, state, told):
+def test_invalid_operation_states_are_errors(fake, place, state, message):
     fake.faults["operations"] = says(200, state)
-    with pytest.raises(PreFormError, match=told):
+    with pytest.raises(PreFormError, match=message):
         prepared(fake, place)
     assert fake.scenes == {}  # cleared up all the same
 
@@ -524,7 +543,7 @@ def test_an_operation_that_does_not_end(fake, place):
 def test_an_operation_that_fails_passes_on_preforms_words(fake, place, step):
     fake.failing[step] = {"error": {"code": "NO_ROOM", "message": "It does not fit"}}
     with pytest.raises(PreFormError, match=r"^PreForm fails at .*: It does not fit \(NO_ROOM\)$"):
-        prepared(fake, place, Order(printer="Form3-TestyTest"))
+        prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
     assert fake.scenes == {} and left_over(place) == []
 
 
@@ -537,25 +556,30 @@ def forgets(handler):
     "fault",
     [closes, says(200, b"<html>"), says(502, b"Bad Gateway"), says(200, {"job_id": 5}), forgets],
 )
-def test_an_upload_without_an_answer_says_that_nobody_knows(fake, place, fault):
+def test_an_unanswered_upload_has_an_unknown_outcome(fake, place, fault):
     fake.faults["print"] = fault
-    with pytest.raises(NoAnswerError, match="whether Form3-TestyTest has the job is not known: look there"):
-        prepared(fake, place, Order(printer="Form3-TestyTest"))
+    with pytest.raises(NoAnswerError, match="whether Form3-TestyTest has received the job is unknown"):
+        prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
 
 
 def interrupt_at(wanted):
-    def tell(step, share):
+    def on_progress(step, share):
         if step == wanted and share is not None:
             raise KeyboardInterrupt
 
-    return tell
+    return on_progress
 
 
 @pytest.mark.parametrize("step", ["the import of probe", "supports", "a picture", "the form file"])
 def test_an_interruption_leaves_neither_files_nor_scenes(fake, place, step):
     before = {p.name for p in place.iterdir()}
     with pytest.raises(KeyboardInterrupt) as interruption:
-        prepared(fake, place, Order(form_file=str(place / "x.form"), printer="X"), tell=interrupt_at(step))
+        prepared(
+            fake,
+            place,
+            PrintOrder(form_file=str(place / "x.form"), printer="X"),
+            on_progress=interrupt_at(step),
+        )
     assert not str(interruption.value)
     assert fake.scenes == {} and fake.printed == []
     assert {p.name for p in place.iterdir()} <= before | {"preform-probe.png"}
@@ -580,9 +604,9 @@ def test_ctrl_c_in_the_terminal(fake, place):
     assert fake.scenes == {} and left_over(place) == []
 
 
-def test_an_interrupted_upload_says_where_to_look(fake, place):
-    with pytest.raises(KeyboardInterrupt, match="whether X has the job is not known: look there"):
-        prepared(fake, place, Order(printer="X"), tell=interrupt_at("the upload"))
+def test_an_interrupted_upload_names_the_printer(fake, place):
+    with pytest.raises(KeyboardInterrupt, match="whether X has received the job is unknown"):
+        prepared(fake, place, PrintOrder(printer="X"), on_progress=interrupt_at("the upload"))
 
 
 # Addresses
@@ -595,8 +619,10 @@ def test_an_interrupted_upload_says_where_to_look(fake, place):
         "http://me:secret@host", "http://host/scene/", "http://host?x=1", "ftp://host", "", "http://host:0",
     ],
 )  # fmt: skip
-def test_an_address_that_is_none_is_refused(url):
-    with pytest.raises(InputError, match=r"is no address of a PreFormServer; write http://localhost:44388$"):
+def test_invalid_addresses_are_refused(url):
+    with pytest.raises(
+        InputError, match=r"is not the address of a PreFormServer; write http://localhost:44388$"
+    ):
         connection_to(url)
 
 
@@ -611,17 +637,17 @@ def test_addresses():
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "no-such-host.invalid", "a" * 80 + ".invalid", "a..b"])
-def test_nobody_there_says_how_to_start_it(host):
+def test_a_missing_server_error_names_the_start_command(host):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound and not listening: nobody else takes the port meanwhile
         port = taken.getsockname()[1]
         with pytest.raises(
             NoAnswerError, match=rf"nothing answers there .*; start it: PreFormServer --port {port}$"
         ):
-            Connection(host, port, 5.0).ask("the version", "GET", "/")
+            Connection(host, port, 5.0).request("the version", "GET", "/")
 
 
-def test_a_proxy_of_the_environment_is_not_asked(fake, place, monkeypatch):
+def test_environment_proxies_are_ignored(fake, place, monkeypatch):
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
     monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
     assert prepared(fake, place).api == "0.9.7"
@@ -630,7 +656,7 @@ def test_a_proxy_of_the_environment_is_not_asked(fake, place, monkeypatch):
 # The command
 
 
-def test_the_command_says_what_it_did_and_did_not(fake, place, capsys):
+def test_the_command_prints_its_outcome(fake, place, capsys):
     fake.polls = 0
     assert run(["print", "thin.toml", "--preform", fake.url, "--save-form", "exports/thin.form"]) == 0
     out = capsys.readouterr().out
@@ -671,12 +697,12 @@ def test_the_command_fails_on_problems_unless_forced(fake, place, capsys):
 def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, capsys):
     Path("thin.toml").write_text(DESIGN.replace("tip_d_mm = 2.0", "tip_d_mm = 1.2"))
     assert run(["print", "thin.toml", "--preform", fake.url]) == 2
-    assert "the print check says: probe: thickness" in capsys.readouterr().err
+    assert "the print check says: probe: minimum thickness" in capsys.readouterr().err
     assert fake.diary == []
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--save-form", "x.stl"], "PreForm's files end in .form"),
         (["--save-form", "none/x.form"], "there is no folder"),
@@ -689,9 +715,9 @@ def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, cap
         (["--material", "Gray V4"], "it has: Grey V4"),
     ],
 )
-def test_wrong_options_are_one_line(fake, place, capsys, options, told):
+def test_wrong_options_are_one_line(fake, place, capsys, options, message):
     Path("there.form").write_text("mine")
     assert run(["print", "thin.toml", "--preform", fake.url, *options]) == 2
     captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and told in captured.err
+    assert captured.out == "" and captured.err.count("\n") == 1 and message in captured.err
     assert Path("there.form").read_text() == "mine" and fake.printed == []

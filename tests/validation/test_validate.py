@@ -13,16 +13,22 @@ from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
-from probedesign.pages.validation_charts import centreline, contact_told, inner, outline, place_known
-from probedesign.pages.validation_page import validation_page
 from probedesign.prediction.paper_probes import paper_design
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
+from probedesign.reports.validation_page import (
+    centreline,
+    estimated_contact,
+    internal_load,
+    known_contact,
+    outline,
+    validation_page,
+)
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
 from probedesign.validation.coverage import coverage_of
 from probedesign.validation.validate import COLUMNS, validate
-from tests.test_pages import assert_whole
+from tests.reports.test_pages import assert_whole
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
@@ -135,8 +141,8 @@ def test_the_table_is_ordered_as_the_papers_and_drops_nothing(found, made):
 def test_force_and_moment_jump_by_the_contact_force_and_its_couple(found):
     """The force acts on the surface: about the touched section's centre it has the couple ρ × F."""
     trial = next(t for t in found.tests if t.kind == "touch" and t.shape is not None)
-    s, force = inner(trial.shape, "force")
-    _, moment = inner(trial.shape, "moment")
+    s, force = internal_load(trial.shape, "force")
+    _, moment = internal_load(trial.shape, "moment")
     at = int(np.argmin(np.abs(s - trial.shape.s_contact)))
     # a nanometre apart: weight and moment change by nothing that counts
     np.testing.assert_allclose(force[at] - force[at + 1], 1e3 * trial.estimate.force_base, atol=1e-3)
@@ -233,7 +239,7 @@ def test_the_outline_is_as_wide_as_the_probe(found, large):
     body, line = outline(trial, large), centreline(trial)
     width = np.linalg.norm(body[: len(line)] - body[: len(line) - 1 : -1], axis=1)
     assert width[[0, -1]] == pytest.approx([12e-3, 2e-3])
-    assert np.linalg.norm(place_known(trial) - contact_told(trial)) == pytest.approx(
+    assert np.linalg.norm(known_contact(trial) - estimated_contact(trial)) == pytest.approx(
         trial.contact_error.size, rel=1e-2
     )
 

@@ -1,15 +1,150 @@
-"""Which of PreForm's materials and settings a job takes: found in its own list, never guessed."""
+"""Schemas of PreForm's answers, and the choice of material and settings for a job.
+
+Only the fields in use are validated; others are ignored. Materials and settings are found in PreForm's own list.
+"""
 
 import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from probedesign.design_problems import one_line, quoted
 from probedesign.errors import InputError
-from probedesign.printing.limits import LAYER
-from probedesign.printing.preform.replies import Material, Materials, PrinterType, Setting
+from probedesign.printing.rules import LAYER
+
+Id = Annotated[str, Field(pattern=r"^\{?[A-Za-z0-9][A-Za-z0-9._-]{0,63}\}?$")]
+"""Pattern of an id; it becomes part of an address."""
+Text = Annotated[str, Field(max_length=200)]
+Extent = tuple[float, float, float]
+
+
+class Reply(BaseModel):
+    """Base of all answers."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+
+class VersionReply(Reply):
+    """The version of the API."""
+
+    version: Text
+
+
+class OperationAccepted(Reply):
+    """A long operation that continues in the background."""
+
+    operationId: Id | None = None
+
+
+class OperationStatus(Reply):
+    """The progress of a long operation, and its result: that of the call, or its error."""
+
+    status: Literal["IN_PROGRESS", "SUCCEEDED", "FAILED"]
+    progress: float = 0.0
+    result: dict[str, Any] | None = None
+
+
+class BuildPoint(Reply):
+    """A point in the build volume [mm]."""
+
+    x: float
+    y: float
+    z: float
+
+
+class BoundingBox(Reply):
+    """The bounding box of a model."""
+
+    min_corner: BuildPoint
+    max_corner: BuildPoint
+
+    @property
+    def size(self) -> Extent:
+        """Return the extent along x, y and z [mm]."""
+        a, b = self.min_corner, self.max_corner
+        return (b.x - a.x, b.y - a.y, b.z - a.z)
+
+
+class SceneModel(Reply):
+    """A part in a scene; None where PreForm gives no value."""
+
+    id: Id
+    bounding_box: BoundingBox | None = None
+    in_bounds: bool | None = None
+    has_supports: bool | None = None
+
+
+class MaterialUsage(Reply):
+    """The resin that a print needs."""
+
+    volume_ml: float | None = None
+
+
+class PrintScene(Reply):
+    """A print job under preparation."""
+
+    id: Id
+    models: tuple[SceneModel, ...] = ()
+    layer_count: int | None = None
+    material_usage: MaterialUsage = MaterialUsage()
+
+
+class ModelValidation(Reply):
+    """The result of print validation for one model."""
+
+    cups: int = 0
+    unsupported_minima: int = 0
+    undersupported: bool = False
+
+
+class PrintValidation(Reply):
+    """The result of print validation for all models, by id."""
+
+    per_model_results: dict[str, ModelValidation] = {}
+
+
+class PrintTimeEstimate(Reply):
+    """The estimated print time."""
+
+    total_print_time_s: float
+
+
+class UploadedJob(Reply):
+    """A job in a printer's queue."""
+
+    job_id: Text = ""
+
+
+class PrintSetting(Reply):
+    """One setting of a material; `scene_settings` are the parameters of a scene."""
+
+    label: Text = ""
+    scene_settings: dict[str, str | float | None]
+
+
+class PrintMaterial(Reply):
+    """A material with its version."""
+
+    label: Text
+    material_settings: tuple[PrintSetting, ...] = ()
+
+
+class PrinterType(Reply):
+    """Printers with common materials and settings."""
+
+    label: Text
+    supported_product_names: tuple[str, ...] = ()
+    materials: tuple[PrintMaterial, ...] = ()
+
+
+class MaterialList(Reply):
+    """All printers and materials that PreForm supports."""
+
+    printer_types: tuple[PrinterType, ...]
+
 
 PREFERRED = {
     "elastic-50a": ("Elastic 50A V1", "Elastic 50A V2"),
@@ -17,16 +152,16 @@ PREFERRED = {
     "silicone-40a": ("Silicone 40A V1",),
     "rigid": ("Grey V4", "Grey V5"),
 }
-"""By resin, as PreForm labels them: first the one that the design's numbers were taken from."""
+"""PreForm's labels by resin; the first is the version from which the resin's properties were taken."""
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """What a scene is made for.
+class PrintSelection:
+    """The printer, material and setting of a scene.
 
     Attributes:
         printer, material, setting: as PreForm labels them.
-        scene_settings: that make a scene of them.
+        scene_settings: the parameters that create the scene.
     """
 
     printer: str
@@ -35,32 +170,34 @@ class Chosen:
     scene_settings: dict[str, Any]
 
 
-def choose(materials: Materials, product: str, resin: str, material: str | None = None) -> Chosen:
-    """The settings for a printer and a resin, in layers of 0.1 mm.
+def select_settings(
+    materials: MaterialList, product: str, resin: str, material: str | None = None
+) -> PrintSelection:
+    """Return the settings for a printer and a resin, in layers of 0.1 mm.
 
     Args:
         materials: PreForm's list.
         product: name of the printer, such as "Form 3".
         resin: of the design, or "rigid".
-        material: as PreForm labels it, or its code; None for the resin's own.
+        material: PreForm's label or code; None for the resin's default.
 
     Raises:
-        InputError: PreForm has no such printer, material or layer; it names those it has.
+        InputError: PreForm has no such printer, material or layer, or the resin has no default; names what PreForm has.
     """
     printer = _printer(materials, product)
     found = _asked(printer, material) if material else _preferred(printer, resin)
     setting = _setting(found, printer.label)
-    return Chosen(product, found.label, setting.label, setting.scene_settings)
+    return PrintSelection(product, found.label, setting.label, setting.scene_settings)
 
 
-def _printer(materials: Materials, product: str) -> PrinterType:
+def _printer(materials: MaterialList, product: str) -> PrinterType:
     for printer in materials.printer_types:
         if product in printer.supported_product_names or product == printer.label:
             return printer
     raise InputError(f"PreForm knows no {product}; {_has(p.label for p in materials.printer_types)}")
 
 
-def _asked(printer: PrinterType, name: str) -> Material:
+def _asked(printer: PrinterType, name: str) -> PrintMaterial:
     for material in printer.materials:
         codes = {setting.scene_settings.get("material_code") for setting in material.material_settings}
         if name.lower() == material.label.lower() or name in codes:
@@ -72,9 +209,13 @@ def _asked(printer: PrinterType, name: str) -> Material:
     )
 
 
-def _preferred(printer: PrinterType, resin: str) -> Material:
-    wanted = PREFERRED[resin]
+def _preferred(printer: PrinterType, resin: str) -> PrintMaterial:
     by_label = {material.label: material for material in printer.materials}
+    wanted = PREFERRED.get(resin)
+    if wanted is None:
+        raise InputError(
+            f"{resin}: its name in PreForm is unknown; --material names one of the {printer.label}; {_has(by_label)}"
+        )
     for label in wanted:
         if label in by_label:
             return by_label[label]
@@ -90,8 +231,8 @@ def _family(label: str) -> str:
     return re.sub(r" V[\d.]+$", "", label)
 
 
-def _setting(material: Material, printer: str) -> Setting:
-    """The default in layers of 0.1 mm, not a legacy one."""
+def _setting(material: PrintMaterial, printer: str) -> PrintSetting:
+    """Return the default setting in layers of 0.1 mm, preferring current settings over legacy ones."""
     layers = {s.scene_settings.get("layer_thickness_mm") for s in material.material_settings}
     fitting = [s for s in material.material_settings if s.scene_settings.get("layer_thickness_mm") == LAYER]
     if not fitting:

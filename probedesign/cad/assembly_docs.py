@@ -1,0 +1,302 @@
+"""Documents of an export: pictures, drawings, the bill of materials and the assembly page."""
+
+import base64
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from probedesign.cad.exploded_view import (
+    EXPLOSION,
+    AssemblyStep,
+    PartLabel,
+    assembly_steps,
+    exploded_svg,
+    step_pictures,
+)
+from probedesign.cad.kernel import mass_properties
+from probedesign.cad.mesh import Mesh
+from probedesign.cad.model import CadModel, CadPart
+from probedesign.cad.part_drawings import part_drawings
+from probedesign.cad.parts import ScrewGroup
+from probedesign.cad.render import render_body, render_png
+from probedesign.cad.svg import Svg
+from probedesign.materials import RIGID_RESIN
+from probedesign.mount.fasteners import M2, M2_CLEARANCE_D, SCREWS
+from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
+from probedesign.reports.html_page import html_document
+from probedesign.robot_flange import RobotFlange
+from probedesign.units import MM, MPA
+
+STEEL = "stainless steel A2"
+NUT_FACTOR = 0.2
+"""Torque over preload and diameter, dry steel. Source: Shigley, Mechanical Engineering Design, table 8-15."""
+RESIN_PRESSURE = 20.0 * MPA
+"""Permanent pressure under a screw's head: a third of a rigid resin's strength of about 60 MPa (assumed; it creeps)."""
+
+
+@dataclass(frozen=True)
+class BillItem:
+    """One line of the bill of materials; fields that do not apply are empty.
+
+    Attributes:
+        number: in the order of assembly, as in the exploded view.
+        name: as in the files.
+        quantity: how many.
+        what: description with the standard.
+        length_mm: of a screw under its head, or of a pin.
+        material: resin, steel or none.
+        mass_g: of one.
+        file: mesh to print.
+        tighten_Nm: maximum torque that the resin under the head allows.
+    """
+
+    number: int
+    name: str
+    quantity: int
+    what: str
+    length_mm: float | None = None
+    material: str = ""
+    mass_g: float | None = None
+    file: str = ""
+    tighten_Nm: float | None = None
+
+    @property
+    def title(self) -> str:
+        """Return the name for readers."""
+        return self.name.replace("_", " ")
+
+
+def bill_of_materials(model: CadModel) -> list[BillItem]:
+    """Return the bill of materials: the sensor first, then every part in the order of assembly."""
+    order = ["sensor", *(name for move in EXPLOSION for name in move.parts)]
+    uses = {use.name: use for use in model.screws}
+    return [_item(number, model, model.parts[name], uses) for number, name in enumerate(order, 1)]
+
+
+def _item(number: int, model: CadModel, part: CadPart, uses: Mapping[str, ScrewGroup]) -> BillItem:
+    count = len(part.shape.Solids())
+    grams = _digits(1e3 * mass_properties(part.shape, part.density).mass / count) if part.density else None
+    if part.printed:
+        resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+        return BillItem(number, part.name, count, "printed", None, resin, grams, f"{part.name}.stl")
+    if part.name in uses:
+        use = uses[part.name]
+        torque = hand_torque(use, model.plate.robot)
+        what, length = f"ISO 4762 {use.screw.thread}x{use.length / MM:g}", round(use.length / MM, 3)
+        return BillItem(number, part.name, count, what, length, STEEL, grams, "", torque)
+    if part.name == "ring_nuts":
+        return BillItem(number, part.name, count, "ISO 4032 M2", None, STEEL, grams)
+    if part.name == "dowel_pins":
+        d, length = model.design.sensor_model.dowel_d / MM, DOWEL_PIN_LENGTH / MM
+        # h8 is a slip fit in the sensor's hole; m6 would be a press fit.
+        return BillItem(number, part.name, count, f"ISO 2338 {d:g} h8x{length:g}", length, STEEL, grams)
+    sensor = model.design.sensor
+    return BillItem(
+        number, part.name, count, f"ATI {sensor.model.capitalize()}, {sensor.calibration.upper()}"
+    )
+
+
+def hand_torque(use: ScrewGroup, robot: RobotFlange) -> float:
+    """Return the torque [N·m] that presses a head on its seat with `RESIN_PRESSURE`, rounded down to one digit."""
+    d = float(use.screw.thread[1:]) * MM
+    hole = M2_CLEARANCE_D if use.screw is M2 else robot.bolt_clearance_d
+    preload = RESIN_PRESSURE * np.pi / 4 * (use.screw.head_d**2 - hole**2)
+    torque = NUT_FACTOR * preload * d
+    digit = 10.0 ** np.floor(np.log10(torque))
+    return float(f"{np.floor(torque / digit) * digit:.1g}")
+
+
+def bill_records(bill: list[BillItem]) -> list[dict[str, Any]]:
+    """Return the bill for the manifest."""
+    return [{k: v for k, v in asdict(item).items() if v not in (None, "")} for item in bill]
+
+
+def bill_csv(bill: list[BillItem]) -> bytes:
+    """Return the bill as a CSV table."""
+    table = io.StringIO(newline="")
+    writer = csv.DictWriter(table, list(asdict(bill[0])), lineterminator="\r\n")
+    writer.writeheader()
+    writer.writerows(asdict(item) for item in bill)
+    return table.getvalue().encode("utf-8")
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+STYLE = """body { max-width: 182mm }
+h2 { font-size: 13pt; margin: 4.5mm 0 1mm; break-after: avoid } p { margin: 1mm 0 }
+.warning { border: 2.5pt solid #b00020; padding: 3mm 4mm; margin: 4mm 0; break-inside: avoid }
+.warning strong { color: #b00020; font-size: 13pt; display: block }
+table { width: 100% } th { border-bottom: 1pt solid #111 }
+th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal }
+.n { text-align: right; white-space: nowrap }
+.exploded { break-before: page; break-inside: avoid } .exploded svg { display: block; width: auto; height: auto;
+  max-width: 100%; max-height: 245mm; margin: 0 auto }
+.steps { display: grid; grid-template-columns: 1fr 1fr; gap: 4mm }
+.step { border: 0.4pt solid #bbb; padding: 3mm; break-inside: avoid } .step img { display: block; height: 58mm;
+  max-width: 100%; object-fit: contain; margin: 0 auto 2mm } .step b { margin-right: 1.5mm }
+ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 }
+"""
+
+
+def assembly_page(
+    model: CadModel,
+    bill: Sequence[BillItem],
+    steps: Sequence[AssemblyStep],
+    exploded: Svg,
+    pictures: Sequence[bytes],
+) -> bytes:
+    """Return the assembly page: one HTML file that needs no network and prints on A4.
+
+    Args:
+        model: of the design.
+        bill: of materials.
+        steps: in order.
+        exploded: the exploded view with the bill's numbers.
+        pictures: a PNG of each step.
+    """
+    sections = [
+        _warning(model),
+        "<h2>Parts</h2>", _parts(bill), _tightening(), _tools(model), _frames(model),
+        f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>',
+        '<h2>Steps</h2><div class="steps">', *map(_step, range(1, len(steps) + 1), steps, pictures), "</div>",
+    ]  # fmt: skip
+    return html_document(f"{model.design.name}: assembly", [_about(model)], "\n".join(sections) + "\n", STYLE)
+
+
+def _about(model: CadModel) -> str:
+    design = model.design
+    sensor = f"ATI {escape(design.sensor.model.capitalize())}, {escape(design.sensor.calibration.upper())}"
+    return (
+        f"geometry {model.geometry.fingerprint} · {sensor} · {escape(model.plate.robot.source)}"
+        " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
+    )
+
+
+def _warning(model: CadModel) -> str:
+    tool, mounting = model.design.sensor_model.tool, model.design.sensor_model.mounting
+    deepest = min(tool.max_entry, mounting.max_entry) / MM
+    into_sensor = [use for use in model.screws if use.name in ("sensor_adapter_screws", "mounting_screws")]
+    rows = "".join(
+        f"<li>{len(use.points)} × ISO 4762 {use.screw.thread}×{use.length / MM:g} into the {use.into}: enters "
+        f"{use.entry / MM:g} mm, {use.entry_limits[0] / MM:g} to {use.entry_limits[1] / MM:g} mm allowed</li>"
+        for use in into_sensor
+    )
+    return (
+        f'<div class="warning"><strong>A screw that enters the sensor by more than {deepest:g} mm destroys it.</strong>'
+        f"<ul>{rows}</ul>Measure every screw under its head before it goes in. Never a longer one, and never one "
+        "without the printed part under its head.</div>"
+    )
+
+
+def _parts(bill: Sequence[BillItem]) -> str:
+    head = (
+        "<tr><th></th><th>part</th><th class=n>pieces</th><th>what</th><th>of</th><th class=n>g each</th>"
+        "<th class=n>at most N·m</th></tr>"
+    )
+    rows = [
+        f"<tr><td class=n>{item.number}</td><td>{escape(item.title)}</td><td class=n>{item.quantity}</td>"
+        f"<td>{escape(f'print {item.file}' if item.file else item.what)}</td><td>{escape(item.material)}</td>"
+        f"<td class=n>{_blank(item.mass_g)}</td><td class=n>{_blank(item.tighten_Nm)}</td></tr>"
+        for item in bill
+    ]
+    return f"<table>{head}{''.join(rows)}</table>"
+
+
+def _blank(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
+
+
+def _tools(model: CadModel) -> str:
+    bolt = SCREWS[model.plate.robot.bolt]
+    tools = [
+        f"hexagon key {M2.socket_af / MM:g} mm (M2) with a long arm, to reach past the probe",
+        f"hexagon key {bolt.socket_af / MM:g} mm ({bolt.thread})",
+        "calipers, for the screws' lengths and the probe's diameters",
+        "tweezers, for nuts and pins",
+    ]
+    return f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>"
+
+
+def _step(number: int, step: AssemblyStep, picture: bytes) -> str:
+    text = escape(step.text[0].upper() + step.text[1:])
+    image = base64.b64encode(picture).decode()
+    return (
+        f'<div class="step"><img alt="step {number}" src="data:image/png;base64,{image}">'
+        f"<b>{number}</b>{text}.</div>"
+    )
+
+
+def _tightening() -> str:
+    return (
+        "<h2>How tight</h2><p>By hand: the short arm of the key between two fingers, until the head sits; then no "
+        f"further. Computed, not tested: at the torque of the table the head presses the resin with "
+        f"{RESIN_PRESSURE / MPA:g} MPa, a third of its strength, since resin creeps (assumed), with a nut factor of "
+        f"{NUT_FACTOR:g} (dry steel, Shigley). Tighten crosswise in two rounds, and once more after a day. No thread "
+        "lock near the resin: some crack it (assumed).</p>"
+    )
+
+
+def _frames(model: CadModel) -> str:
+    height = model.adapter.T_sensor_base[2, 3] / MM
+    mass = sum(body.mass for body in model.bodies.values())
+    return (
+        "<h2>Where the probe's base is</h2>"
+        "<p>The base of the flexible part (s = 0, the origin of the base frame) lies on the sensor's axis, "
+        f"<b>{height:.2f} mm above the tool face</b>. Its axes are the sensor's: z out of the tool face towards the "
+        "tip, x through the dowel hole at 0°, shown by the clocking mark of the flange and by the flat on the "
+        f"adapter's rim. {1e3 * mass:.3g} g hang on the sensor, the probe included. The manifest and the frozen probe "
+        "hold the numbers.</p>"
+    )
+
+
+PART_SIZE, ASSEMBLY_SIZE = (640, 640), (800, 1000)
+
+
+@dataclass(frozen=True)
+class Documents:
+    """The documents of an export.
+
+    Attributes:
+        files: by name.
+        bill: of materials.
+        steps: the instructions, in order.
+    """
+
+    files: dict[str, bytes]
+    bill: list[BillItem]
+    steps: list[str]
+
+
+def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
+    """Return all documents of an export.
+
+    Args:
+        model: of the design.
+        meshes: of the printed parts, by name.
+    """
+    bodies = {name: render_body(part, meshes.get(name)) for name, part in model.parts.items()}
+    bill, steps = bill_of_materials(model), assembly_steps(model.screws, model.plate.robot.pin_d)
+    labels = {item.name: PartLabel(item.number, (item.title, _description(item))) for item in bill}
+    seat = float(model.adapter.T_sensor_base[2, 3]) / MM
+    exploded = exploded_svg(bodies, labels, f"{model.design.name}: exploded view", seat)
+    files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
+    files |= {f"{name}.svg": sheet for name, sheet in part_drawings(model).items()}
+    files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)
+    files["exploded.svg"] = bytes(exploded)
+    files["bill_of_materials.csv"] = bill_csv(bill)
+    files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
+    return Documents(files, bill, [step.text for step in steps])
+
+
+def _description(item: BillItem) -> str:
+    """Return a part's description for its label in the exploded view."""
+    if item.file:
+        return f"{item.what}, {item.material}"
+    return f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what

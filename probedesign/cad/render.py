@@ -1,0 +1,314 @@
+"""Shaded pictures of parts, rendered without a graphics card, a display or a driver.
+
+Bodies and a camera give a PNG, the same bytes on every run. Filling triangles is compiled; everything else operates on
+arrays of pixels.
+"""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+from numba import njit
+from numpy.typing import NDArray
+from PIL import Image
+
+from probedesign.cad.mesh import Mesh
+from probedesign.cad.model import CadPart
+from probedesign.frames import Array
+from probedesign.units import MM
+
+BACKGROUND = -1
+INK = 0.12
+"""Brightness of an outline."""
+CREASE_COS = 0.80
+"""Faces that meet at more than 37° are separated by a line; facets of one round face meet at 3°."""
+STEP_PX = 6.0
+"""A depth step of this many pixels on an oblique face is drawn as an outline."""
+# From the upper left front, in image axes: right, up, towards the eye (chosen by eye).
+LIGHT = (-0.40, 0.58, 0.71)
+AMBIENT, DIRECT = 0.58, 0.50
+
+
+def rasterize(
+    corners: Array,
+    normals: Array,
+    owners: NDArray[np.int64],
+    colours: Array,
+    size: tuple[int, int],
+    fine: int,
+) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
+    """Render triangles on white.
+
+    Args:
+        corners: x to the right, y down, depth towards the eye, all in pixels, (m, 3, 3).
+        normals: outward unit normals at the corners, in axes right, up, towards the eye, (m, 3, 3).
+        owners: index of each triangle's body, (m,).
+        colours: red, green, blue 0 ... 1 of each body, (n, 3).
+        size: width and height [px].
+        fine: samples along each side of a pixel.
+
+    Returns:
+        Red, green, blue, (height, width, 3), and the body seen at each pixel or `BACKGROUND`, (height, width).
+    """
+    width, height = size[0] * fine, size[1] * fine
+    depth = np.full((height, width), -np.inf, dtype=np.float32)
+    owner = np.full((height, width), BACKGROUND, dtype=np.int16)
+    triangle = np.zeros((height, width), dtype=np.int32)
+    planes, first, last = _planes(corners * fine)
+    _fill(planes, first, last, owners, depth, owner, triangle)
+    drawn = owner != BACKGROUND
+    normal = np.zeros((height, width, 3), dtype=np.float32)
+    normal[drawn] = _normals(planes, normals, triangle, drawn)
+    light = AMBIENT + DIRECT * np.maximum(normal[drawn] @ np.array(LIGHT, dtype=np.float32), 0.0)
+    shaded = np.ones((height, width, 3), dtype=np.float32)
+    shaded[drawn] = np.minimum(light[:, None] * colours.astype(np.float32)[owner[drawn]], 1.0)
+    shaded[_outlines(depth, normal, owner, fine)] = INK
+    total = sum(shaded[i::fine, j::fine] for i in range(fine) for j in range(fine))
+    return np.round(255.0 / fine**2 * total).astype(np.uint8), owner[fine // 2 :: fine, fine // 2 :: fine]
+
+
+def _normals(
+    planes: Array, normals: Array, triangle: NDArray[np.int32], drawn: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Interpolate the corners' normals at the drawn samples, (n, 3)."""
+    a = normals[:, 0]
+    shares = np.einsum(
+        "tij,tik->tjk", planes[:, :2], normals[:, 1:] - a[:, None]
+    )  # value at 0, along x, along y
+    shares[:, 0] += a
+    y, x = np.nonzero(drawn)
+    at = shares.astype(np.float32)[triangle[drawn]]
+    at[:, 0] += at[:, 1] * x[:, None].astype(np.float32) + at[:, 2] * y[:, None].astype(np.float32)
+    found: NDArray[np.float32] = at[:, 0]
+    return found
+
+
+def _outlines(
+    depth: NDArray[np.float32], normal: NDArray[np.float32], owner: NDArray[np.int16], fine: int
+) -> NDArray[np.bool_]:
+    """Return the samples next to another body, another face or a depth step."""
+    ink = np.zeros(depth.shape, dtype=bool)
+    reach = max(1, fine // 2)
+    for near, far in (
+        (np.s_[:, :-reach], np.s_[:, reach:]),
+        (np.s_[:-reach], np.s_[reach:]),
+    ):
+        seen = (owner[near] != BACKGROUND) & (owner[near] == owner[far])
+        cos = np.einsum("yxk,yxk->yx", normal[near], normal[far])
+        slant = np.maximum(np.maximum(np.abs(normal[near][..., 2]), np.abs(normal[far][..., 2])), 0.1)
+        with np.errstate(invalid="ignore"):  # the background is infinitely far
+            step = np.abs(depth[near] - depth[far]) > STEP_PX * fine / slant
+        ink[near] |= (owner[near] != owner[far]) | (seen & ((cos < CREASE_COS) | step))
+    return ink
+
+
+@njit(cache=True, error_model="numpy")
+def _fill(planes, first, last, owners, depth, owner, triangle):  # type: ignore[no-untyped-def]
+    """Keep, at each sample, the triangle nearest to the eye.
+
+    Args:
+        planes: per triangle, weights of corners b and c and depth, each as value at (0, 0), slope along x,
+            slope along y, (m, 3, 3).
+        first, last: rows that each triangle covers, (m,).
+        owners: as for `rasterize`.
+        depth, owner, triangle: nearest so far at each sample, (height, width); changed in place.
+    """
+    height, width = depth.shape
+    for t in range(len(planes)):
+        bx, cx, zx = planes[t, 0, 1], planes[t, 1, 1], planes[t, 2, 1]
+        ax = -bx - cx
+        for y in range(max(0, first[t]), min(height - 1, last[t]) + 1):
+            b0 = planes[t, 0, 0] + planes[t, 0, 2] * y
+            c0 = planes[t, 1, 0] + planes[t, 1, 2] * y
+            z0 = planes[t, 2, 0] + planes[t, 2, 2] * y
+            a0 = 1.0 - b0 - c0
+            if (bx == 0.0 and b0 < 0.0) or (cx == 0.0 and c0 < 0.0) or (ax == 0.0 and a0 < 0.0):
+                continue
+            # All weights are non-negative from `left` to `right`.
+            left = max(-b0 / bx if bx > 0.0 else 0.0, -c0 / cx if cx > 0.0 else 0.0)
+            left = max(left, -a0 / ax if ax > 0.0 else 0.0, 0.0)
+            right = min(-b0 / bx if bx < 0.0 else width - 1.0, -c0 / cx if cx < 0.0 else width - 1.0)
+            right = min(right, -a0 / ax if ax < 0.0 else width - 1.0, width - 1.0)
+            for x in range(int(np.ceil(left)), int(right) + 1):
+                z = z0 + zx * x
+                if z > depth[y, x]:
+                    depth[y, x] = z
+                    owner[y, x] = owners[t]
+                    triangle[y, x] = t
+
+
+def _planes(corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the planes and rows of each triangle for `_fill`; one seen edge-on covers no row."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    area = ab[:, 0] * ac[:, 1] - ac[:, 0] * ab[:, 1]
+    flat = np.abs(area) < 1e-9
+    area = np.where(flat, 1.0, area)
+    planes = np.empty((len(corners), 3, 3))
+    planes[:, 0, 1], planes[:, 0, 2] = ac[:, 1] / area, -ac[:, 0] / area
+    planes[:, 1, 1], planes[:, 1, 2] = -ab[:, 1] / area, ab[:, 0] / area
+    planes[:, :2, 0] = -(planes[:, :2, 1] * a[:, :1] + planes[:, :2, 2] * a[:, 1:2])
+    planes[:, 2] = planes[:, 0] * ab[:, 2:] + planes[:, 1] * ac[:, 2:]
+    planes[:, 2, 0] += a[:, 2]
+    rows = corners[:, :, 1]
+    first, last = np.ceil(rows.min(axis=1)).astype(int), np.floor(rows.max(axis=1)).astype(int)
+    return planes, first, np.where(flat, first - 1, last)
+
+
+SMOOTH_RAD = 0.5
+"""Facets that meet at a smaller angle are shaded as one round face."""
+SAMPLES = 2
+MARGIN = 0.03
+"""Free margin, as a share of the picture's larger side."""
+PALE = 0.3
+"""Share of its colour that a part mounted earlier keeps."""
+COARSE_MM, COARSE_RAD = 0.02, 0.3
+"""Tolerances of the facets of parts that are shown but not printed."""
+
+
+@dataclass(frozen=True)
+class RenderBody:
+    """The triangles of one part, for rendering.
+
+    Attributes:
+        corners: of its triangles in the sensor frame [mm], (m, 3, 3).
+        normals: outward unit normals there, (m, 3, 3).
+        colour: red, green, blue 0 ... 1.
+    """
+
+    corners: Array
+    normals: Array
+    colour: tuple[float, float, float]
+
+    def translated(self, height: float) -> "RenderBody":
+        """Return the body moved along z [mm]."""
+        return replace(self, corners=self.corners + np.array([0.0, 0.0, height]))
+
+    def faded(self) -> "RenderBody":
+        """Return the body in a paler colour."""
+        red, green, blue = (1.0 - PALE * (1.0 - c) for c in self.colour)
+        return replace(self, colour=(red, green, blue))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Return its lowest and highest z [mm]."""
+        z = self.corners[..., 2]
+        return float(z.min()), float(z.max())
+
+
+def render_body(part: CadPart, mesh: Mesh | None = None) -> RenderBody:
+    """Return a part at its position, from its own mesh if given."""
+    if mesh is None:
+        # From a copy: a shape keeps its facets, and the kernel would then measure them instead of its surfaces.
+        points, faces = part.shape.copy().tessellate(COARSE_MM, COARSE_RAD)
+        surface = trimesh.Trimesh([p.toTuple() for p in points], faces)
+    else:
+        surface = trimesh.Trimesh(mesh.vertices.astype(float), mesh.triangles)
+    smooth = trimesh.graph.smooth_shade(surface, angle=SMOOTH_RAD)
+    R, p = part.T_sensor_part[:3, :3], part.T_sensor_part[:3, 3] / MM
+    corners, normals = smooth.vertices[smooth.faces], smooth.vertex_normals[smooth.faces]
+    return RenderBody(corners @ R.T + p, normals @ R.T, part.color)
+
+
+@dataclass(frozen=True)
+class OrthographicCamera:
+    """A camera without perspective that looks at the axis; z of the sensor frame points up.
+
+    Attributes:
+        azimuth_deg: of the camera, about +z from +x.
+        elevation_deg: of the camera above the horizontal.
+    """
+
+    azimuth_deg: float = 70.0
+    elevation_deg: float = 22.0
+
+    @property
+    def axes(self) -> Array:
+        """Return the rows right, up, towards the eye, in the sensor frame, (3, 3)."""
+        a, e = np.radians([self.azimuth_deg, self.elevation_deg])
+        right = [-np.sin(a), np.cos(a), 0.0]
+        up = [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)]
+        return np.array([right, up, np.cross(right, up)])
+
+
+@dataclass(frozen=True)
+class ImageView:
+    """A camera with the position and scale of its image.
+
+    Attributes:
+        axes: of the camera.
+        centre: of the picture, along right and up [mm], (2,).
+        scale: [px/mm].
+        size: width and height [px].
+    """
+
+    axes: Array
+    centre: Array
+    scale: float
+    size: tuple[int, int]
+
+    def pixels(self, points: Array) -> Array:
+        """Return x to the right, y down and depth towards the eye [px] of points [mm] (..., 3)."""
+        seen = points @ self.axes.T
+        x = (seen[..., 0] - self.centre[0]) * self.scale + self.size[0] / 2
+        y = (self.centre[1] - seen[..., 1]) * self.scale + self.size[1] / 2
+        return np.stack([x, y, seen[..., 2] * self.scale], axis=-1)
+
+
+def fit_view(
+    bodies: Sequence[RenderBody], camera: OrthographicCamera, largest: tuple[int, int], below: float = np.inf
+) -> ImageView:
+    """Return the view that shows the bodies as large as possible, in an image that is no larger than needed.
+
+    Args:
+        bodies: to be shown.
+        camera: that looks at them.
+        largest: width and height [px].
+        below: points above this z may be cut off [mm].
+    """
+    points = np.concatenate([body.corners.reshape(-1, 3) for body in bodies])
+    seen = points[points[:, 2] <= below] @ camera.axes.T
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    margin = MARGIN * max(largest)
+    scale = float(min((np.array(largest) - 2 * margin) / (high - low)))
+    width, height = np.ceil((high - low) * scale + 2 * margin).astype(int)
+    return ImageView(camera.axes, (low + high) / 2, scale, (int(width), int(height)))
+
+
+def render_bodies(
+    bodies: Sequence[RenderBody], view: ImageView
+) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
+    """Render the bodies in a view.
+
+    Returns:
+        Red, green, blue, (height, width, 3), and the index of each pixel's body, -1 for none, (height, width).
+    """
+    counts = [len(body.corners) for body in bodies]
+    return rasterize(
+        view.pixels(np.concatenate([body.corners for body in bodies])),
+        np.concatenate([body.normals for body in bodies]) @ view.axes.T,
+        np.repeat(np.arange(len(bodies)), counts),
+        np.array([body.colour for body in bodies]),
+        view.size,
+        SAMPLES,
+    )
+
+
+def png_bytes(pixels: NDArray[np.uint8], colours: int = 128) -> bytes:
+    """Return a PNG with a palette: 128 colours suffice for shaded parts and make the file a third as large."""
+    picture, file = Image.fromarray(pixels), io.BytesIO()
+    picture.quantize(colours, dither=Image.Dither.NONE).save(file, "png", optimize=True)
+    return file.getvalue()
+
+
+def render_png(
+    bodies: Sequence[RenderBody],
+    largest: tuple[int, int],
+    camera: OrthographicCamera = OrthographicCamera(),
+    below: float = np.inf,
+) -> bytes:
+    """Return a PNG of the bodies; the arguments are those of `fit_view`."""
+    pixels, _ = render_bodies(bodies, fit_view(bodies, camera, largest, below))
+    return png_bytes(pixels)

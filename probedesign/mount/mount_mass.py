@@ -1,0 +1,165 @@
+"""Closed-form mass properties of everything rigid between the sensor's tool face and s = 0.
+
+The frozen probe takes them from here, so it needs no CAD; `cad/verify` proves that the solids agree. All parts are sums
+and differences of upright prisms.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from probedesign.geometry import ProbeGeometry
+from probedesign.mass import MassProperties, combined, flange_part, frustum
+from probedesign.materials import RIGID_DENSITY
+from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
+from probedesign.mount.fasteners import (
+    M2,
+    M2_CLEARANCE_D,
+    M2_COUNTERBORE_D,
+    M2_GRIP,
+    M2_LENGTH,
+    M2_NUT_AF,
+    M2_NUT_HEIGHT,
+    STEEL_DENSITY,
+)
+from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH, PEG_D, SensorAdapter
+from probedesign.units import MM
+
+
+def mount_mass_properties(
+    geometry: ProbeGeometry, adapter: SensorAdapter, probe_density: float
+) -> MassProperties:
+    """Return the mass properties of all rigid parts between the tool face and s = 0, in the sensor frame.
+
+    Flange, adapter, clamp ring, screws, nuts and dowel pins; not the flexible part.
+
+    Args:
+        geometry: of the probe.
+        adapter: that clamps it.
+        probe_density: of the flange's resin [kg/m³].
+    """
+    return combined(mount_part_masses(geometry, adapter, probe_density).values())
+
+
+def mount_part_masses(
+    geometry: ProbeGeometry, adapter: SensorAdapter, probe_density: float
+) -> dict[str, MassProperties]:
+    """Return the mass properties of each rigid part in the sensor frame; arguments as `mount_mass_properties`."""
+    T = adapter.T_sensor_base
+    flange = flange_part(geometry, probe_density).moved(T)
+    peg_hole = cylinder(adapter.peg_hole_d, adapter.floor, T[2, 3], probe_density, (adapter.peg_x, 0.0))
+    return {
+        "flange": subtract(flange, [peg_hole, engraving_mass(adapter.on_flange, probe_density).moved(T)]),
+        "sensor_adapter": _adapter_body(adapter, RIGID_DENSITY),
+        "clamp_ring": _clamp_ring(adapter, RIGID_DENSITY).moved(T),
+        "fasteners": combined(_fasteners(adapter, STEEL_DENSITY)),
+    }
+
+
+def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
+    foot = cylinder(a.foot_d, 0.0, a.foot_height, density)
+    plate = cylinder(a.body_d, a.foot_height, a.body_top, density)
+    peg = cylinder(PEG_D, a.floor, a.peg_top, density, (a.peg_x, 0.0))
+    voids = [
+        cylinder(a.recess_d, a.floor, a.body_top, density),
+        segment(a.body_d / 2, a.mark_x, a.foot_height, a.body_top, density),
+        *(cylinder(M2_CLEARANCE_D, 0.0, M2_GRIP, density, p) for p in a.p_tool_screws),
+        *(cylinder(M2_COUNTERBORE_D, M2_GRIP, a.floor, density, p) for p in a.p_tool_screws),
+        *(cylinder(a.dowel_d, 0.0, a.dowel_depth, density, p) for p in a.p_dowels),
+        *(cylinder(M2_CLEARANCE_D, a.nut_pocket_top, a.body_top, density, p) for p in a.p_ring_screws),
+        *(hexagon(a.nut_pocket_af, a.foot_height, a.nut_pocket_top, density, p) for p in a.p_ring_screws),
+        engraving_mass(a.on_wall, density),
+    ]
+    return combined([subtract(combined([foot, plate]), voids), peg])
+
+
+def _clamp_ring(a: SensorAdapter, density: float) -> MassProperties:
+    """Return the ring's mass properties in its own frame, which is the base frame while the lip is unpressed."""
+    bore = frustum(a.ring_bore_d / 2, a.ring_bore_top_d / 2, a.ring_thickness, 0.0, density)
+    holes = [cylinder(M2_CLEARANCE_D, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
+    disc = cylinder(a.body_d, 0.0, a.ring_thickness, density)
+    return subtract(disc, [bore, *holes, engraving_mass(a.on_ring, density)])
+
+
+def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
+    sensor_screws = [_m2(M2_GRIP, M2_LENGTH, density, p) for p in a.p_tool_screws]
+    ring_screws = [_m2(a.ring_top, a.ring_screw_length, density, p) for p in a.p_ring_screws]
+    nut_z = a.nut_pocket_top - M2_NUT_HEIGHT
+    nuts = [
+        subtract(
+            hexagon(M2_NUT_AF, nut_z, a.nut_pocket_top, density, p),
+            [cylinder(M2.pitch_d, nut_z, a.nut_pocket_top, density, p)],
+        )
+        for p in a.p_ring_screws
+    ]
+    pin_top = a.dowel_depth - 0.2 * MM
+    pins = [cylinder(2.0 * MM, pin_top - DOWEL_PIN_LENGTH, pin_top, density, p) for p in a.p_dowels]
+    return [*sensor_screws, *ring_screws, *nuts, *pins]
+
+
+def _m2(seat: float, length: float, density: float, p: XY) -> MassProperties:
+    """Return the mass properties of an M2 screw, head above `seat` [m], point down."""
+    top = seat + M2.head_height
+    head = cylinder(M2.head_d, seat, top, density, p)
+    socket = hexagon(M2.socket_af, top - M2.socket_depth, top, density, p)
+    return combined([subtract(head, [socket]), cylinder(M2.pitch_d, seat - length, seat, density, p)])
+
+
+def engraving_mass(engraving: Engraving, density: float) -> MassProperties:
+    """Return the mass properties of the material that an engraving removes; density [kg/m³]."""
+    letters = []
+    for character, T in engraving.placed():
+        bars, width = [], glyph_width(character)
+        for start, end, row in cut_runs(character):
+            a, b = (end - start) * CELL, CELL
+            p = ((start + end - width) / 2 * CELL, (row + 0.5 - ROWS / 2) * CELL)
+            bars.append(prism(a * b, a * b**3 / 12, a**3 * b / 12, (-DEPTH, 0.0), density, p))
+        letters.append(combined(bars).moved(T))
+    return combined(letters)
+
+
+def subtract(body: MassProperties, voids: Iterable[MassProperties]) -> MassProperties:
+    """Return a body less its voids, which lie wholly inside and do not overlap."""
+    hole = combined(voids)
+    mass = body.mass - hole.mass
+    p_com = (body.mass * body.p_com - hole.mass * hole.p_com) / mass
+    inertia = body.inertia_about(p_com) - hole.inertia_about(p_com)
+    return MassProperties(body.volume - hole.volume, mass, p_com, inertia)
+
+
+def prism(area: float, Ix: float, Iy: float, z: tuple[float, float], density: float, p: XY) -> MassProperties:
+    """Return an upright prism between z[0] and z[1]: area [m²], ∫y² and ∫x² [m⁴] about its centroid p."""
+    h = z[1] - z[0]
+    mass = density * area * h
+    slab = mass * h * h / 12.0
+    inertia = np.diag([density * h * Ix + slab, density * h * Iy + slab, density * h * (Ix + Iy)])
+    return MassProperties(area * h, mass, np.array([*p, (z[0] + z[1]) / 2]), inertia)
+
+
+def cylinder(d: float, z0: float, z1: float, density: float, p: XY = (0.0, 0.0)) -> MassProperties:
+    """Return an upright cylinder of diameter d about p."""
+    second = np.pi * d**4 / 64.0
+    return prism(np.pi * d * d / 4.0, second, second, (z0, z1), density, p)
+
+
+def hexagon(af: float, z0: float, z1: float, density: float, p: XY) -> MassProperties:
+    """Return an upright hexagonal prism across flats `af`: A = √3/2 af², I = 5√3/144 af⁴ about any diameter."""
+    second = 5.0 * np.sqrt(3.0) / 144.0 * af**4
+    return prism(np.sqrt(3.0) / 2.0 * af * af, second, second, (z0, z1), density, p)
+
+
+def segment(r: float, x: float, z0: float, z1: float, density: float) -> MassProperties:
+    """Return what a plane at distance x cuts off a cylinder of radius r, on the +x side.
+
+    With cos φ = x/r: A = r²(φ − sin φ cos φ), x̄ A = 2/3 r³ sin³ φ,
+    ∫x² = r⁴/4 (φ − sin φ cos φ + 2 sin³ φ cos φ), ∫y² = r⁴/12 (3φ − 3 sin φ cos φ − 2 sin³ φ cos φ).
+
+    Source: any table of plane areas (circular segment); the tests integrate it again.
+    """
+    phi = float(np.arccos(x / r))
+    s, c = np.sin(phi), np.cos(phi)
+    area = r * r * (phi - s * c)
+    x_mean = 2.0 / 3.0 * r**3 * s**3 / area
+    Iy = r**4 / 4.0 * (phi - s * c + 2 * s**3 * c) - area * x_mean**2
+    Ix = r**4 / 12.0 * (3 * phi - 3 * s * c - 2 * s**3 * c)
+    return prism(area, Ix, Iy, (z0, z1), density, (x_mean, 0.0))

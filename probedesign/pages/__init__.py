@@ -1,1 +1,0 @@
-"""Reports as pages: one HTML file each, read without a network and printed on A4."""

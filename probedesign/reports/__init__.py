@@ -1,0 +1,1 @@
+"""Reports of predictions, comparisons, identifications and validations: HTML pages and PNG pictures."""

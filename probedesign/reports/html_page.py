@@ -1,0 +1,130 @@
+"""HTML pages in one file that needs no network and prints on A4: shell, style sheet, tables and figures.
+
+`html_document` is the shell of every page; `report_page` is the layout of a report.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from probedesign.errors import InputError
+
+DOCTYPE = "<!DOCTYPE html>"
+STYLE = """
+@page { size: A4; margin: 14mm }
+body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: #111;
+  max-width: 260mm; margin: 8mm auto; padding: 0 4mm }
+h1 { font-size: 18pt; margin: 0 } .about { color: #444; margin: 1mm 0 4mm }
+table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
+th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb; white-space: nowrap }
+thead th { border-bottom: 1pt solid #111 }
+"""
+"""Common to all pages."""
+PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } }\n"
+REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(88mm, 1fr)); gap: 5mm }
+section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; height: auto; display: block }
+section p { color: #333; margin: 1mm 0; font-size: 9.5pt }
+th:first-child, td:first-child, .last td:last-child { text-align: left } .last td:last-child { white-space: normal }
+.last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
+@media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
+"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A figure of a report.
+
+    Attributes:
+        heading: the question that it answers.
+        caption: how to read it, and what it includes.
+        svg: the figure.
+    """
+
+    heading: str
+    caption: str
+    svg: bytes
+
+
+@dataclass(frozen=True)
+class HtmlTable:
+    """Rows of text below a head, whose first column names them, with an optional note."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+    def html(self) -> str:
+        """Return the element."""
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
+        note = f"<p>{escape(self.note)}</p>" if self.note else ""
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
+
+
+def html_document(title: str, about: Sequence[str], body: str, style: str = "", head: str = "") -> bytes:
+    """Return a page.
+
+    Args:
+        title: of the page, as plain text.
+        about: lines of HTML below the title.
+        body: HTML below these lines.
+        style: additions to the common style sheet.
+        head: additions to the head element.
+    """
+    return (
+        f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
+        f'<body><h1>{escape(title)}</h1>\n<p class="about">{"<br>".join(about)}</p>\n{body}</body></html>\n'
+    ).encode()
+
+
+def check_page_target(path: Path) -> None:
+    """Refuse to replace a file that is not an HTML page, such as a design given as output by mistake.
+
+    Raises:
+        InputError: the path exists and is not an HTML page.
+    """
+    if not path.exists():
+        return
+    try:
+        page = path.is_file() and path.read_bytes().startswith(DOCTYPE.encode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not page:
+        raise InputError(f"{path}: exists and is not an HTML page; name another file with --out")
+
+
+def report_page(
+    title: str,
+    about: Sequence[str],
+    table: HtmlTable,
+    sections: Sequence[Section],
+    after: Sequence[tuple[str, HtmlTable]] = (),
+) -> bytes:
+    """Return the page of a report.
+
+    Args:
+        title: of the page.
+        about: lines below the title: the assumptions of the figures.
+        table: the most important figures.
+        sections: figures, in order.
+        after: headings and tables at the end.
+    """
+    figures = "".join(
+        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
+        for s in sections
+    )
+    last = "".join(
+        f"<section class=last><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in after
+    )
+    body = f'<section>{table.html()}</section>\n<div class="figures">\n{figures}</div>\n{last}'
+    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE)
+
+
+def _labelled(section: Section) -> str:
+    """Return the figure with its heading as text alternative."""
+    return section.svg.decode().replace(
+        "<svg ", f'<svg role="img" aria-label="{escape(section.heading)}" ', 1
+    )

@@ -1,0 +1,214 @@
+"""The page of an identification: parameters, residuals, correlations."""
+
+import math
+
+import numpy as np
+from scipy.stats import chi2
+
+from probedesign.identification.result import Identification, Identified
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, NO_LINE, Chart, ChartAxis, LegendEntry, span_of
+from probedesign.reports.html_page import HtmlTable, Section, report_page
+
+MAX_TEST_NAMES = 36
+"""Maximum number of test names along an axis; of more tests, every second or third is named."""
+KINDS = {"markers": "marker", "wrenches": "wrench", "touches": "place touched"}
+_SIGNS = {kind: (colour, mark) for kind, colour, mark in zip(KINDS, COLOURS[1:], MARKS, strict=False)}
+"""Colour and marker of each kind of reading."""
+_AXES = ("x", "y", "z")
+_SELF = "#dddddd"
+"""Colour of the diagonal of the correlation matrix."""
+
+
+def identification_page(found: Identification) -> bytes:
+    """Return the page of an identification.
+
+    Args:
+        found: the result.
+    """
+    about = [
+        f"{found.data}: {found.tests} tests, {found.numbers} measured values for {found.unknowns} unknowns; "
+        f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
+        f"Intervals are 95 %: {found.quantile:.3g} standard deviations. First that of the fit with the design's "
+        "dimensions, as the frozen probe uses them; then including the systematic effects listed below, as written to "
+        f"a design; then the fit's with {found.dimensions}, as a property of the material.",
+        *found.caveats,
+        *found.notes,
+    ]
+    sections = [_by_test(found), _normal(found)] if any(one.kind in KINDS for one in found.residuals) else []
+    if any(one.kind == "markers" for one in found.residuals):
+        sections.append(_along(found))
+    if any(one.kind == "wrenches" for one in found.residuals):
+        sections += [_wrenches(found, "forces"), _wrenches(found, "moments")]
+    if len(found.correlated) > 1:
+        sections.append(_correlation(found))
+    after = [("Scatter of the readings", _noise(found)), ("Systematic effects", _shifts(found))]
+    if found.outliers:
+        after.append(("Outliers", _outliers(found)))
+    return report_page(f"{found.name}: identified", about, _table(found), sections, after)
+
+
+def _table(found: Identification) -> HtmlTable:
+    head = [
+        "",
+        "value",
+        "95 % interval",
+        "with systematic effects",
+        f"with {found.dimensions}",
+        "design",
+        "description",
+    ]
+    return HtmlTable(head, [_row(one) for one in found.found])
+
+
+def _row(one: Identified) -> list[str]:
+    design = f"{one.design:.4g} {one.unit}"
+    if not one.identified:
+        return [one.name, "not identifiable", "", "", "", design, one.why]
+    ends = ((one.low, one.high), (one.low_total, one.high_total), (one.low_of_print, one.high_of_print))
+    return [
+        one.name,
+        f"{one.value:.4g} {one.unit}",
+        *(f"{a:.4g} ... {b:.4g}" for a, b in ends),
+        design,
+        one.words,
+    ]
+
+
+def _by_test(found: Identification) -> Section:
+    """Return the RMS of each test's normalised residuals by kind."""
+    tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
+    each = math.ceil(len(tests) / MAX_TEST_NAMES)
+    x = ChartAxis.named("", [test if i % each == 0 else "" for i, test in enumerate(tests)], upright=True)
+    lines = {}
+    for kind in KINDS:
+        of = [[r.deviations for r in found.residuals if (r.kind, r.test) == (kind, test)] for test in tests]
+        if any(of):
+            lines[kind] = [math.sqrt(sum(d * d for d in own) / len(own)) if own else math.nan for own in of]
+    high = max([v for line in lines.values() for v in line if math.isfinite(v)] + [2.0])
+    chart = Chart(x, ChartAxis("RMS residual [standard deviations]", 0.0, 1.08 * high))
+    for kind, line in lines.items():
+        colour, mark = _SIGNS[kind]
+        for place, value in enumerate(line, 1):
+            if math.isfinite(value):
+                chart.line([place], [value], colour, mark=mark)
+        chart.legend.append(LegendEntry(KINDS[kind], colour, NO_LINE, mark))
+    chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="noise alone")
+    caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
+    return Section("Residuals by test", caption, chart.svg())
+
+
+def _normal(found: Identification) -> Section:
+    """Return the normalised residuals against their quantiles under normal noise."""
+    sizes = {"markers": 3, "wrenches": 6, "touches": 3}
+    lines = {}
+    for kind, k in sizes.items():
+        far = sorted(r.deviations for r in found.residuals if r.kind == kind)
+        if len(far) > 2:
+            shares = (np.arange(len(far)) + 0.5) / len(far)
+            lines[kind] = (np.sqrt(chi2.ppf(shares, k) / k).tolist(), far)
+    high = max([v for x, y in lines.values() for v in (*x, *y)] + [2.0]) * 1.05
+    chart = Chart(
+        ChartAxis("quantile of normal noise [standard deviations]", 0.0, high),
+        ChartAxis("residual [standard deviations]", 0.0, high),
+    )
+    chart.line([0.0, high], [0.0, high], "#666666", "4 4", name="normal noise")
+    for kind, (x, y) in lines.items():
+        colour, mark = _SIGNS[kind]
+        for a, b in zip(x, y, strict=True):
+            chart.line([a], [b], colour, mark=mark)
+        chart.legend.append(LegendEntry(KINDS[kind], colour, NO_LINE, mark))
+    return Section("Quantiles of the residuals", "On the line the noise is as assumed; outliers are above its end. "
+                   "Slightly below it is expected, since the parameters are fitted.", chart.svg())  # fmt: skip
+
+
+def _along(found: Identification) -> Section:
+    """Return the markers' residuals along the probe: mean over the tests and its scatter."""
+    rows = [one for one in found.residuals if one.kind == "markers" and one.s_mm is not None]
+    places = sorted({one.s_mm for one in rows if one.s_mm is not None})
+    means = {s: np.array([one.off for one in rows if one.s_mm == s]) for s in places}
+    errors = {
+        s: v.std(axis=0, ddof=1) / math.sqrt(len(v)) if len(v) > 1 else np.zeros(3) for s, v in means.items()
+    }
+    ends = [
+        float(v)
+        for s in places
+        for v in (*(means[s].mean(0) - 2 * errors[s]), *(means[s].mean(0) + 2 * errors[s]))
+    ]
+    chart = Chart(
+        ChartAxis("s [mm]", *span_of(places, False)),
+        ChartAxis("measured - fitted, mean [mm]", *span_of([*ends, 0.0], False)),
+    )
+    for i, (axis, colour, dashes, mark) in enumerate(zip(_AXES, COLOURS[1:], DASHES, MARKS, strict=False)):
+        y = [float(means[s].mean(0)[i]) for s in places]
+        for s, at in zip(places, y, strict=True):
+            e = 2.0 * float(errors[s][i])
+            chart.line([s, s], [at - e, at + e], colour, width=1.0)
+        chart.line(places, y, colour, dashes, mark, f"along world {axis}")
+    caption = (
+        "Mean over the tests with two standard deviations of it. A bow that is common to all tests indicates that the "
+        "taper, the root or a camera differs from its model."
+    )
+    return Section("Residuals along the probe", caption, chart.svg())
+
+
+def _wrenches(found: Identification, what: str) -> Section:
+    """Return each reading's residual by channel: the forces, or the moments."""
+    first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
+    off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
+    chart = Chart(
+        ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
+        ChartAxis(f"measured - fitted [{unit}]", *span_of([*off.ravel().tolist(), 0.0], False)),
+    )
+    chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
+    colour, mark = _SIGNS["wrenches"]
+    for channel in range(3):
+        for i, value in enumerate(off[:, channel]):
+            spread = 0.7 * (i / max(len(off) - 1, 1) - 0.5)
+            chart.line([channel + 1 + spread], [float(value)], colour, mark=mark)
+    return Section(f"Residuals of the {what}", "At the base, from the first test at the left of each channel to the "
+                   "last at its right: a slope indicates drift.", chart.svg())  # fmt: skip
+
+
+def _correlation(found: Identification) -> Section:
+    """Return the correlation matrix of the parameters' errors."""
+    n, names = len(found.correlated), list(found.correlated)
+    chart = Chart(ChartAxis.named("", names), ChartAxis.named("", names[::-1]))
+    for i in range(n):
+        for j in range(n):
+            value = float(found.correlation[i, j])
+            strength = round(255 * (1.0 - min(abs(value), 1.0)))
+            fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
+            fill = _SELF if i == j else fill
+            chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
+            chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.6 and i != j else "#111")
+    for name, colour in (("positive", "#ff0000"), ("negative", "#0000ff"), ("itself", _SELF)):
+        chart.legend.append(LegendEntry(name, colour))
+    return Section("Correlation", "Correlation of the errors, with the print's dimensions as designed except those "
+                   "identified; near ±1 the tests determine a combination better than each.", chart.svg())  # fmt: skip
+
+
+def _noise(found: Identification) -> HtmlTable:
+    rows = [
+        [KINDS[one.kind], f"{one.groups}", f"{one.scale:.3g}", f"{one.freedom:.0f}",
+         "measured, larger than stated" if one.measured else "as stated"]
+        for one in found.noise
+    ]  # fmt: skip
+    return HtmlTable(["readings", "number", "scatter over stated", "degrees of freedom", "noise used"], rows)
+
+
+def _shifts(found: Identification) -> HtmlTable:
+    rows = [
+        [cause, ", ".join(f"{one.of} {one.percent:+.2g} %" for one in of)]
+        for cause, of in found.causes.items()
+    ]
+    rows.append(["creep between tests and use", "unknown"])
+    note = (
+        "None of these is included in the fit's interval. Each except creep is one standard deviation; --write puts "
+        "the root sum of squares of these and the fit's into [tolerances] and stiffness_spread."
+    )
+    return HtmlTable(["effect", "change of the parameter"], rows, note)
+
+
+def _outliers(found: Identification) -> HtmlTable:
+    rows = [[one.words, f"{one.deviations:.1f}"] for one in found.outliers]
+    return HtmlTable(["reading", "standard deviations"], rows, "Down-weighted in the fit.")

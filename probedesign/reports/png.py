@@ -1,0 +1,169 @@
+"""PNG pictures of a prediction, a simulated sweep and a validation, drawn with matplotlib; legible at half size."""
+
+import io
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from probedesign.errors import MissingDependencyError
+from probedesign.estimation.estimator import Estimator
+from probedesign.frames import Array
+from probedesign.prediction.predict import Prediction
+from probedesign.reports.chart import COLOURS, ORDERED
+from probedesign.reports.prediction_charts import (
+    bending_chart,
+    detection_chart,
+    error_chart,
+    sensitivity_chart,
+)
+from probedesign.reports.validation_page import error_size_chart, shape_chart
+from probedesign.units import MILLINEWTON, MM
+from probedesign.validation.validate import ValidationReport
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS, MAX_PICTURED = 3, 11
+"""Shapes in a row, and in the whole picture of a validation; one more panel shows the errors."""
+
+
+def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
+    """Return a PNG with four panels: error along the probe, detection, sensitivity, bent shapes.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    figure = _new_figure(12, 8.6, (0.7, 0.1, 0.5, 0.75))
+    axes: Any = figure.subplots(2, 2, gridspec_kw={"wspace": 0.135, "hspace": 0.22})
+    direction = prediction.conditions[-1].direction
+    panels = (
+        (error_chart(prediction), "Contact error of one reading by force"),
+        (detection_chart(prediction), "Detection limit, one false alarm an hour"),
+        (sensitivity_chart(prediction), f"Base moment and force per millimetre of press along {direction}"),
+        (bending_chart(estimator), "Deflection under touches along ±x"),
+    )
+    for ax, (chart, title) in zip(axes.flat, panels, strict=True):
+        chart.draw_on(ax, title)
+        ax.set_title(title, y=1.0)  # a fixed position, which matplotlib would otherwise search for
+    assumed = ", ".join(a.rpartition(".")[2] for a in prediction.assumptions) or "nothing"
+    noise = f"σ {prediction.noise_force_mN:.2g} mN, {prediction.noise_moment_Nmm:.2g} N·mm per reading"
+    text = f"{prediction.name}  ·  geometry {prediction.fingerprint}  ·  {noise}\nassumed: {assumed}"
+    figure.suptitle(text, fontsize=12, x=0.01, y=0.992, ha="left", va="top")
+    return _png_bytes(figure)
+
+
+@dataclass(frozen=True)
+class SweepSeries:
+    """Estimates of a moving contact and the ground truth, each (n,); NaN without a contact or an estimate.
+
+    Attributes:
+        time_s: of each reading.
+        true_s_mm, s_mm: arclength of the contact, true and estimated.
+        std_s_mm: standard deviation of the estimate.
+        error_mm: distance between true and estimated contact point.
+        predicted_mm: RMS distance according to the estimate's covariance.
+    """
+
+    time_s: Array
+    true_s_mm: Array
+    s_mm: Array
+    std_s_mm: Array
+    error_mm: Array
+    predicted_mm: Array
+
+
+def draw_sweep(sweep: SweepSeries) -> bytes:
+    """Return a PNG of a moving contact: true and estimated position, and the error.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    figure = _new_figure(9, 6)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    t, dots, light = sweep.time_s, {"color": ORDERED[2], "ms": 5}, ORDERED[4]
+    low, high = sweep.s_mm - 2 * sweep.std_s_mm, sweep.s_mm + 2 * sweep.std_s_mm
+    upper.fill_between(t, low, high, color=light, alpha=0.3, lw=0, label="± 2 standard deviations")
+    upper.plot(t, sweep.true_s_mm, color=COLOURS[0], lw=1.5, label="true")
+    upper.plot(t, sweep.s_mm, ".", **dots, label="estimated")
+    upper.set(ylabel="contact s [mm]", title="A simulated touch sweeps along the probe")
+    upper.legend(fontsize=8, loc="lower center")
+    lower.plot(t, sweep.error_mm, ".", **dots, label="distance from the truth")
+    lower.plot(t, sweep.predicted_mm, color=light, label="RMS of the estimate's covariance")
+    lower.set(xlabel="time [s]", ylabel="error [mm]")
+    lower.legend(fontsize=8)
+    for ax in (upper, lower):
+        ax.grid(True, alpha=0.25)
+    return _png_bytes(figure)
+
+
+def draw_validation(validation: ValidationReport) -> bytes:
+    """Return a PNG of a validation: shapes as the paper's figures 4 to 6, and errors against their prediction.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    model, honesty = validation.estimator.model, validation.coverage
+    shown = [t for t in validation.tests if t.shape is not None and t.kind != "free"]
+    chosen = (
+        shown
+        if len(shown) <= MAX_PICTURED
+        else [shown[i] for i in np.linspace(0, len(shown) - 1, MAX_PICTURED).round().astype(int)]
+    )
+    rows = -(-(len(chosen) + 1) // COLUMNS)
+    figure = _new_figure(12, 0.8 + 2.6 * rows)
+    axes: Any = np.atleast_1d(figure.subplots(rows, COLUMNS)).ravel()
+    for ax, trial in zip(axes, chosen, strict=False):
+        off = "" if trial.contact_error is None else f", error {trial.contact_error.size / MM:.2g} mm"
+        title = f"{trial.test.name}: {trial.force / MILLINEWTON:.3g} mN at {trial.fraction:.2g} L{off}"
+        shape_chart(trial, model).draw_on(ax, title, legend_size=0.0)
+    error_size_chart([t for t in validation.tests if t.contact_error is not None]).draw_on(
+        axes[len(chosen)], "Contact error: measured against stated"
+    )
+    for ax in axes[: len(chosen) + 1]:
+        ax.title.set_fontsize(9)
+        ax.tick_params(labelsize=8)
+        ax.xaxis.label.set_fontsize(8)
+        ax.yaxis.label.set_fontsize(8)
+    for ax in axes[len(chosen) + 1 :]:
+        ax.set_axis_off()
+    left_out = f", {len(shown) - len(chosen)} more not shown" if len(shown) > len(chosen) else ""
+    figure.suptitle(f"{model.name}: measured (crosses, ●; ♦ known s) and estimated (line, ■); {honesty.within} of "
+                    f"{honesty.touches} touches within their 95 % ellipsoid{left_out}",
+                    fontsize=12, x=0.01, ha="left")  # fmt: skip
+    return _png_bytes(figure)
+
+
+def _new_figure(
+    width: float, height: float, margins: tuple[float, float, float, float] | None = None
+) -> "Figure":
+    """Return an empty figure that needs no display.
+
+    Args:
+        width, height: [inch].
+        margins: left, right, bottom and top of its axes [inch]; fitted to the content if None, which takes as long as
+            drawing it twice more.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError:
+        raise MissingDependencyError(
+            "plots need matplotlib: pip install 'probedesign[plots]', or give --no-plots"
+        ) from None
+    figure = Figure(figsize=(width, height), layout="constrained" if margins is None else None)
+    FigureCanvasAgg(figure)
+    if margins is not None:
+        left, right, bottom, top = margins
+        figure.subplots_adjust(left / width, bottom / height, 1.0 - right / width, 1.0 - top / height)
+    return figure
+
+
+def _png_bytes(figure: "Figure") -> bytes:
+    """Return the figure as a file."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=110, metadata={"Software": None})
+    return picture.getvalue()

@@ -1,0 +1,326 @@
+"""Page and charts of a validation: measured beside estimated, as the paper's figures 3 to 6 and its Table I."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.reports.chart import COLOURS, NO_LINE, Chart, ChartAxis, LegendEntry, span_of
+from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.units import MILLINEWTON, MM, N_MM
+from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
+from probedesign.validation.validated_test import ValidatedTest
+
+MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
+POINTS = 80
+_Z = "z, along the undeformed axis [mm]"
+
+
+def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:
+    """Return measured error against stated error."""
+    errors = [
+        (trial, trial.contact_error.expected / MM, trial.contact_error.size / MM)
+        for trial in trials
+        if trial.contact_error is not None
+    ]
+    low, high = span_of([value for _, *pair in errors for value in pair], True)
+    chart = Chart(
+        ChartAxis("stated error, RMS [mm]", low, high, log=True),
+        ChartAxis("measured error [mm]", low, high, log=True),
+    )
+    chart.line([low, high], [low, high], "#888", "5 2", name="equal")
+    for kind, colour, mark in (("touch", ESTIMATED, "o"), ("weight", CONTACT, "d")):
+        here = [(x, y) for trial, x, y in errors if trial.kind == kind]
+        for x, y in here:
+            chart.line([x], [y], colour, mark=mark)
+        if here:
+            chart.legend.append(LegendEntry(kind, colour, NO_LINE, mark))
+    return chart
+
+
+def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
+    """Return the sorted normalised errors squared against the quantiles of their χ² distribution."""
+    from scipy.stats import chi2
+
+    misses = [trial.contact_error for trial in trials if trial.counts and trial.contact_error is not None]
+    scaled = sorted(miss.nees / miss.dof for miss in misses)
+    dof = misses[0].dof if misses else 3
+    ranks = [(i + 0.5) / len(scaled) for i in range(len(scaled))]
+    expected = [float(chi2.ppf(rank, dof)) / dof for rank in ranks]
+    high = max([*scaled, *expected, 1.0]) * 1.1
+    chart = Chart(
+        ChartAxis("expected quantile", 0.0, high), ChartAxis("NEES per degree of freedom", 0.0, high)
+    )
+    chart.line([0.0, high], [0.0, high], "#888", "5 2", name="consistent")
+    chart.line(expected, scaled, ESTIMATED, mark="o", name="touches")
+    return chart
+
+
+def internal_load_chart(shape: Equilibrium, what: str) -> Chart:
+    """Return internal force or moment along the probe."""
+    s, values = internal_load(shape, what)
+    unit = "force [mN]" if what == "force" else "moment [N·mm]"
+    chart = Chart(
+        ChartAxis("arclength s [mm]", 0.0, float(s[-1]) / MM),
+        ChartAxis(unit, *span_of(values.ravel().tolist(), False)),
+    )
+    for i, (axis, dashes) in enumerate(zip("xyz", ("", "7 4", "2 3"), strict=True)):
+        chart.line((s / MM).tolist(), values[:, i].tolist(), COLOURS[i + 1], dashes, name=axis)
+    return chart
+
+
+def internal_load(shape: Equilibrium, what: str) -> tuple[Array, Array]:
+    """Return arclengths [m], (k,), and internal force [mN] or moment [N·mm], on both sides of the contact, (k, 3)."""
+    length = float(shape.s[-1])
+    s = np.linspace(0.0, length, POINTS)
+    contact = shape.s_contact
+    if shape.load[0:3].any() and 0.0 < contact < length:
+        s = np.sort(np.concatenate([s, [contact, contact + 1e-9]]))
+    values = shape.n_at(s) / MILLINEWTON if what == "force" else shape.states_at(s)[:, 3:6] / N_MM
+    return s, np.asarray(values)
+
+
+def lateral_axis(trial: ValidatedTest) -> int:
+    """Return the axis drawn beside z: that of the larger load, 0 for x, 1 for y; x for a free probe."""
+    if trial.test.direction[1:] in ("x", "y"):
+        return "xy".index(trial.test.direction[1:])
+    if trial.shape is None or trial.kind == "free":
+        return 0
+    return int(np.argmax(np.abs(trial.shape.load[0:2])))
+
+
+def centreline(trial: ValidatedTest) -> Array:
+    """Return the centreline of the shape [m], (k, 3); empty without a shape."""
+    if trial.shape is None:
+        return np.zeros((0, 3))
+    return trial.shape.p_at(np.linspace(0.0, float(trial.shape.s[-1]), POINTS))
+
+
+def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
+    """Return the outline from the side: base, flank, tip and the other flank [m], (2 k, 3); empty without a shape."""
+    if trial.shape is None:
+        return np.zeros((0, 3))
+    across, s = lateral_axis(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
+    radius = np.interp(s, model.rod.s, model.rod.radius) * model.cross_section.reach(across * math.pi / 2.0)
+    aside = radius[:, None] * trial.shape.R_at(s)[:, :, across]
+    line = trial.shape.p_at(s)
+    return np.concatenate([line + aside, (line - aside)[::-1]])
+
+
+def estimated_contact(trial: ValidatedTest) -> Array | None:
+    """Return the estimated contact [m], (3,): on the axis if only s is known for comparison, else on the surface."""
+    if trial.estimate is None or not trial.estimate.ok:
+        return None
+    on_axis = trial.contact_base is None and not math.isnan(trial.test.s_contact)
+    return trial.estimate.p_contact_base if on_axis else trial.estimate.p_surface_base
+
+
+def known_contact(trial: ValidatedTest) -> Array | None:
+    """Return the point of the axis where the force is known to act [m], (3,); None if unknown."""
+    if trial.shape is None or math.isnan(trial.test.s_contact):
+        return None
+    return np.asarray(trial.shape.p_at(np.array([trial.test.s_contact]))[0])
+
+
+def shape_chart(trial: ValidatedTest, model: ProbeModel) -> Chart:
+    """Return measured markers and contact, estimated outline, centreline and contact, from the side."""
+    across = lateral_axis(trial)
+    line, body = centreline(trial), outline(trial, model)
+    estimate = estimated_contact(trial)
+    contacts = [p[None] for p in (trial.contact_base, estimate) if p is not None]
+    points = np.concatenate([body, trial.markers_on_axis, *contacts, np.zeros((1, 3))]) / MM
+    x, y = (
+        ChartAxis(words, *span_of(points[:, i].tolist(), False))
+        for words, i in ((_Z, 2), (f"{'xy'[across]} [mm]", across))
+    )
+    chart = Chart(x, y, square=True, down=across == 0)
+    if len(body):
+        chart.area([(float(p[2]) / MM, float(p[across]) / MM) for p in body], ESTIMATED, 0.15)
+    seen = trial.markers_on_axis / MM
+    if len(seen):
+        chart.line(seen[:, 2].tolist(), seen[:, across].tolist(), MEASURED, "7 4", "x", "measured", 1.4)
+    if len(line):
+        chart.line(
+            (line[:, 2] / MM).tolist(),
+            (line[:, across] / MM).tolist(),
+            ESTIMATED,
+            name="estimated",
+            width=2.4,
+        )
+    for p, colour, mark, name in ((estimate, CONTACT, "s", "contact, estimated"),
+                                  (trial.contact_base, MEASURED, "o", "contact, measured"),
+                                  (known_contact(trial), MEASURED, "d", "s of the contact, known")):  # fmt: skip
+        if p is not None:
+            chart.line([float(p[2]) / MM], [float(p[across]) / MM], colour, mark=mark)
+            chart.legend.append(LegendEntry(name, colour, NO_LINE, mark))
+    return chart
+
+
+MAX_SHAPES = 24
+"""Further shapes are left out, with a note on the page."""
+
+
+def validation_page(validation: ValidationReport) -> bytes:
+    """Return the page of a validation."""
+    model, honesty = validation.estimator.model, validation.coverage
+    how = "probe assumed to match its file exactly" if validation.exact else "with the probe's tolerances"
+    about = [
+        f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
+        f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
+        *honesty.words,
+    ]
+    drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
+    shapes = (_shape(trial, model) for trial in drawn[:MAX_SHAPES])
+    sections = [*_figures(validation), *_internal_loads(validation), *shapes]
+    after = [("Results by test", _table(validation))]
+    if validation.notes or len(drawn) > MAX_SHAPES:
+        more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
+        after.append(("Notes", HtmlTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
+    return report_page(
+        f"{model.name}: validation against the reference", about, _summary(validation), sections, after
+    )
+
+
+def _summary(validation: ValidationReport) -> HtmlTable:
+    """Return the means by kind of test."""
+    rows = []
+    for kind, means in validation.summary.items():
+        here = [trial for trial in validation.tests if trial.kind == kind]
+        located = sum(trial.result == "ok" for trial in here)
+        shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
+        rows.append([kind, f"{len(here)}", f"{located}", *_mean_cells(shape), *_mean_cells(contact)])
+    head = [
+        "tests",
+        "number",
+        "located",
+        "shape RMS, mean",
+        "RMS",
+        "largest",
+        "contact error, mean",
+        "RMS",
+        "largest",
+    ]
+    return HtmlTable(head, rows, "Shape: equation 6 of the paper. Both include the errors of the reference.")
+
+
+def _mean_cells(mean: ErrorStatistics) -> list[str]:
+    return ["—" if value is None else f"{value:.3g} mm" for value in (mean.mean, mean.rms, mean.largest)]
+
+
+def _table(validation: ValidationReport) -> HtmlTable:
+    """Return Table I of the paper with stated and predicted errors."""
+    head = [
+        "test",
+        "force",
+        "contact",
+        "direction",
+        "shape RMS",
+        "of length",
+        "contact error",
+        "stated",
+        "predicted",
+        "in 95 %",
+        "method",
+        "result",
+    ]
+    rows = []
+    for row in validation.rows():
+        inside = {None: "—", True: "yes", False: "no"}[row["within_95"]]
+        force, fraction = row["force_N"], row["contact_fraction"]
+        rows.append([
+            row["test"], "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
+            "—" if fraction is None else f"{fraction:.3f} L", row["direction"] or "—", _mm(row["shape_rms_mm"]),
+            "—" if row["shape_rms_percent"] is None else f"{row['shape_rms_percent']:.2f} %",
+            _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
+            _mm(row["predicted_error_mm"]), inside, row["method"], row["result"],
+        ])  # fmt: skip
+    note = (
+        "Contact: fraction of the length, known or else estimated; its error is that of the touched point, for weights "
+        "that of s. Stated: RMS including the reference's own error. Predicted: the error that `predict` gives for one "
+        "reading of a frictionless touch of that force, position and direction, without a reference. Method: weights "
+        "hang by friction and are therefore estimated by the paper's method, which allows a force of any direction."
+    )
+    return HtmlTable(head, rows, note)
+
+
+def _mm(value: float | None) -> str:
+    return "—" if value is None else f"{value:.3g} mm"
+
+
+def _figures(validation: ValidationReport) -> list[Section]:
+    """Return measured error against stated error, and the NEES against its distribution."""
+    located = [trial for trial in validation.tests if trial.contact_error is not None]
+    if not located:
+        return []
+    return [
+        Section("Stated and measured error", "Distance of each contact from the reference against the RMS "
+                "distance stated by estimate and reference. About two of three should lie below the line.",
+                error_size_chart(located).svg()),
+        Section("Consistency of the stated covariance", "Normalised estimation error squared, sorted, against "
+                "the quantiles of its distribution. Above the line the stated covariance is too small.",
+                nees_chart(located).svg()),
+    ]  # fmt: skip
+
+
+def _internal_loads(validation: ValidationReport) -> list[Section]:
+    """Return internal force and moment of the free probe and of the middle one of the located touches."""
+    free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
+    located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]
+    shown = [trial for trial in (free, located[len(located) // 2] if located else None) if trial is not None]
+    found = []
+    for trial in shown:
+        assert trial.shape is not None
+        jump = (
+            ""
+            if trial.kind == "free"
+            else " At the contact the force jumps, and the moment by the couple of that force about the axis."
+        )
+        name = f"{trial.test.name}, {_words(trial)}"
+        found.append(
+            Section(
+                f"Internal force: {name}",
+                f"In base axes.{jump}",
+                internal_load_chart(trial.shape, "force").svg(),
+            )
+        )
+        found.append(
+            Section(
+                f"Internal moment: {name}",
+                f"In base axes.{jump}",
+                internal_load_chart(trial.shape, "moment").svg(),
+            )
+        )
+    return found
+
+
+def _words(trial: ValidatedTest) -> str:
+    if trial.kind == "free":
+        return "free"
+    force = f"{trial.force / MILLINEWTON:.3g} mN"
+    place = "" if math.isnan(trial.fraction) else f" at {trial.fraction:.2g} L"
+    return f"{force}{place}{', ' if trial.test.direction else ''}{trial.test.direction}"
+
+
+def _shape(trial: ValidatedTest, model: ProbeModel) -> Section:
+    """Return the figure of one probe as measured and as estimated."""
+    parts = []
+    if not math.isnan(trial.shape_rms):
+        parts.append(
+            f"RMS {trial.shape_rms / MM:.3g} mm, the reference alone {trial.reference_rms / MM:.3g} mm"
+        )
+    if trial.contact_error is not None:
+        parts.append(
+            f"contact error {trial.contact_error.size / MM:.3g} mm, stated {trial.contact_error.expected / MM:.3g} mm"
+        )
+    if not math.isnan(trial.predicted):
+        parts.append(f"predicted {trial.predicted / MM:.3g} mm")
+    if trial.kind == "free":
+        parts.append("no contact reported, as expected" if trial.result != "ok" else "false contact reported")
+    elif trial.result != "ok":
+        parts.append(f"{trial.result}: {WHY[trial.result]}")
+    return Section(
+        f"{trial.test.name}: {_words(trial)}", "; ".join(parts) + ".", shape_chart(trial, model).svg()
+    )

@@ -1,0 +1,127 @@
+"""What is cut into the parts: an alphabet that reads, characters that keep apart, weights that are exact."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from probedesign.design import check_design
+from probedesign.geometry import build_geometry
+from probedesign.mount import SensorAdapter, sensor_adapter_for
+from probedesign.mount.engraving import (
+    CELL,
+    DEPTH,
+    GLYPHS,
+    ROWS,
+    Engraving,
+    cut_outlines,
+    cut_runs,
+    glyph_width,
+)
+from probedesign.mount.fasteners import M2, M2_CLEARANCE_D
+from probedesign.mount.mount_mass import engraving_mass
+from probedesign.sensor import NANO17
+
+BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
+
+
+def adapter_of(base_d: float, name: str = "large") -> SensorAdapter:
+    probe = {"length_mm": 150.0, "base_d_mm": base_d, "tip_d_mm": 2.0}
+    return sensor_adapter_for(
+        build_geometry(check_design({"schema": 1, "name": name, "probe": probe})), NANO17, name
+    )
+
+
+def test_no_two_characters_look_alike_and_all_are_five_high() -> None:
+    assert len(set(GLYPHS.values())) == len(GLYPHS)
+    assert all(len(rows) == ROWS and len({len(row) for row in rows}) == 1 for rows in GLYPHS.values())
+    assert set("0123456789abcdefghijklmnopqrstuvwxyz-_.") <= {
+        c.lower() for c in GLYPHS
+    }  # all that names may hold
+
+
+@pytest.mark.parametrize("character", GLYPHS)
+def test_edges_enclose_the_cut_cells_and_never_meet_at_a_corner(character: str) -> None:
+    cells = {(x, y) for start, end, y in cut_runs(character) for x in range(start, end)}
+    drawn = {
+        (x, ROWS - 1 - y) for y, row in enumerate(GLYPHS[character]) for x, c in enumerate(row) if c == "#"
+    }
+    assert cells == drawn
+    loops = cut_outlines(character)
+    twice = [sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(p, p[1:] + p[:1], strict=True)) for p in loops]
+    assert sum(twice) == 2 * len(cells)
+    assert sum(area > 0 for area in twice) == (character != " ")  # one piece, with islands or without
+    corners = [p for loop in loops for p in loop]
+    assert len(set(corners)) == len(corners)  # a solid that touches itself along an edge has no closed mesh
+
+
+def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np.ndarray]:
+    """Area, mean (x, y) and ∫ r rᵀ of the cut cells about the axis, by small squares, however turned."""
+    at = (np.arange(fine) + 0.5) / fine
+    points = []
+    for character, azimuth in zip(engraving.text, engraving.azimuths, strict=True):
+        right, up = (
+            np.array([np.sin(azimuth), -np.cos(azimuth)]),
+            np.array([np.cos(azimuth), np.sin(azimuth)]),
+        )
+        for start, end, row in cut_runs(character):
+            for column in range(start, end):
+                u = (column + at - glyph_width(character) / 2) * CELL
+                v = engraving.radius + (row + at - ROWS / 2) * CELL
+                points.append((u[:, None, None] * right + v[None, :, None] * up).reshape(-1, 2))
+    p = np.concatenate(points)
+    small = (CELL / fine) ** 2
+    return len(p) * small, p.mean(axis=0), small * np.einsum("ij,ik->jk", p, p)
+
+
+def test_the_engraving_mass_is_exact() -> None:
+    cut = adapter_of(12.0).on_flange
+    assert cut.text == "dbfe02e41516 large"
+    area, mean, second = sampled(cut)
+    body = engraving_mass(cut, 1010.0)
+    assert body.volume == pytest.approx(area * DEPTH, rel=1e-12)
+    assert body.p_com == pytest.approx([*mean, -DEPTH / 2], abs=1e-12)
+    about_axis = body.inertia_about(np.array([0.0, 0.0, -DEPTH / 2]))
+    # Squares of a fortieth of a cell leave out their own 1/6 · 1/40² · CELL²: 1e-6 of the whole.
+    assert about_axis[2, 2] == pytest.approx(1010.0 * DEPTH * np.trace(second), rel=1e-5)
+    assert -about_axis[0, 1] == pytest.approx(1010.0 * DEPTH * second[0, 1], rel=1e-4)
+
+
+def corners_of(engraving: Engraving) -> list[np.ndarray]:
+    return [np.array([p for loop in loops for p in loop]) for loops in engraving.outlines() if loops]
+
+
+def apart(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of two characters' corner points, an upper bound that is close where corners face each other."""
+    return float(np.linalg.norm(a[:, None] - b[None], axis=2).min())
+
+
+@pytest.mark.parametrize("base_d", BASES)
+def test_characters_keep_to_their_place(base_d: float) -> None:
+    a = adapter_of(base_d)
+    flange_r, base_r = a.flange.diameter / 2, base_d / 2 * 1e-3
+    places = [
+        (a.on_flange, base_r, flange_r, [((a.peg_x, 0.0), a.peg_hole_d / 2)]),
+        (a.on_wall, a.recess_d / 2, a.mark_x, [(p, M2_CLEARANCE_D / 2) for p in a.p_ring_screws]),
+        (a.on_ring, a.ring_bore_top_d / 2, a.body_d / 2, [(p, M2.head_d / 2) for p in a.p_ring_screws]),
+    ]
+    for engraving, inner, outer, holes in places:
+        assert engraving.text.startswith(engraving.text[:12]) and len(engraving.text) >= 12
+        characters = corners_of(engraving)
+        for corners in characters:
+            r = np.linalg.norm(corners, axis=1)
+            assert (
+                r.min() > inner + 0.4e-3 and r.max() < outer - 0.4e-3
+            )  # the least wall of a supported feature
+            for p, hole_r in holes:
+                assert np.linalg.norm(corners - p, axis=1).min() > hole_r + 0.4e-3
+        assert min(apart(a, b) for a, b in combinations(characters, 2)) > 0.9 * CELL
+
+
+def test_a_long_name_is_shortened_and_the_fingerprint_never() -> None:
+    short, long = adapter_of(3.0, "cone-60x3x1.2"), adapter_of(25.0, "cone-60x3x1.2")
+    fingerprint = short.on_flange.text[:12]
+    assert short.on_flange.text == f"{fingerprint} co"
+    assert short.on_ring.text.startswith(f"{fingerprint} cone-6") and long.on_flange.text.endswith(
+        " cone-60x3x1.2"
+    )

@@ -1,0 +1,174 @@
+"""The mount without CAD: its closed forms, its screws, and that the light install suffices."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from probedesign.design import Design
+from probedesign.errors import InputError
+from probedesign.frames import is_pose
+from probedesign.geometry import build_geometry
+from probedesign.mount import (
+    SensorAdapter,
+    exported_root_radii,
+    mount_mass_properties,
+    mount_part_masses,
+    sensor_adapter_for,
+)
+from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, M2_LENGTH
+from probedesign.mount.mount_mass import cylinder, hexagon, segment, subtract
+from probedesign.sensor import NANO17
+from tests.cad.conftest import design_of as make_design
+
+
+def adapter_of(design: Design) -> SensorAdapter:
+    return sensor_adapter_for(build_geometry(design), design.sensor_model)
+
+
+def moments(
+    width_at: Callable[[np.ndarray], np.ndarray], x0: float, x1: float
+) -> tuple[float, float, float, float]:
+    """Area, mean x, ∫x² about the mean and ∫y² of a shape as tall as `width_at(x)`, by fine strips."""
+    edges = np.linspace(x0, x1, 200_001)
+    x, dx = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
+    w = width_at(x)
+    area = float(np.sum(w) * dx)
+    mean = float(np.sum(w * x) * dx) / area
+    return area, mean, float(np.sum(w * (x - mean) ** 2) * dx), float(np.sum(w**3) * dx) / 12.0
+
+
+def test_segment_is_the_integral_over_its_strips() -> None:
+    r, x, h = 15.0, 14.2, 2.0
+    area, mean, Iy, Ix = moments(lambda x: 2 * np.sqrt(r * r - x * x), x, r)
+    body = segment(r, x, 1.0, 1.0 + h, density=1.0)
+    # 200 000 strips of a square-root edge: the midpoint rule is good to about 1e-8.
+    assert body.volume == pytest.approx(area * h, rel=1e-7)
+    assert body.p_com == pytest.approx([mean, 0.0, 2.0], rel=1e-7)
+    slab = body.mass * h * h / 12
+    assert np.diag(body.inertia) == pytest.approx([Ix * h + slab, Iy * h + slab, (Ix + Iy) * h], rel=1e-6)
+
+
+def test_hexagon_is_the_integral_over_its_strips() -> None:
+    af, h = 4.2, 3.5
+    corner = af / np.sqrt(3.0)
+    area, _, Iy, Ix = moments(lambda x: np.minimum(af, 2 * np.sqrt(3.0) * (corner - abs(x))), -corner, corner)
+    body = hexagon(af, 0.0, h, 1.0, (3.0, -1.0))
+    # Straight edges: the midpoint rule is good to the square of the strip's width, 1e-9.
+    assert body.volume == pytest.approx(area * h, rel=1e-8)
+    assert body.inertia[2, 2] == pytest.approx((Ix + Iy) * h, rel=1e-8)
+    assert body.p_com == pytest.approx([3.0, -1.0, h / 2])
+
+
+def test_a_tube_is_a_rod_without_its_bore() -> None:
+    tube = subtract(cylinder(10.0, 0.0, 4.0, 2.0), [cylinder(6.0, 0.0, 4.0, 2.0)])
+    m = 2.0 * np.pi / 4 * (100 - 36) * 4
+    assert tube.mass == pytest.approx(m)  # sums of a few terms: pytest's 1e-6 is ample
+    assert tube.inertia[2, 2] == pytest.approx(m * (5.0**2 + 3.0**2) / 2)
+    assert tube.inertia[0, 0] == pytest.approx(m * (3 * (25 + 9) + 16) / 12)
+
+
+def test_base_sits_straight_above_the_tool_face() -> None:
+    adapter = adapter_of(make_design())
+    T = adapter.T_sensor_base
+    assert is_pose(T)
+    assert np.array_equal(T[:3, :3], np.eye(3))
+    # 3.0 mm of grip, a 2.0 mm head sunk by 0.2 mm, a 3.0 mm flange; sums of decimals, hence a picometre.
+    assert T[:3, 3] == pytest.approx([0.0, 0.0, 8.2e-3], abs=1e-12)
+
+
+def test_screws_into_the_sensor_keep_its_limits() -> None:
+    entry = M2_LENGTH - M2_GRIP
+    assert NANO17.tool.min_entry < entry < NANO17.tool.max_entry
+    assert NANO17.mounting.min_entry < entry < NANO17.mounting.max_entry
+
+
+@pytest.mark.parametrize("base_d", [0.5, 3.0, 12.0, 25.0, 60.0])
+def test_adapter_fits_together(base_d: float) -> None:
+    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 0.4"))
+    assert a.foot_height < a.nut_pocket_top < a.floor < a.peg_top < a.body_top < a.ring_top
+    assert a.flange.diameter < a.recess_d < a.body_d
+    assert base_d * 1e-3 < a.ring_bore_d < a.ring_bore_top_d < a.flange.diameter
+    assert np.hypot(*a.p_ring_screws[0]) - a.nut_pocket_af / 2 > a.foot_d / 2  # nuts go in beside the sensor
+
+
+def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
+    geometry = build_geometry(make_design())
+    adapter = sensor_adapter_for(geometry, NANO17)
+    whole = mount_mass_properties(geometry, adapter, 1010.0)
+    parts = mount_part_masses(geometry, adapter, 1010.0)
+    gravity = np.array([3.0, -5.0, 8.0])
+    assert whole.wrench(gravity) == pytest.approx(sum(p.wrench(gravity) for p in parts.values()))
+    assert 5e-3 < whole.mass < 15e-3  # ten grams, beside a sensor that weighs nine
+    assert abs(whole.p_com[:2]).max() < 0.2e-3  # pins and peg are all that is not symmetric
+
+
+@pytest.mark.parametrize(
+    ("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)]
+)
+def test_the_exported_flange_yields_as_computed(base_d: float, computed: float) -> None:
+    """Own finite elements, docs/decisions/0006: lip stuck, plate without friction under the middle."""
+    geometry = build_geometry(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0"))
+    assert exported_root_radii(geometry) == pytest.approx(computed, abs=3e-3)  # what the fit leaves
+
+
+def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
+    bulge = (
+        'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
+    )
+    with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 15 mm") as error:
+        adapter_of(make_design(bulge))
+    assert "\n" not in str(error.value)
+
+
+def test_the_mount_mass_needs_no_cad() -> None:
+    code = "import sys, probedesign.mount; assert not {'cadquery', 'OCP', 'trimesh'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+BASES = np.arange(3.0, 25.01, 0.5)
+LEAST_WALL = 0.4e-3
+"""Of a wall held on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
+
+
+@pytest.mark.parametrize("base_d", BASES)
+def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
+    """Holes are circles, a nut's pocket the circle around it; where both are cut at one height, they keep apart."""
+    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
+    pocket_r, recess_r, rim_r = a.nut_pocket_af / np.sqrt(3.0), a.recess_d / 2, a.body_d / 2
+    nuts = np.array(a.p_ring_screws)
+    seats = np.linalg.norm(nuts, axis=1)
+    heads, dowels = np.array(a.p_tool_screws), np.array(a.p_dowels)
+    apart = [
+        np.linalg.norm(p[:, None] - q[None], axis=2).min()
+        for p, q in ((nuts, heads), (nuts, dowels), (heads, dowels))
+    ]
+    walls = {
+        "nut pocket to head": apart[0] - pocket_r - M2_COUNTERBORE_D / 2,
+        "nut pocket to dowel": apart[1] - pocket_r - a.dowel_d / 2,
+        "screw to dowel": apart[2] - M2_CLEARANCE_D / 2 - a.dowel_d / 2,
+        "nut pocket to rim": rim_r - seats.max() - pocket_r,
+        "nut pocket to flat": a.mark_x - nuts[:, 0].max() - pocket_r,
+        "ring screw to recess": seats.min() - M2_CLEARANCE_D / 2 - recess_r,
+        "nut pocket to the wall's top": a.body_top - a.nut_pocket_top,
+        "nut pocket to recess, across": np.hypot(
+            a.floor - a.nut_pocket_top, seats.min() - a.nut_pocket_af / 2 - recess_r
+        ),
+        "dowel to floor": a.floor - a.dowel_depth,
+        "under the heads": M2_GRIP,
+        "ring outside its screws": rim_r - seats.max() - M2_CLEARANCE_D / 2,
+        "ring inside its screws, below": seats.min() - M2_CLEARANCE_D / 2 - a.ring_bore_d / 2,
+        "ring inside its screws, above": seats.min() - M2_CLEARANCE_D / 2 - a.ring_bore_top_d / 2,
+    }
+    assert {name: wall for name, wall in walls.items() if wall < LEAST_WALL} == {}
+    assert a.floor > a.nut_pocket_top  # or pockets would open into the recess
+
+
+@pytest.mark.parametrize("base_d", BASES)
+def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(base_d: float) -> None:
+    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
+    assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)
+    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # what is held
+    assert a.peg_x - a.peg_hole_d / 2 > base_d / 2 * 1e-3 + 0.6e-3  # the mark keeps off the flexible part
