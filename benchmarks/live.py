@@ -21,18 +21,17 @@ from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
-from probedesign.live.box.box import OFF
-from probedesign.live.netft.source import NetFT
-from probedesign.live.recordings import Recordings
-from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.sinks import Sinks
-from probedesign.live.source import open_source
-from probedesign.live.tare import Window
-from probedesign.live.view.view import View
-from probedesign.live.warm_up import warm_up
+from probedesign.live.netft_box.box import FAULT_DURATION
+from probedesign.live.outputs.recording import Recordings
+from probedesign.live.outputs.sinks import Sinks
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.scheduler import Plan, Requests
+from probedesign.live.processing.tare import Window
+from probedesign.live.run import estimate_stream, warm_up
+from probedesign.live.sources.netft.source import NetFT
+from probedesign.live.sources.source import open_source
+from probedesign.live.view.browser_view import View
 from probedesign.probe import build_probe
 
 MINUTES = 1.0 / 3.0
@@ -141,7 +140,7 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     answers: list[Answer] = list(
         estimate_stream(estimator, watched, Plan(TARE, AVERAGE, seconds=seconds), print)
     )
-    back = ", ".join(f"{max(gap - OFF, 0.0):.2f}" for gap in watched.gaps)
+    back = ", ".join(f"{max(gap - FAULT_DURATION, 0.0):.2f}" for gap in watched.gaps)
     after = Counter(a.estimate.result for a in answers if a.reading.stretch > 0)
     stretches = [a.reading.stretch for a in answers]
     rows = [
@@ -151,7 +150,9 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
         ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
         ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
     ]  # fmt: skip
-    print_table(f"the box restarts, then stalls, for {OFF:g} s each", ["", "measured", "target"], rows)
+    print_table(
+        f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows
+    )
 
 
 def _resident() -> float:

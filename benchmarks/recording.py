@@ -12,10 +12,9 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.design import load_design
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.behind import EVERY, File
-from probedesign.live.block import Block
-from probedesign.live.recorded import open_recording
-from probedesign.live.recordings import open_file
+from probedesign.live.outputs.recording import FLUSH_PERIOD, File, open_file
+from probedesign.live.processing.blocks import Block
+from probedesign.live.sources.replay import open_recording
 from probedesign.probe import build_probe
 
 RATE = 7000
@@ -53,7 +52,7 @@ def _blocks(model: ProbeModel, count: int) -> list[Block]:
 
 def _write(file: File, blocks: list[Block]) -> None:
     """As the writing thread does."""
-    often = int(EVERY * RATE) // len(blocks[0])
+    often = int(FLUSH_PERIOD * RATE) // len(blocks[0])
     for i, block in enumerate(blocks):
         file.read(block)
         if i % often == 0:

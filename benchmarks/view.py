@@ -19,12 +19,12 @@ import numpy as np
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.block import Block
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.view.keeper import Keeper
-from probedesign.live.view.view import setup_of
-from probedesign.live.warm_up import warm_up
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.run import estimate_stream, warm_up
+from probedesign.live.sources.sim import Simulation
+from probedesign.live.view.browser_view import setup_of
+from probedesign.live.view.state import Keeper
 from probedesign.probe import build_probe
 
 ROOT = Path(__file__).parents[1]

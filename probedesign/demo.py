@@ -13,10 +13,10 @@ from probedesign.design_file import draft_design, render_design, write_design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
 from probedesign.files import write_atomically
-from probedesign.live.block import readings_in
 from probedesign.live.offline import estimate_recording
-from probedesign.live.recorder import write_recording
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import readings_in
+from probedesign.live.recordings.csv import write_recording
+from probedesign.live.sources.sim import Simulation
 from probedesign.report import Sweep, draw_sweep
 from probedesign.units import MM
 

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from probedesign.errors import InputError
-from probedesign.live.recorder import write_recording
-from probedesign.live.recording import Recording, read_recording
-from probedesign.live.recording_columns import HEADER
+from probedesign.live.recordings.csv import HEADER, Recording, read_recording, write_recording
 
 ROW = "0.5,-0.25,0.125,0.001,0.002,-0.003"
 EXACT = 1e-15

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
     from probedesign.exploring.base import Base
-    from probedesign.live.pose.poses import Poses
+    from probedesign.live.poses.base_poses import Poses
 
 
 @Parameter(name="*")
@@ -50,6 +50,6 @@ class BaseOptions:
         Raises:
             InputError: they cannot be had.
         """
-        from probedesign.live.pose.spec import open_poses
+        from probedesign.live.poses.open_poses import open_poses
 
         return open_poses(self.pose, self.pose_latency_ms, self.gravity_world, say)

@@ -11,7 +11,7 @@ from probedesign.cli.output import print_json, working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.live.reading import Reading
+    from probedesign.live.processing.blocks import Reading
 
 
 def estimate(
@@ -60,10 +60,9 @@ def estimate(
     from probedesign.cli.estimators import loaded_estimator
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
-    from probedesign.live.recorded import Choice
-    from probedesign.live.run import describe_counts
-    from probedesign.live.tare import parse_window
-    from probedesign.live.warm_up import warm_up
+    from probedesign.live.processing.tare import parse_window
+    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.sources.replay import Choice
 
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
     from probedesign.exploring.explore import Exploration
     from probedesign.frames import Array
-    from probedesign.live.plan import Plan
-    from probedesign.live.pose.poses import Poses
-    from probedesign.live.source import Source
+    from probedesign.live.poses.base_poses import Poses
+    from probedesign.live.processing.scheduler import Plan
+    from probedesign.live.sources.source import Source
 
 
 def explore(
@@ -85,7 +85,7 @@ def _opened(
 ) -> "tuple[Source, Poses]":
     """Readings and poses, and everything compiled before the first is read."""
     from probedesign.exploring.explore import check_poses
-    from probedesign.live.warm_up import warm_up
+    from probedesign.live.run import warm_up
 
     poses = check_poses(base.poses(_say), None)
     with working("loading the rod kernels"):
@@ -117,7 +117,7 @@ def _truth(opened: "Source") -> "tuple[Array, ...]":
     """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
     from probedesign.exploring.card_house import true_outlines
     from probedesign.exploring.explore import Played
-    from probedesign.live.replay import Replay
+    from probedesign.live.sources.replay import Replay
 
     return true_outlines(opened.recorded_from) if isinstance(opened, Played | Replay) else ()
 

@@ -14,7 +14,7 @@ from probedesign.cli.ending import ending_well
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from probedesign.live.answer import Answer
+    from probedesign.live.processing.estimates import Answer
 
 
 def live(
@@ -80,14 +80,13 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.cli.estimators import loaded_estimator
-    from probedesign.live.outlets import Outlets
-    from probedesign.live.pose.spec import open_poses
-    from probedesign.live.requests import Requests
-    from probedesign.live.run import Plan, estimate_stream
-    from probedesign.live.sinks import Sinks, Spoken
-    from probedesign.live.source import open_source
-    from probedesign.live.tare import parse_window
-    from probedesign.live.warm_up import warm_up
+    from probedesign.live.outputs.options import Outlets
+    from probedesign.live.outputs.sinks import Sinks, Spoken
+    from probedesign.live.poses.open_poses import open_poses
+    from probedesign.live.processing.scheduler import Plan, Requests
+    from probedesign.live.processing.tare import parse_window
+    from probedesign.live.run import estimate_stream, warm_up
+    from probedesign.live.sources.source import open_source
 
     window = parse_window(tare_s) if tare_s is not None else None
     plan = Plan(window, average, rate_hz, count, seconds, filter_hz, method=method)
@@ -124,7 +123,7 @@ def _print(
     Returns:
         Whether it ended by itself.
     """
-    from probedesign.live.row import json_line, readable_line, row, world_row
+    from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
@@ -138,7 +137,7 @@ def _print(
                 results.append(estimate.result)
                 if as_json:
                     world = world_row(answer) if answer.fused is not None else {}
-                    print(json_line(row(reading, estimate) | world), flush=True)
+                    print(json_line(estimate_row(reading, estimate) | world), flush=True)
                 elif not drawn:
                     print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
         by_itself = True

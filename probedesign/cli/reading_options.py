@@ -11,9 +11,9 @@ from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.plan import Plan
-    from probedesign.live.pose.poses import Poses
-    from probedesign.live.source import Source
+    from probedesign.live.poses.base_poses import Poses
+    from probedesign.live.processing.scheduler import Plan
+    from probedesign.live.sources.source import Source
 
 
 @Parameter(name="*")
@@ -44,8 +44,8 @@ class ReadingOptions:
         Raises:
             InputError: it is not said what is read, or no tare; or a value makes no sense.
         """
-        from probedesign.live.plan import Plan
-        from probedesign.live.tare import parse_window
+        from probedesign.live.processing.scheduler import Plan
+        from probedesign.live.processing.tare import parse_window
 
         if (recording is None) == (self.source is None):
             raise InputError("explore takes a recording, or --source for a run that is live: one of them")
@@ -64,8 +64,8 @@ class ReadingOptions:
             InputError: it is not.
         """
         from probedesign.exploring.explore import check_poses, play
-        from probedesign.live.recorded import Choice
-        from probedesign.live.source import open_source
+        from probedesign.live.sources.replay import Choice
+        from probedesign.live.sources.source import open_source
 
         if recording is None:
             return open_source(str(self.source), model, say)

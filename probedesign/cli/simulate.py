@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.box.scene import Pressed
-    from probedesign.live.netft.configuration import Configuration
+    from probedesign.live.netft_box.scene import Pressed
+    from probedesign.live.sources.netft.configuration import Configuration
 
 FOREVER = 1e8
 """Three years [s]."""
@@ -59,11 +59,10 @@ def simulate(
     from contextlib import ExitStack
 
     from probedesign.deployment import load_estimator
-    from probedesign.live.box.box import Box
-    from probedesign.live.box.faults import parse_faults
-    from probedesign.live.box.motion import Motion
-    from probedesign.live.box.robot import Robot
-    from probedesign.live.box.transducer import Transducer
+    from probedesign.live.netft_box.box import Box, parse_faults
+    from probedesign.live.netft_box.robot import Robot
+    from probedesign.live.netft_box.scene import Motion
+    from probedesign.live.netft_box.transducer import Transducer
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
@@ -91,8 +90,8 @@ def _configuration(
         InputError: one makes no sense.
     """
     from probedesign.errors import InputError
-    from probedesign.live.box.box import NATIVE
-    from probedesign.live.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
+    from probedesign.live.netft_box.box import NATIVE
+    from probedesign.live.sources.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
 
     parts = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0
     if not parts >= 1.0 or abs(parts - round(parts)) > 1e-3 * parts:
@@ -112,7 +111,7 @@ def _pressed(
 ) -> "tuple[Pressed, ...]":
     """The scene's objects, with what the probe reads of each; on a terminal whoever waits is told for what."""
     from probedesign.cli.output import working
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import press_scene
 
     with working(f"solving the presses of --scene {scene}"):
         return press_scene(model, scene, friction, spread, seed)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.live.answer import Answer
-from probedesign.live.phases import LEVER
+from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.touches import LEVER
 
 STANDS = 10e-6
 """Poses of a base that stands differ by no more [m], their rotations over `LEVER` likewise: a robot's own scatter

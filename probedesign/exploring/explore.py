@@ -13,14 +13,14 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
-from probedesign.live.block import Block
-from probedesign.live.plan import Plan
-from probedesign.live.pose.poses import Poses
-from probedesign.live.pose.spec import FIXED
-from probedesign.live.recorded import Choice, open_recording
+from probedesign.live.outputs.sinks import Sink
+from probedesign.live.poses.base_poses import Poses
+from probedesign.live.poses.open_poses import FIXED
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.scheduler import Plan
 from probedesign.live.run import estimate_stream
-from probedesign.live.sink import Sink
-from probedesign.live.source import Source
+from probedesign.live.sources.replay import Choice, open_recording
+from probedesign.live.sources.source import Source
 
 Say = Callable[[str], None]
 

@@ -10,9 +10,9 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.exploring.card_house import SOURCE
 from probedesign.exploring.rehearsal import Rehearsal
 from probedesign.files import write_atomically
-from probedesign.live.csv_file import CsvFile
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.pose.words import NAMES
+from probedesign.live.poses.pose_file import NAMES
+from probedesign.live.recordings.csv import CsvFile
+from probedesign.live.recordings.mcap_write import McapFile
 from probedesign.units import MM
 
 FILES = ("house.mcap", "poses.csv", "truth.csv")

@@ -8,8 +8,8 @@ import numpy as np
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, pose
-from probedesign.live.block import Block
-from probedesign.live.pose.timed import TimedPose, of_matrix
+from probedesign.live.poses.track import TimedPose, of_matrix
+from probedesign.live.processing.blocks import Block
 
 REST = 4.0
 """Free of everything at the start [s]: time for a tare."""

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.exploring.dwell import Dwell
-from probedesign.live.answer import Answer
-from probedesign.live.contacts import Contact
-from probedesign.live.phases import SPAN
+from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.touches import SPAN, Contact
 
 FREE_SPAN = 2.0
 """How much of a free probe's readings next to a touch counts [s]: the bias walks on."""

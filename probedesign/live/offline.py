@@ -10,14 +10,12 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator, Method
-from probedesign.live.batch import averaged
-from probedesign.live.locate import locate
-from probedesign.live.reading import Reading
-from probedesign.live.recorded import Choice, Recorded, open_recording
-from probedesign.live.recording import gaps_in
-from probedesign.live.row import COLUMNS, Row, csv_line, row
+from probedesign.live.processing.blocks import Reading, averaged
+from probedesign.live.processing.estimates import COLUMNS, Row, csv_line, estimate_row, locate
+from probedesign.live.processing.tare import Tare, Window, describe_tare, split, take_tare
+from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.run import count_results
-from probedesign.live.tare import Tare, Window, describe_tare, split, take_tare
+from probedesign.live.sources.replay import Choice, Recorded, open_recording
 
 Progress = Callable[[list[Reading]], Iterable[Reading]]
 
@@ -51,7 +49,7 @@ class Estimates:
     @property
     def counts(self) -> dict[str, int]:
         """How many rows have each result."""
-        return count_results(str(row["result"]) for row in self.rows)
+        return count_results(str(estimate_row["result"]) for estimate_row in self.rows)
 
     def csv(self) -> str:
         """The rows as CSV with a header."""
@@ -123,7 +121,7 @@ def estimate_recording(
     if not readings:
         raise InputError(f"{path}: holds {len(time)} readings, fewer than --average {samples}")
     tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None
-    rows = [row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
+    rows = [estimate_row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
     gaps, missing = gaps_in(time)
     gap = (f"{missing} samples are missing in {gaps} gaps",) if gaps else ()
     notes = (*dict.fromkeys((*recorded.notes, *lacking, *gap)), *_notes(len(time), samples, tare))

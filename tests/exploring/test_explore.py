@@ -12,7 +12,7 @@ from probedesign.cli.main import run
 from probedesign.deployment import write_frozen
 from probedesign.exploring.cloud import WITHIN_95
 from probedesign.exploring.table import COLUMNS
-from probedesign.live.pose.words import NAMES
+from probedesign.live.poses.pose_file import NAMES
 from probedesign.units import MM
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.exploring.series import AGAIN, Gathering
-from probedesign.live.answer import Answer
-from probedesign.live.contacts import Contacts
-from probedesign.live.reading import Reading
+from probedesign.live.processing.blocks import Reading
+from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.touches import Contacts
 
 STEP = 0.01
 """From one answer to the next [s], about as 36 samples of 3500 a second are."""

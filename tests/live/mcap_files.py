@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from probedesign.live.block import Block
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.recorded import Choice, Recorded, open_recording
+from probedesign.live.processing.blocks import Block
+from probedesign.live.recordings.mcap_write import McapFile
+from probedesign.live.sources.replay import Choice, Recorded, open_recording
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
 

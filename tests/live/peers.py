@@ -9,9 +9,9 @@ import time
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.live.box.box import NATIVE, Box
-from probedesign.live.box.transducer import Transducer
-from probedesign.live.source import open_source
+from probedesign.live.netft_box.box import NATIVE, Box
+from probedesign.live.netft_box.transducer import Transducer
+from probedesign.live.sources.source import open_source
 
 LOAD = np.array([0.05, -0.02, 0.1, 2e-3, 1e-3, -5e-4])
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.block import readings_in
 from probedesign.live.offline import estimate_recording
-from probedesign.live.recorded import Choice
-from probedesign.live.recorder import write_recording
-from probedesign.live.replay import Replay
-from probedesign.live.row import json_line
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import readings_in
+from probedesign.live.processing.estimates import json_line
+from probedesign.live.recordings.csv import write_recording
+from probedesign.live.sources.replay import Choice, Replay
+from probedesign.live.sources.sim import Simulation
 from tests.live.mcap_files import bag, read
 
 WRENCH = [0.1, -0.2, 0.3, 0.001, -0.002, 0.003]

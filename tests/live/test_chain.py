@@ -8,23 +8,23 @@ import pytest
 from probedesign.errors import InputError
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.frames import pose
-from probedesign.live.block import Block
-from probedesign.live.box import scene
-from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
-from probedesign.live.box.robot import Robot
-from probedesign.live.chain import Chain
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.phases import SPAN
-from probedesign.live.plan import Plan
-from probedesign.live.pose.listener import Listener
-from probedesign.live.pose.poses import Poses
-from probedesign.live.pose.spec import open_poses
-from probedesign.live.pose.timed import TimedPose, of_matrix
-from probedesign.live.pose.words import pose_of_json
-from probedesign.live.replay import Replay
-from probedesign.live.row import json_line, row, world_row
+from probedesign.live.netft_box import scene
+from probedesign.live.netft_box.robot import Robot
+from probedesign.live.netft_box.scene import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, Motion
+from probedesign.live.poses.base_poses import Poses
+from probedesign.live.poses.listener import Listener
+from probedesign.live.poses.open_poses import open_poses
+from probedesign.live.poses.pose_file import pose_of_json
+from probedesign.live.poses.track import TimedPose, of_matrix
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.chain import Chain
+from probedesign.live.processing.estimates import estimate_row, json_line, world_row
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.processing.tare import Window
+from probedesign.live.processing.touches import SPAN
+from probedesign.live.recordings.mcap_write import McapFile
 from probedesign.live.run import estimate_stream
-from probedesign.live.tare import Window
+from probedesign.live.sources.replay import Replay
 
 RATE, SAMPLES = 500.0, 5
 """Of single samples [Hz], and to a mean: a hundred means a second."""
@@ -98,10 +98,10 @@ def test_the_phases_are_those_of_figure_8(motion, touched):
     order = [a.phase for a, b in zip(answers[1:], answers, strict=False) if a.phase != b.phase]
     assert order == ["moving", "touching", "settled", "touching", "released", "moving", "free"]
     time = {phase: [a.reading.time for a in answers if a.phase == phase] for phase in set(order)}
-    pressed = REST + MOVE + PRESS  # where the base begins to hold
+    pressed = REST_TIME + MOVE_TIME + PRESS_TIME  # where the base begins to hold
     # The whole span must be still; a mean lies half its length, 5 ms, before its last sample.
     assert pressed + SPAN - 0.01 <= time["settled"][0] <= pressed + 1.5 * SPAN
-    assert time["settled"][-1] <= pressed + HOLD + SPAN
+    assert time["settled"][-1] <= pressed + HOLD_TIME + SPAN
     assert any(line.startswith("touch 1, ") and "mm in the world" in line for line in lines)
     assert not chain.contacts[0].lasts
 
@@ -133,7 +133,7 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
 
 def test_poses_that_come_later_than_stated_are_noticed(estimator, motion):
     """The base stops in the middle of 20 ms of readings' own time: told to a fifth of the 60 ms that it is off."""
-    stream = (b for b in touch(motion) if b.time[-1] < REST + MOVE + PRESS + 2.0 * SPAN)
+    stream = (b for b in touch(motion) if b.time[-1] < REST_TIME + MOVE_TIME + PRESS_TIME + 2.0 * SPAN)
     _, lines, _ = run(estimator, stream, told_poses(motion, late=0.060))
     (said,) = [line for line in lines if "--pose-latency-ms" in line]
     assert "rather than 0?" in said
@@ -278,7 +278,9 @@ def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion
     plan = Plan(Window(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
     answers, lines, _ = run(estimator, touch(motion), None, plan)
     assert any(line.startswith("low-pass 10 Hz: estimates tell of 18.6 ms before") for line in lines)
-    rising = [a for a in answers if REST + MOVE + 1.42 < a.reading.time < REST + MOVE + 1.48]
+    rising = [
+        a for a in answers if REST_TIME + MOVE_TIME + 1.42 < a.reading.time < REST_TIME + MOVE_TIME + 1.48
+    ]
     assert len(rising) > 3
     for a in rising:
         at = np.array([a.reading.time])
@@ -333,7 +335,9 @@ def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(
 ):
     """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""
     path, heard = tmp_path / "touch.mcap", Heard(motion)
-    monkeypatch.setattr("probedesign.live.due.monotonic", lambda: 0.0)  # whatever is received is in time
+    monkeypatch.setattr(
+        "probedesign.live.processing.scheduler.monotonic", lambda: 0.0
+    )  # whatever is received is in time
     down = ",".join(map(repr, motion.model.gravity_base.tolist()))
     poses = Poses("heard", heard, latency=0.004, gravity_world=motion.model.gravity_base)
     file, plan = McapFile(path, estimator.model), Plan(Window(0.0, 2.0), SAMPLES, 25.0)
@@ -346,7 +350,7 @@ def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(
 
     def told(source, poses, sink=None):
         answers = estimate_stream(estimator, source, plan, print, sink, None, poses)
-        return [json_line(row(a.reading, a.estimate) | world_row(a)) for a in answers]
+        return [json_line(estimate_row(a.reading, a.estimate) | world_row(a)) for a in answers]
 
     live = told(stream(), poses, file)
     file.close()

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.live.block import readings_in
-from probedesign.live.recorder import Recorder
-from probedesign.live.recording import read_recording
-from probedesign.live.row import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import readings_in
+from probedesign.live.processing.estimates import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
+from probedesign.live.recordings.csv import Recorder, read_recording
+from probedesign.live.sources.sim import Simulation
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
 POSITION = [name for name in COLUMNS if name.startswith(("s_", "std_", "p_", "cov_"))]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError, MissingDependencyError, ProbeDesignError
-from probedesign.live.block import readings_in
-from probedesign.live.run import locate
-from probedesign.live.source import open_source
+from probedesign.live.processing.blocks import readings_in
+from probedesign.live.processing.estimates import locate
+from probedesign.live.sources.source import open_source
 from tests.live.cal_file import U, text
 
 nidaqmx = pytest.importorskip("nidaqmx")

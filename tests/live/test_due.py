@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.live import due
-from probedesign.live.due import LATE, SHARE, SPAN, Due
-from probedesign.live.reading import Reading
+from probedesign.live.processing import scheduler as due
+from probedesign.live.processing.blocks import Reading
+from probedesign.live.processing.scheduler import MAX_AGE, MAX_SKIPPED_SHARE, REPORT_PERIOD, Due
 
 READING = Reading(0.0, np.zeros(6), np.zeros(3))
 
@@ -29,7 +29,7 @@ def test_estimates_keep_the_rate_that_was_asked_for(monkeypatch):
 
 
 def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
-    at = [0.0, LATE + 0.01, 0.0, LATE + 0.5, 0.5 * LATE]
+    at = [0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE]
     found, said = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
     assert found == [True, False, True, False, True]
     assert said == [
@@ -39,9 +39,9 @@ def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
 
 def test_many_left_out_are_told_at_once_and_when_it_is_over(monkeypatch):
     """A span with none left out, one with twice as many as are borne in silence, one with none."""
-    n = round(SPAN * 100.0)
+    n = round(REPORT_PERIOD * 100.0)
     at = np.zeros(3 * n + 10)
-    at[n : 2 * n : round(0.5 / SHARE)] = 2.0 * LATE
+    at[n : 2 * n : round(0.5 / MAX_SKIPPED_SHARE)] = 2.0 * MAX_AGE
     _, said = wanted(at, 0.01 * np.arange(len(at)), 7.0, monkeypatch)
     assert len(said) == 3 and "lower --rate-hz" in said[0] and "in time again" in said[1]
 
@@ -49,8 +49,8 @@ def test_many_left_out_are_told_at_once_and_when_it_is_over(monkeypatch):
 def test_a_reading_that_waited_for_its_pose_is_as_old_as_that(monkeypatch):
     kept = Due(100.0, print)
     monkeypatch.setattr(due, "monotonic", lambda: 8.0)
-    assert kept.wants(replace(READING, received=7.0), ready=8.0 - 0.5 * LATE)
-    assert not kept.wants(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * LATE)
+    assert kept.wants(replace(READING, received=7.0), ready=8.0 - 0.5 * MAX_AGE)
+    assert not kept.wants(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * MAX_AGE)
 
 
 def test_a_replay_is_never_late(monkeypatch):

@@ -12,8 +12,8 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.cli.main import run
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.mcap.recover import recover
-from probedesign.live.recorded import open_recording
+from probedesign.live.recordings.mcap_read import recover
+from probedesign.live.sources.replay import open_recording
 from tests.live.mcap_files import block, write
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]

@@ -16,20 +16,18 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
-from probedesign.live.mcap import messages, topics
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.mcap.recover import recover
 from probedesign.live.offline import estimate_recording
-from probedesign.live.pose.timed import of_matrix
-from probedesign.live.reading import Reading
-from probedesign.live.recorded import Choice
-from probedesign.live.replay import Replay
-from probedesign.live.row import COLUMNS, json_line, row
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.tare import Window
+from probedesign.live.poses.track import of_matrix
+from probedesign.live.processing.blocks import Block, Reading
+from probedesign.live.processing.estimates import COLUMNS, Answer, estimate_row, json_line
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.processing.tare import Window
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.mcap_read import recover
+from probedesign.live.recordings.mcap_write import McapFile
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.replay import Choice, Replay
+from probedesign.live.sources.sim import Simulation
 from tests.live.mcap_files import GRAVITY, block, read, same, write
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -49,7 +47,9 @@ def whole(model, tmp_path_factory) -> Path:
 
 def rows(answers) -> list[str]:
     """What `--json` prints, without what only a simulation knows."""
-    return [json_line(row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers]
+    return [
+        json_line(estimate_row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers
+    ]
 
 
 # What is written is what was read
@@ -107,10 +107,12 @@ def test_the_tools_of_mcap_read_it(whole, model):
         by_name = {
             c.topic: (counts.get(i, 0), c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()
         }
-        assert (by_name[topics.RAW.name][0], by_name[topics.BLOCK.name][0]) == (60, 4)
+        assert (by_name[schemas.RAW.name][0], by_name[schemas.BLOCK.name][0]) == (60, 4)
         assert reader.get_header().profile == "ros2"
         assert {s.encoding for _, _, s in by_name.values()} == {"ros2msg"}
-        assert json.loads(by_name[topics.ESTIMATE.name][1].metadata["json_schema"]) == topics.ESTIMATE.schema
+        assert (
+            json.loads(by_name[schemas.ESTIMATE.name][1].metadata["json_schema"]) == schemas.ESTIMATE.schema
+        )
         (probe,) = reader.iter_attachments()
         (known,) = reader.iter_metadata()
     frozen = json.loads(probe.data)
@@ -134,19 +136,19 @@ def test_rosbags_reads_it(model, tmp_path):
     file.close()
     with AnyReader([tmp_path / "told.mcap"]) as reader:
         found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
-    contact, base = found[topics.CONTACT.name], found[topics.BASE.name]
+    contact, base = found[schemas.CONTACT.name], found[schemas.BASE.name]
     assert (contact.header.frame_id, base.header.frame_id) == ("base", "world")
     assert [contact.pose.pose.position.x, contact.pose.pose.position.z] == [0.001, 0.09]
     assert np.array_equal(contact.pose.covariance.reshape(6, 6)[:3, :3], cov)
     turn = base.pose.orientation  # a quarter about z
     assert [turn.z, turn.w] == pytest.approx([0.5**0.5] * 2, abs=1e-15)
-    assert found[topics.WITHOUT_BIAS.name].wrench.torque.z == 5.0
-    said = json.loads(found[topics.ESTIMATE.name].data)
+    assert found[schemas.WITHOUT_BIAS.name].wrench.torque.z == 5.0
+    said = json.loads(found[schemas.ESTIMATE.name].data)
     assert said["time_s"] == 1.0 / 3.0 and said["result"] == "ok" and said["T_world_base"] == pose.tolist()
-    assert set(topics.ESTIMATE.schema["required"]) <= set(said) and set(COLUMNS) <= set(
-        topics.ESTIMATE.schema["properties"]
+    assert set(schemas.ESTIMATE.schema["required"]) <= set(said) and set(COLUMNS) <= set(
+        schemas.ESTIMATE.schema["properties"]
     )
-    assert json.loads(found[topics.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
+    assert json.loads(found[schemas.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
 
 
 def test_no_position_without_ok(model, tmp_path):
@@ -154,7 +156,7 @@ def test_no_position_without_ok(model, tmp_path):
     file.answered(Answer(Reading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
     file.close()
     with AnyReader([tmp_path / "free.mcap"]) as reader:
-        assert [c.topic for c, _, _ in reader.messages()] == [topics.ESTIMATE.name]
+        assert [c.topic for c, _, _ in reader.messages()] == [schemas.ESTIMATE.name]
 
 
 # Whose it is
@@ -305,8 +307,8 @@ def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
     honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
     text = said if isinstance(said, str) else json.dumps(honest | said)
     now = np.array([0])
-    file._add(topics.RAW, now, messages.stamped("sensor", now, [[0.0] * 6]))
-    file._add(topics.BLOCK, now, messages.texts([text]))
+    file._add(schemas.RAW, now, schemas.stamped("sensor", now, [[0.0] * 6]))
+    file._add(schemas.BLOCK, now, schemas.texts([text]))
     file.close()
     with pytest.raises(InputError, match=told):
         read(tmp_path / "lie.mcap", model)
@@ -330,7 +332,7 @@ def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_pat
 
 
 def test_without_the_package_one_line_says_what_to_install(whole, model, tmp_path, monkeypatch):
-    monkeypatch.setattr("probedesign.live.mcap.find_spec", lambda name: None)
+    monkeypatch.setattr("probedesign.live.recordings.find_spec", lambda name: None)
     for attempt in (lambda: read(whole, model), lambda: McapFile(tmp_path / "new.mcap", model)):
         with pytest.raises(MissingDependencyError, match=r'pip install "probedesign\[live\]"'):
             attempt()

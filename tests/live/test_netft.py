@@ -11,12 +11,11 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.errors import InputError
-from probedesign.live.box.box import NATIVE, Box
-from probedesign.live.box.faults import parse_faults
-from probedesign.live.box.transducer import OFFSET, Transducer
-from probedesign.live.netft import wire
-from probedesign.live.netft.wire import RECORD, RECORDS, Request
-from probedesign.live.source import open_source
+from probedesign.live.netft_box.box import NATIVE, Box, parse_faults
+from probedesign.live.netft_box.transducer import OFFSET, Transducer
+from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
+from probedesign.live.sources.source import open_source
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
 
 pynetft = pytest.importorskip("pynetft")
@@ -147,7 +146,7 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
     ],
 )
 def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
-    monkeypatch.setattr("probedesign.live.box.box.page_of", lambda configuration: page)
+    monkeypatch.setattr("probedesign.live.netft_box.box.page_of", lambda configuration: page)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
     assert told in str(error.value)
@@ -166,10 +165,10 @@ def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
     ],
 )
 def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
-    from probedesign.live.box.page import page_of
+    from probedesign.live.netft_box.box import page_of
 
     wrong = re.sub(rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), page_of(NATIVE))
-    monkeypatch.setattr("probedesign.live.box.box.page_of", lambda configuration: wrong)
+    monkeypatch.setattr("probedesign.live.netft_box.box.page_of", lambda configuration: wrong)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
     assert told in str(error.value)
@@ -215,8 +214,7 @@ def test_what_is_no_fault(text):
 
 def test_simulate_and_live_meet(bundle, estimator, capsys):
     """The whole way: a scene of the rod, over the wire, tared and located."""
-    from probedesign.live.box.motion import Motion
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import Motion, press_scene
 
     things = press_scene(estimator.model, "edges", friction=0.0)[2:]
     motion = Motion(estimator.model, things)
@@ -238,14 +236,13 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
-    from probedesign.live.box.motion import MOVE, PRESS, REST, Motion
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import MOVE_TIME, PRESS_TIME, REST_TIME, Motion, press_scene
 
     model = estimator.model
     things = press_scene(model, "card-house", friction)
     motion = Motion(model, things)
     free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-    rest, held = motion.wrench_sensor(np.array([1.0, REST + MOVE + PRESS + 0.5]))
+    rest, held = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
     assert np.allclose(rest, free, atol=1e-6)
     assert np.linalg.norm((held - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
     assert all(thing.force > 1e-3 for thing in things)
@@ -255,15 +252,21 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
 
 def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import (
+        HOLD_TIME,
+        MOVE_TIME,
+        PRESS_TIME,
+        REST_TIME,
+        Motion,
+        press_scene,
+    )
 
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
-    begun = REST + MOVE + PRESS
+    begun = REST_TIME + MOVE_TIME + PRESS_TIME
     for friction in (0.0, 0.5):
         things = press_scene(model, "edges", friction)[:1]
         motion = Motion(model, things)
-        on, off = motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + HOLD + before)
+        on, off = motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + HOLD_TIME + before)
         apart = np.abs(on - off).max(axis=1)
         assert (apart > 1e-3).all() if friction else (apart < 1e-9).all()
         free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
@@ -271,7 +274,7 @@ def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
 
 
 def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator):
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import press_scene
 
     drawn = [
         [thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)]

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from probedesign.errors import MissingDependencyError
-from probedesign.live.batch import averaged
-from probedesign.live.block import Block
-from probedesign.live.box.faults import Faults
-from probedesign.live.box.transducer import OFFSET
-from probedesign.live.netft import wire
-from probedesign.live.netft.clock import SensorClock
-from probedesign.live.netft.session import STALE
-from probedesign.live.netft.wire import RECORD
-from probedesign.live.run import Plan, estimate_stream, locate
-from probedesign.live.source import open_source
-from probedesign.live.tare import Window
+from probedesign.live.netft_box.box import Faults
+from probedesign.live.netft_box.transducer import OFFSET
+from probedesign.live.processing.blocks import Block, averaged
+from probedesign.live.processing.estimates import locate
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.processing.tare import Window
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft.session import STALE, SensorClock
+from probedesign.live.sources.netft.wire import RECORD
+from probedesign.live.sources.source import open_source
 from tests.live.peers import LOAD, Reader, box, close, mean_of
 
 pytest.importorskip("pynetft")

@@ -17,11 +17,11 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.errors import InputError, MissingDependencyError
-from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.view import view as module
-from probedesign.live.view.view import View
+from probedesign.live.processing.scheduler import Plan, Requests
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import Simulation
+from probedesign.live.view import browser_view as module
+from probedesign.live.view.browser_view import View
 
 pytest.importorskip("viser")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.frames import pose
-from probedesign.live.phases import SPAN, STANDS, Phases, Steadiness
+from probedesign.live.processing.touches import SPAN, STANDS, Phases, Steadiness
 
 RATE = 200.0
 COUNT = int(SPAN * RATE)

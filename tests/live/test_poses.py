@@ -11,14 +11,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from probedesign.errors import InputError
 from probedesign.frames import inverse, is_pose, pose
-from probedesign.live.block import Block
-from probedesign.live.pose.clock import KEPT, Offset
-from probedesign.live.pose.file import read_file
-from probedesign.live.pose.listener import LARGEST, Listener
-from probedesign.live.pose.poses import Poses
-from probedesign.live.pose.spec import open_poses
-from probedesign.live.pose.timed import TimedPose, of_matrix
-from probedesign.live.pose.track import LIMIT, Track
+from probedesign.live.poses.base_poses import Poses
+from probedesign.live.poses.listener import LARGEST, Listener
+from probedesign.live.poses.open_poses import open_poses
+from probedesign.live.poses.pose_file import read_file
+from probedesign.live.poses.track import KEPT, MAX_GAP, Offset, TimedPose, Track, of_matrix
+from probedesign.live.processing.blocks import Block
 
 GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
 
@@ -67,10 +65,10 @@ def test_at_a_pose_it_is_that_pose_and_beyond_the_last_there_is_none():
 
 
 def test_a_gap_is_not_bridged():
-    poses = [TimedPose(t, (0, 0, 0), (0, 0, 0, 1)) for t in (0.0, LIMIT, 3.0 * LIMIT)]
+    poses = [TimedPose(t, (0, 0, 0), (0, 0, 0, 1)) for t in (0.0, MAX_GAP, 3.0 * MAX_GAP)]
     track = Track.of(poses)
-    assert track.at(0.5 * LIMIT) is not None and track.at(2.0 * LIMIT) is None
-    assert "0.1 s apart, more than 0.05 s" in track.why(2.0 * LIMIT)
+    assert track.at(0.5 * MAX_GAP) is not None and track.at(2.0 * MAX_GAP) is None
+    assert "0.1 s apart, more than 0.05 s" in track.why(2.0 * MAX_GAP)
 
 
 def test_a_track_keeps_its_bounds():

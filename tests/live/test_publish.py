@@ -11,10 +11,9 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.errors import InputError
-from probedesign.live.answer import Answer
-from probedesign.live.publish import Publisher
-from probedesign.live.reading import Reading
-from probedesign.live.row import COLUMNS
+from probedesign.live.outputs.sinks import Publisher
+from probedesign.live.processing.blocks import Reading
+from probedesign.live.processing.estimates import COLUMNS, Answer
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 SIM = "sim:?speed=max&rate_hz=3"

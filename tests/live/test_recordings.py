@@ -8,13 +8,13 @@ from contextlib import closing
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live import pieces
-from probedesign.live.behind import Behind
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.recording import read_recording
-from probedesign.live.recordings import Recordings
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
+from probedesign.live.outputs.recording import Behind, Recordings
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.recordings import append_file as pieces
+from probedesign.live.recordings.csv import read_recording
+from probedesign.live.recordings.mcap_write import McapFile
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import Simulation
 from tests.live.mcap_files import block, joined, read, same
 
 SIM = "speed=max&rate_hz=60&seconds=4"

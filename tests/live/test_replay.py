@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from probedesign.frames import inverse, wrench_map
-from probedesign.live.block import blocks_of
-from probedesign.live.csv_file import CsvFile
 from probedesign.live.offline import estimate_recording
-from probedesign.live.reading import Reading
-from probedesign.live.recorder import write_recording
-from probedesign.live.recording import read_recording
-from probedesign.live.replay import Replay
-from probedesign.live.run import Plan, estimate_stream, locate
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import Reading, blocks_of
+from probedesign.live.processing.estimates import locate
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.recordings.csv import CsvFile, read_recording, write_recording
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.replay import Replay
+from probedesign.live.sources.sim import Simulation
 
 QUERY = "speed=max&rate_hz=3"
 

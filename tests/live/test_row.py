@@ -7,10 +7,18 @@ import pytest
 
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.fused import FusedEstimate
-from probedesign.live.answer import Answer
-from probedesign.live.contacts import Contact
-from probedesign.live.reading import FREE, Reading, Truth
-from probedesign.live.row import COLUMNS, WORLD_COLUMNS, csv_line, json_line, readable_line, row, world_row
+from probedesign.live.processing.blocks import FREE, Reading, Truth
+from probedesign.live.processing.estimates import (
+    COLUMNS,
+    WORLD_COLUMNS,
+    Answer,
+    csv_line,
+    estimate_row,
+    json_line,
+    readable_line,
+    world_row,
+)
+from probedesign.live.processing.touches import Contact
 
 P, SURFACE, FORCE = (
     np.array([0.001, 0.002, 0.003]),
@@ -27,7 +35,7 @@ TRUE = Reading(1700000000.000001, np.zeros(6), np.zeros(3), Truth(0.0801, 2.0 * 
 
 def test_every_number_in_its_unit():
     """One multiplication and one division round: 1e-15."""
-    values = list(row(TRUE, FOUND).values())
+    values = list(estimate_row(TRUE, FOUND).values())
     assert values[:2] == [1700000000.000001, "ok"]
     lengths = [80.0, 2.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     surface = [2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 0.4, 0.3, 0.75]
@@ -37,7 +45,7 @@ def test_every_number_in_its_unit():
 
 
 def test_csv_holds_its_columns_and_the_time_to_the_last_bit():
-    fields = csv_line(row(TRUE, FOUND)).rstrip("\n").split(",")
+    fields = csv_line(estimate_row(TRUE, FOUND)).rstrip("\n").split(",")
     assert len(fields) == len(COLUMNS)
     assert float(fields[0]) == TRUE.time
     assert fields[1:5] == ["ok", "80", "2.5", "1"]
@@ -45,7 +53,7 @@ def test_csv_holds_its_columns_and_the_time_to_the_last_bit():
 
 def test_what_is_not_told_is_empty_or_null():
     reading = Reading(1.0, np.zeros(6), np.zeros(3), FREE)
-    answer = row(reading, Estimate("no_contact", detection_chi2=4.0))
+    answer = estimate_row(reading, Estimate("no_contact", detection_chi2=4.0))
     assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4" + 9 * "," + "\n"
     document = json.loads(json_line(answer))
     assert [name for name, value in document.items() if value is not None] == [

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.batch import averaged
-from probedesign.live.block import readings_in
-from probedesign.live.reading import Reading
-from probedesign.live.run import locate
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import Reading, averaged, readings_in
+from probedesign.live.processing.estimates import locate
+from probedesign.live.sources.sim import Simulation
 
 FAST = "speed=max&rate_hz=10"
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.sinks import Sinks
+from probedesign.live.outputs.sinks import Sinks
+from probedesign.live.processing.scheduler import Plan, Requests
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import Simulation
 
 
 class Kept:

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.batch import averaged
-from probedesign.live.block import Block, blocks_of, silence
-from probedesign.live.flow import paced, until
-from probedesign.live.reading import Reading
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.source import open_source
+from probedesign.live.processing.blocks import Block, Reading, averaged, blocks_of, paced, silence, until
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.source import open_source
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.block import blocks_of, readings_in
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.tare import Window, parse_window, split, take_tare, without_bias
+from probedesign.live.processing.blocks import blocks_of, readings_in
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.processing.tare import Window, parse_window, split, take_tare, without_bias
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import Simulation
 
 BIAS = np.array([0.7, -0.3, 1.1, 0.004, -0.002, 0.001])
 """[N, N·m]: of the size that a sensor shows after it was screwed down."""

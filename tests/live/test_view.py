@@ -12,19 +12,15 @@ from rich.console import Console
 
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.frames import pose
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
-from probedesign.live.reading import Reading
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.view.charts import Charts
-from probedesign.live.view.ellipsoid import ellipsoid
-from probedesign.live.view.html import events_html, words_html
-from probedesign.live.view.keeper import Keeper
-from probedesign.live.view.moment import STRIP, Moment, Said, Shape
-from probedesign.live.view.parts import FACET, parts_of, read_stl
-from probedesign.live.view.terminal import Terminal, table_of
-from probedesign.live.view.tube import AROUND, Tube, centreline
+from probedesign.live.processing.blocks import Block, Reading
+from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import Simulation
+from probedesign.live.view.scene import AROUND, FACET, Charts, Tube, centreline, ellipsoid, parts_of, read_stl
+from probedesign.live.view.snapshot import STRIP, Moment, Said, Shape
+from probedesign.live.view.state import Keeper
+from probedesign.live.view.status_text import Terminal, events_html, table_of, words_html
 
 
 def bent(estimator):

@@ -9,9 +9,11 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from probedesign.deployment import load_estimator
 from probedesign.estimation.tracker import Tracker
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.warm_up import _touches, warm_up
+from probedesign.live.processing.scheduler import Plan
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import Simulation
+from probedesign.live.run import _touches
+from probedesign.live.run import warm_up
 
 def kernels():
     gc.unfreeze()

@@ -27,8 +27,7 @@ def main() -> None:
             back.flush()
 
     try:
-        from probedesign.live.view.origins import own_page_only
-        from probedesign.live.view.page import Page
+        from probedesign.live.view.page import Page, own_page_only
 
         setup = pickle.load(sys.stdin.buffer)
         own_page_only(setup.host)

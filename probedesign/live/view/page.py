@@ -1,19 +1,37 @@
-"""The page: a scene in three dimensions, words, charts and buttons, shown by viser."""
+"""What a covariance looks like."""
 
 import math
+import re
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import viser
 import viser.transforms as tf
+from websockets.asyncio import server
 
 from probedesign.frames import Array
-from probedesign.live.view.charts import Charts
-from probedesign.live.view.ellipsoid import ellipsoid
-from probedesign.live.view.html import events_html, touches_html, words_html
-from probedesign.live.view.moment import Moment, Place
 from probedesign.live.view.panel import Panel
-from probedesign.live.view.setup import Setup
+from probedesign.live.view.scene import Charts, Setup, ellipsoid
+from probedesign.live.view.snapshot import Moment, Place
+from probedesign.live.view.status_text import events_html, touches_html, words_html
+
+LOCAL = ("127.0.0.1", "localhost", "::1")
+
+
+def own_page_only(host: str) -> None:
+    """Refuse, in this whole process, WebSockets that a page of another origin opens; any page of the internet could,
+    to a server on the browser's own machine, and press its buttons. A server that is open to the network has names
+    that nobody here knows, and is left as it is.
+
+    Args:
+        host: that is listened on.
+    """
+    if host not in LOCAL:
+        return
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
+    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]
+
 
 Ask = Callable[[str, str], None]
 

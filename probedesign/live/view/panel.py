@@ -1,4 +1,4 @@
-"""The panels beside the scene: words and buttons on the right, strip charts on the left."""
+"""Strip charts: the last seconds of wrench and estimate, thinned to what a page can draw."""
 
 from collections.abc import Callable, Iterable
 
@@ -7,12 +7,12 @@ import viser
 from viser import uplot
 
 from probedesign.frames import Array
-from probedesign.live.view.charts import Charts
+from probedesign.live.view.scene import Charts
 from probedesign.units import MM
 
-LINES = ("#d1495b", "#2e8b57", "#2a6fbb")
+AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
 """Of x, y and z."""
-FAINT = ("#c81e28", "#e9a3a8", "#e9a3a8")
+INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
 """Of an estimate and the two ends of what it may be."""
 AXIS: uplot.Axis = {
     "stroke": "#55606b",
@@ -101,7 +101,7 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
     """Empty lines over time; dots where there may be nothing between, which a line would bridge."""
     nothing = np.array([np.nan])
     series = [uplot.Series(label="t [s]")]
-    for i, (name, colour) in enumerate(zip(names, FAINT if dots else LINES, strict=False)):
+    for i, (name, colour) in enumerate(zip(names, INTERVAL_COLOURS if dots else AXIS_COLOURS, strict=False)):
         drawn: uplot.Series_Points = {
             "show": dots,
             "size": 2.5 if i else 3.5,

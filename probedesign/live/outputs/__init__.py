@@ -1,0 +1,1 @@
+"""TODO outputs/__init__."""

@@ -1,0 +1,1 @@
+"""TODO processing/__init__."""
