@@ -22,21 +22,21 @@ from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.live.netft_box.box import FAULT_DURATION
-from probedesign.live.outputs.recording import Recordings
-from probedesign.live.outputs.sinks import Sinks
+from probedesign.live.outputs.recording import RecordingSink
+from probedesign.live.outputs.sinks import SinkGroup
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.estimates import Answer
-from probedesign.live.processing.scheduler import Plan, Requests
-from probedesign.live.processing.tare import Window
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream, warm_up
-from probedesign.live.sources.netft.source import NetFT
+from probedesign.live.sources.netft.source import NetFTSource
 from probedesign.live.sources.source import open_source
-from probedesign.live.view.browser_view import View
+from probedesign.live.view.browser_view import BrowserView
 from probedesign.probe import build_probe
 
 MINUTES = 1.0 / 3.0
 AVERAGE = 36
-TARE = Window(0.0, 3.0)
+TARE = TareWindow(0.0, 3.0)
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
 PARTS = 10
 """Of the run, for what grows."""
@@ -73,7 +73,7 @@ class Watched:
         gaps: from the last reading before to the first after each [s].
     """
 
-    source: NetFT
+    source: NetFTSource
     silences: list[float] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
 
@@ -94,15 +94,15 @@ class Watched:
 
 def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: bool) -> None:
     source = open_source(spec, estimator.model, print)
-    assert isinstance(source, NetFT)
+    assert isinstance(source, NetFTSource)
     late, memory = [], []
     wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
-    plan = Plan(TARE, AVERAGE, seconds=seconds)
-    recordings = Recordings(folder / "record.mcap", estimator.model, print)
+    plan = ProcessingOptions(TARE, AVERAGE, seconds=seconds)
+    recordings = RecordingSink(folder / "record.mcap", estimator.model, print)
     recordings.start()
-    with closing(Sinks(recordings)) as sinks:
+    with closing(SinkGroup(recordings)) as sinks:
         if view:
-            sinks.add(View(estimator, folder, Requests(), print, counts=lambda: source.counts))
+            sinks.add(BrowserView(estimator, folder, CommandQueue(), print, counts=lambda: source.counts))
         for answer in estimate_stream(estimator, source, plan, print, sinks):
             late.append(1e3 * (answer.made - answer.reading.received))
             if len(late) % RARELY == 1:
@@ -135,10 +135,10 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
 def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     said: list[str] = []
     source = open_source(spec, estimator.model, said.append)
-    assert isinstance(source, NetFT)
+    assert isinstance(source, NetFTSource)
     watched = Watched(source)
-    answers: list[Answer] = list(
-        estimate_stream(estimator, watched, Plan(TARE, AVERAGE, seconds=seconds), print)
+    answers: list[EstimateUpdate] = list(
+        estimate_stream(estimator, watched, ProcessingOptions(TARE, AVERAGE, seconds=seconds), print)
     )
     back = ", ".join(f"{max(gap - FAULT_DURATION, 0.0):.2f}" for gap in watched.gaps)
     after = Counter(a.estimate.result for a in answers if a.reading.stretch > 0)

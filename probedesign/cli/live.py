@@ -14,7 +14,7 @@ from probedesign.cli.ending import ending_well
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from probedesign.live.processing.estimates import Answer
+    from probedesign.live.processing.estimates import EstimateUpdate
 
 
 def live(
@@ -80,16 +80,16 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.cli.estimators import loaded_estimator
-    from probedesign.live.outputs.options import Outlets
-    from probedesign.live.outputs.sinks import Sinks, Spoken
+    from probedesign.live.outputs.options import OutputOptions
+    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.open_poses import open_poses
-    from probedesign.live.processing.scheduler import Plan, Requests
+    from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
     from probedesign.live.processing.tare import parse_window
     from probedesign.live.run import estimate_stream, warm_up
     from probedesign.live.sources.source import open_source
 
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds, filter_hz, method=method)
+    plan = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method)
     estimator = loaded_estimator(bundle, manifest, exact_model, friction)
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
              "exact_model": str(exact_model).lower(), "method": method,
@@ -97,26 +97,26 @@ def live(
              "pose": pose, "pose_latency_ms": f"{pose_latency_ms:g}", "gravity_world": gravity_world or ""}  # fmt: skip
     drawn = not (lines or as_json) and _on_terminal()
     page = (view_host, view_port) if view else None
-    outlets = Outlets(record, force, publish, page, drawn, bundle.parent, about)
+    outlets = OutputOptions(record, force, publish, page, drawn, bundle.parent, about)
     outlets.check(source)
-    with closing(Sinks(Spoken())) as sinks, ending_well():
-        opened = open_source(source, estimator.model, sinks.say)
-        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
-        publisher = outlets.publisher(sinks.say)
-        warm_up(estimator, sinks.say, fusing=True)
-        sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+    with closing(SinkGroup(StderrSink())) as sinks, ending_well():
+        opened = open_source(source, estimator.model, sinks.log)
+        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.log)
+        publisher = outlets.publisher(sinks.log)
+        warm_up(estimator, sinks.log, fusing=True)
+        sinks.log(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
-            sinks.say(note)
-        requests = Requests()
+            sinks.log(note)
+        requests = CommandQueue()
         outlets.connect(sinks, requests, estimator, opened, poses, publisher)
-        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
-        by_itself = _print(answers, sinks.say, as_json, drawn)
+        answers = estimate_stream(estimator, opened, plan, sinks.log, sinks, requests, poses)
+        by_itself = _print(answers, sinks.log, as_json, drawn)
         if view and by_itself and _on_terminal():
-            _stay(sinks.say)
+            _stay(sinks.log)
 
 
 def _print(
-    answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
+    answers: "Generator[EstimateUpdate, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
 ) -> bool:
     """A line for each estimate, if they are not drawn; at the end, Ctrl-C included, a summary.
 

@@ -12,22 +12,26 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.live.processing.blocks import readings_in
+from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.estimates import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
-from probedesign.live.recordings.csv import Recorder, read_recording
-from probedesign.live.sources.sim import Simulation
+from probedesign.live.recordings.csv import read_recording, write_recording
+from probedesign.live.sources.sim import SimulatedSource
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
 POSITION = [name for name in COLUMNS if name.startswith(("s_", "std_", "p_", "cov_"))]
 SIM = "sim:?speed=max&rate_hz=3"
 
 
+def write_readings(path, readings, bias=0.0) -> None:
+    rows = [(r.time, r.wrench_sensor + bias, r.gravity_base) for r in readings]
+    time, wrench, gravity = zip(*rows, strict=True)
+    write_recording(path, time, wrench, "sensor", gravity)
+
+
 @pytest.fixture(scope="module")
 def recording(estimator, tmp_path_factory):
     path = tmp_path_factory.mktemp("commands") / "sim.csv"
-    with Recorder(path) as recorder:
-        for reading in readings_in(Simulation(estimator.model, "speed=max&rate_hz=3")):
-            recorder.write(reading.time, reading.wrench_sensor, reading.gravity_base)
+    write_readings(path, iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=3")))
     return path
 
 
@@ -77,7 +81,7 @@ def test_estimate_prints_one_json_document(call, bundle, recording):
     assert document["tare"] is None
     assert sum(document["counts"].values()) == len(document["estimates"]) == 30
     assert_positions_only_with_ok(document["estimates"], None)
-    assert err == "note: each estimate is of the mean of 2 readings\n"
+    assert err == "note: each estimate uses the mean of 2 readings\n"
 
 
 def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
@@ -90,7 +94,7 @@ def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
 def test_estimate_replaces_no_file_unasked(call, bundle, recording, tmp_path):
     out = tmp_path / "estimates.csv"
     out.write_text("mine")
-    assert "say --force" in refused(call("estimate", bundle, recording, "--out", out))
+    assert "--force" in refused(call("estimate", bundle, recording, "--out", out))
     assert out.read_text() == "mine"
     assert call("estimate", bundle, recording, "--out", out, "--force")[0] == 0
     assert out.read_text().startswith("time_s,")
@@ -104,10 +108,8 @@ def test_estimate_never_replaces_the_recording(call, bundle, recording):
 
 def test_estimate_tells_its_tare(call, bundle, estimator, tmp_path):
     path = tmp_path / "biased.csv"
-    with Recorder(path) as recorder:
-        for reading in readings_in(Simulation(estimator.model, "speed=max&rate_hz=10&seconds=4")):
-            wrench = reading.wrench_sensor + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-            recorder.write(reading.time, wrench, reading.gravity_base)
+    readings = iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=4"))
+    write_readings(path, readings, np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     status, out, err = call("estimate", bundle, path, "--tare-s", "0:2", "--json")
     tare = json.loads(out)["tare"]
     assert status == 0 and err.startswith("note: tare from 20 readings in 0:2 s: Fx 1e+03 mN")
@@ -124,7 +126,7 @@ def test_what_the_recording_lacks_is_refused_or_mended_and_told(call, bundle, re
     assert "line 18" in err and "3 samples" in err and "--mend" in err
     _, out, err = call("estimate", bundle, cut, "--mend")
     assert err.splitlines() == [
-        "note: line 18 is half a line at the end: dropped",
+        "note: line 18 is incomplete at the end: dropped",
         "note: 3 samples are missing in 1 gaps",
     ]
     assert len(out.splitlines()) == 16
@@ -136,7 +138,7 @@ def test_what_the_recording_lacks_is_refused_or_mended_and_told(call, bundle, re
         (["--tare-s", "3:9"], "is not steady"),
         (["--tare-s", "5"], "START:END"),
         (["--average", "0"], "--average 0 must be positive"),
-        (["--average", "1000"], "holds 60 readings, fewer than --average 1000"),
+        (["--average", "1000"], "60 readings are fewer than --average 1000"),
         (["--manifest", "none.json"], "none.json: no such manifest"),
     ],
 )
@@ -217,7 +219,7 @@ def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
         (["--source", SIM, "--average", "-1"], "--average -1 must be positive"),
         (["--source", SIM, "--tare-s", "1"], "START:END"),
         (["--source", SIM, "--filter-hz", "0"], "--filter-hz 0.0 must be positive"),
-        (["--source", SIM, "--pose", "none.csv"], "none.csv: no such file of poses"),
+        (["--source", SIM, "--pose", "none.csv"], "none.csv: no such file"),
         (["--source", SIM, "--pose", "udp://:99999"], "write udp://:PORT"),
         ([], "--source"),
     ],

@@ -62,7 +62,7 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
         lines = list(islice(process.stdout, 40))
         process.kill()
     recorded, time, wrench = readings(path, estimator.model)
-    assert recorded.lacking() == ("not whole: it was cut off",)
+    assert recorded.missing() == ("incomplete: it was cut off",)
     assert time[-1] >= json.loads(lines[-1])["time_s"] - LAST_SECOND
     _, sent_time, sent = readings(stream, estimator.model)
     assert (
@@ -91,7 +91,7 @@ def test_whoever_ends_it_the_recording_is_whole(bundle, estimator, stream, tmp_p
         rest, err = process.communicate(timeout=60)
     assert process.returncode == 0 and "Traceback" not in err
     recorded, time, _ = readings(path, estimator.model)
-    assert recorded.lacking() == ()
+    assert recorded.missing() == ()
     assert f"recorded {len(time)} readings to {path}" in err.splitlines()
     assert time[-1] >= json.loads((seen + rest.splitlines())[-1])["time_s"]
     assert recover(path, tmp_path / "unneeded.mcap").path is None
@@ -104,7 +104,7 @@ def test_a_reader_that_goes_away_leaves_a_whole_recording(bundle, estimator, str
         process.stdout.close()
         err = process.stderr.read()
     assert process.returncode == 1 and "Traceback" not in err
-    assert readings(path, estimator.model)[0].lacking() == ()
+    assert readings(path, estimator.model)[0].missing() == ()
 
 
 # recover, as its user meets it
@@ -121,7 +121,7 @@ def test_recover_tells_what_it_saved(estimator, tmp_path, capsys):
     )
     assert said["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
     assert run(["recover", str(path)]) == 2
-    assert "say --force" in capsys.readouterr().err
+    assert "use --force" in capsys.readouterr().err
     assert run(["recover", str(path), "--force"]) == 0
 
 
@@ -139,5 +139,5 @@ def test_recover_refuses(tmp_path, capsys, monkeypatch, options):
     (tmp_path / "cut.mcap").write_bytes(b"junk")
     assert run(["recover", "cut.mcap", *options]) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and ("is no MCAP file" in err or "is the file itself" in err)
+    assert err.count("\n") == 1 and ("not an MCAP file" in err or "is the input file" in err)
     assert (tmp_path / "cut.mcap").read_bytes() == b"junk"

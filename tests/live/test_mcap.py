@@ -17,17 +17,17 @@ from rosbags.highlevel import AnyReader
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
 from probedesign.live.offline import estimate_recording
-from probedesign.live.poses.track import of_matrix
-from probedesign.live.processing.blocks import Block, Reading
-from probedesign.live.processing.estimates import COLUMNS, Answer, estimate_row, json_line
-from probedesign.live.processing.scheduler import Plan
-from probedesign.live.processing.tare import Window
+from probedesign.live.poses.track import pose_from_matrix
+from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_read import recover
-from probedesign.live.recordings.mcap_write import McapFile
+from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.replay import Choice, Replay
-from probedesign.live.sources.sim import Simulation
+from probedesign.live.sources.replay import RecordingOptions, ReplaySource
+from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import GRAVITY, block, read, same, write
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -58,7 +58,7 @@ def rows(answers) -> list[str]:
 def test_blocks_come_back_to_the_last_bit(whole, model):
     recorded, blocks = read(whole, model)
     assert len(blocks) == len(BLOCKS) and all(map(same, blocks, BLOCKS))
-    assert (recorded.notes, recorded.lacking(), recorded.frame) == ((), (), "sensor")
+    assert (recorded.notes, recorded.missing(), recorded.frame) == ((), (), "sensor")
 
 
 @few
@@ -84,14 +84,14 @@ def test_silence_is_recorded_too(model, tmp_path):
 
 def test_a_replay_gives_the_same_rows_to_the_bit(estimator, tmp_path):
     """Tared and averaged; `estimate` gives them too."""
-    path, plan = tmp_path / "live.mcap", Plan(Window(0.0, 1.7), samples=3)
-    file = McapFile(path, estimator.model)
-    sim = Simulation(estimator.model, "speed=max&rate_hz=24&seconds=6")
+    path, plan = tmp_path / "live.mcap", ProcessingOptions(TareWindow(0.0, 1.7), samples=3)
+    file = McapRecorder(path, estimator.model)
+    sim = SimulatedSource(estimator.model, "speed=max&rate_hz=24&seconds=6")
     before = rows(estimate_stream(estimator, sim, plan, print, file))
     file.close()
-    replay = Replay(estimator.model, path, "speed=max")
+    replay = ReplaySource(estimator.model, path, "speed=max")
     assert rows(estimate_stream(estimator, replay, plan, print)) == before
-    offline = estimate_recording(estimator, path, Window(0.0, 1.7), 3).rows
+    offline = estimate_recording(estimator, path, TareWindow(0.0, 1.7), 3).rows
     assert [json_line(each) for each in offline][-len(before) :] == before
     assert sum('"ok"' in line for line in before) > 10
 
@@ -124,15 +124,18 @@ def test_rosbags_reads_it(model, tmp_path):
     p, cov, pose = np.array([0.001, 0.002, 0.09]), np.diag([1e-6, 2e-6, 3e-6]), np.eye(4)
     pose[:3, :3], pose[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
     estimate = Estimate("ok", 0.09, 0.001, 2.0 * p, p, np.array([0.01, 0.0, 0.0]), 4.0 * cov, cov)
-    file = McapFile(tmp_path / "told.mcap", model)
-    file.read(BLOCKS[0])
-    file.answered(
-        Answer(
-            Reading(1.0 / 3.0, np.zeros(6), GRAVITY), estimate, T_world_base=pose, wrench_base=np.arange(6.0)
+    file = McapRecorder(tmp_path / "told.mcap", model)
+    file.on_samples(BLOCKS[0])
+    file.on_estimate(
+        EstimateUpdate(
+            WrenchReading(1.0 / 3.0, np.zeros(6), GRAVITY),
+            estimate,
+            T_world_base=pose,
+            wrench_base=np.arange(6.0),
         )
     )
-    file.posed(of_matrix(0.25, pose))
-    file.told(0.5, "mark: here")
+    file.on_pose(pose_from_matrix(0.25, pose))
+    file.on_event(0.5, "mark: here")
     file.close()
     with AnyReader([tmp_path / "told.mcap"]) as reader:
         found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
@@ -152,8 +155,8 @@ def test_rosbags_reads_it(model, tmp_path):
 
 
 def test_no_position_without_ok(model, tmp_path):
-    file = McapFile(tmp_path / "free.mcap", model)
-    file.answered(Answer(Reading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
+    file = McapRecorder(tmp_path / "free.mcap", model)
+    file.on_estimate(EstimateUpdate(WrenchReading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
     file.close()
     with AnyReader([tmp_path / "free.mcap"]) as reader:
         assert [c.topic for c, _, _ in reader.messages()] == [schemas.ESTIMATE.name]
@@ -164,15 +167,15 @@ def test_no_position_without_ok(model, tmp_path):
 
 def test_another_probe_is_refused_unless_it_is_asked_for(whole, model):
     other = replace(model, fingerprint="0123456789ab")
-    with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; take its own frozen probe"):
+    with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; use its own frozen probe"):
         read(whole, other)
-    recorded, blocks = read(whole, other, Choice(other_probe=True))
+    recorded, blocks = read(whole, other, RecordingOptions(other_probe=True))
     assert len(blocks) == 4 and "not 0123456789ab" in recorded.notes[0]
-    assert Replay(other, whole, "other_probe=1").notes == recorded.notes
+    assert ReplaySource(other, whole, "other_probe=1").notes == recorded.notes
 
 
 def test_another_freezing_of_the_probe_is_noted(whole, model):
-    assert "another freezing" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
+    assert "another frozen version" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
 
 
 # Cut off
@@ -182,24 +185,24 @@ def test_a_file_that_was_never_closed_is_read_and_recovered(model, tmp_path):
     cut = write(tmp_path / "cut.mcap", model, BLOCKS, closed=False)
     recorded, blocks = read(cut, model)
     assert all(map(same, blocks, BLOCKS)) and len(blocks) == 4
-    assert recorded.lacking() == ("not whole: it was cut off",)
+    assert recorded.missing() == ("incomplete: it was cut off",)
     saved = recover(cut, tmp_path / "whole.mcap")
     assert saved.messages == 64
     recorded, blocks = read(tmp_path / "whole.mcap", model)
-    assert all(map(same, blocks, BLOCKS)) and recorded.lacking() == ()
+    assert all(map(same, blocks, BLOCKS)) and recorded.missing() == ()
     with AnyReader([tmp_path / "whole.mcap"]) as reader:
         assert sum(1 for _ in reader.messages()) == 64
 
 
 def test_a_cut_recording_is_refused_or_mended_and_told(estimator, tmp_path):
     cut = write(tmp_path / "cut.mcap", estimator.model, BLOCKS, closed=False)
-    with pytest.raises(InputError, match="cut off; --mend"):
+    with pytest.raises(InputError, match="cut off; use --mend"):
         estimate_recording(estimator, cut)
-    estimates = estimate_recording(estimator, cut, mend=True)
-    assert len(estimates.rows) == 60 and "not whole: it was cut off" in estimates.notes
+    estimates = estimate_recording(estimator, cut, allow_incomplete=True)
+    assert len(estimates.rows) == 60 and "incomplete: it was cut off" in estimates.notes
     said = []
-    list(Replay(estimator.model, cut, "speed=max", said.append))
-    assert said == [f"{cut}: not whole: it was cut off"]
+    list(ReplaySource(estimator.model, cut, "speed=max", said.append))
+    assert said == [f"{cut}: incomplete: it was cut off"]
 
 
 @few
@@ -236,7 +239,7 @@ def test_any_change_gives_a_beginning_or_one_line(whole, model, tmp_path, data):
 def beginning_or_one_line(path: Path, model) -> list[Block]:
     """The blocks read, the first of those written; none if it was refused with one line."""
     try:
-        _, blocks = read(path, model, Choice(other_probe=True))
+        _, blocks = read(path, model, RecordingOptions(other_probe=True))
     except InputError as error:
         assert str(error).isprintable() and str(path) in str(error)
         return []
@@ -292,18 +295,18 @@ def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        ({"time_s": [0.0, 1.0]}, "tells of 2 readings, 1 wrenches"),
+        ({"time_s": [0.0, 1.0]}, "describes 2 readings, but 1 wrenches"),
         ({"time_s": [None]}, "block after 0 readings"),
-        ({"time_s": ["nan"]}, "not finite numbers"),
-        ({"gravity_base_m_s2": [9.81]}, "not as its schema says"),
-        ({"stretch": 1.5}, "not as its schema says"),
-        ({"fault": None}, "not as its schema says"),
+        ({"time_s": ["nan"]}, "not finite"),
+        ({"gravity_base_m_s2": [9.81]}, "does not match its schema"),
+        ({"stretch": 1.5}, "does not match its schema"),
+        ({"fault": None}, "does not match its schema"),
         ("[" * 100_000, "block after 0 readings"),
         ("{}", "block after 0 readings"),
     ],
 )
 def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
-    file = McapFile(tmp_path / "lie.mcap", model)
+    file = McapRecorder(tmp_path / "lie.mcap", model)
     honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
     text = said if isinstance(said, str) else json.dumps(honest | said)
     now = np.array([0])
@@ -317,9 +320,9 @@ def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"time": np.array([1.0, 0.5])}, "time runs backward, from 1 s to 0.5 s"),
-        ({"wrench_sensor": np.full((2, 6), np.nan)}, "Fx = nan N at 0 s is no reading"),
-        ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s is no reading"),
+        ({"time": np.array([1.0, 0.5])}, "time decreases, from 1 s to 0.5 s"),
+        ({"wrench_sensor": np.full((2, 6), np.nan)}, "Fx = nan N at 0 s exceeds the range"),
+        ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s exceeds the range"),
     ],
 )
 def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_path, change, told):
@@ -333,7 +336,7 @@ def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_pat
 
 def test_without_the_package_one_line_says_what_to_install(whole, model, tmp_path, monkeypatch):
     monkeypatch.setattr("probedesign.live.recordings.find_spec", lambda name: None)
-    for attempt in (lambda: read(whole, model), lambda: McapFile(tmp_path / "new.mcap", model)):
+    for attempt in (lambda: read(whole, model), lambda: McapRecorder(tmp_path / "new.mcap", model)):
         with pytest.raises(MissingDependencyError, match=r'pip install "probedesign\[live\]"'):
             attempt()
     assert not (tmp_path / "new.mcap").exists()

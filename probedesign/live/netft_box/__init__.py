@@ -1,1 +1,1 @@
-"""A Net F/T box that is not there: the rod in a scene of objects, told over real sockets as the real box tells it."""
+"""A simulated Net F/T box: a probe in a scene of objects, streamed over real sockets in the protocol of the box."""

@@ -1,1 +1,1 @@
-"""TODO outputs/__init__."""
+"""Outputs of a run: sinks, the recording, and the options that select them."""

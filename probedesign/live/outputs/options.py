@@ -1,93 +1,94 @@
-"""What a run is kept, shown and sent by, as a user asks for it."""
+"""Output options of a run: recording, publisher, page and terminal."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.outputs.recording import Recordings, check_name
-from probedesign.live.outputs.sinks import Publisher, Sinks
-from probedesign.live.poses.base_poses import Poses
-from probedesign.live.processing.scheduler import Requests
+from probedesign.live import Log
+from probedesign.live.outputs.recording import RecordingSink, check_suffix
+from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.processing.scheduler import CommandQueue
 from probedesign.live.sources.source import Source
-from probedesign.live.view.browser_view import View
-from probedesign.live.view.status_text import Terminal
+from probedesign.live.view.browser_view import BrowserView
+from probedesign.live.view.status_text import TerminalView
 
 
 @dataclass(frozen=True)
-class Outlets:
-    """What is asked for.
+class OutputOptions:
+    """Outputs that the user selected.
 
     Attributes:
-        record: file that everything is written to; None records nothing until that is asked for.
-        force: whether it may be replaced.
-        publish: udp://HOST:PORT that answers are sent to.
+        record: file to record to; None records nothing until it is requested during the run.
+        force: whether that file may be replaced.
+        publish: udp://HOST:PORT to which estimates are sent.
         page: host and port of the page in the browser.
-        drawn: whether a table is drawn anew on the terminal.
-        parts: folder of the exported parts, which the page shows.
-        about: options of the run, written into the recording.
+        terminal: whether a live table is shown on the terminal.
+        parts_folder: folder of the exported parts, which the page shows.
+        metadata: options of the run, stored in the recording.
     """
 
     record: Path | None
     force: bool
     publish: str | None
     page: tuple[str, int] | None
-    drawn: bool
-    parts: Path
-    about: Mapping[str, str]
+    terminal: bool
+    parts_folder: Path
+    metadata: Mapping[str, str]
 
     def check(self, source: str) -> None:
-        """Refuse to replace a file unasked, and the recording that is replayed at all.
+        """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
 
         Raises:
-            InputError: it would be so, or the file's name says no kind.
+            InputError: this would happen, or the suffix of the file is unknown.
         """
         record = self.record
         if record is None:
             return
-        check_name(record)
+        check_suffix(record)
         replayed = Path(source.partition("?")[0].removeprefix("replay:"))
         if record.exists() and replayed.exists() and record.samefile(replayed):
-            raise InputError(f"--record {record} is the recording that is replayed; name another file")
+            raise InputError(f"--record {record} is the recording being replayed; choose another file")
         if record.exists() and not self.force:
-            raise InputError(f"{record}: exists already; --force replaces it, or name another file")
+            raise InputError(f"{record}: already exists; use --force or choose another file")
 
-    def publisher(self, say: Callable[[str], None]) -> Publisher | None:
-        """Who sends the answers; apart from the others, since a wrong address is to be told before anything else.
+    def publisher(self, log: Log) -> UdpPublisher | None:
+        """Return the publisher; separate from the other sinks because an invalid address is reported first.
 
         Raises:
-            InputError: there is no such address.
+            InputError: the address is invalid.
         """
-        return None if self.publish is None else Publisher(self.publish, say)
+        return None if self.publish is None else UdpPublisher(self.publish, log)
 
     def connect(
         self,
-        sinks: Sinks,
-        requests: Requests,
+        sinks: SinkGroup,
+        commands: CommandQueue,
         estimator: Estimator,
         source: Source,
-        poses: Poses | None,
-        publisher: Publisher | None,
+        poses: BasePoses | None,
+        publisher: UdpPublisher | None,
     ) -> None:
-        """Add them to the sinks of a run, and let them do what is asked for meanwhile.
+        """Add the selected sinks to a run and register their commands.
 
         Raises:
             InputError: the file cannot be written, or the page has no port.
         """
         counts = partial(getattr, source, "counts", {})
-        recordings = Recordings(self.record, estimator.model, sinks.say, self.force, dict(self.about))
-        requests.does("start recording", lambda _: recordings.asked_to_start())
-        requests.does("stop recording", lambda _: recordings.stop())
+        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, dict(self.metadata))
+        commands.register("start recording", lambda _: recordings.try_start())
+        commands.register("stop recording", lambda _: recordings.stop())
         sinks.add(recordings)
         if poses is not None:
-            poses.tell = recordings.posed
+            poses.on_pose = recordings.on_pose
         if publisher is not None:
             sinks.add(publisher)
         if self.page is not None:
-            sinks.add(View(estimator, self.parts, requests, sinks.say, *self.page, counts))
-        if self.drawn:
-            sinks.add(Terminal(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
-        if self.record is not None:  # after the views, which tell from the events whether it is recorded
+            sinks.add(BrowserView(estimator, self.parts_folder, commands, sinks.log, *self.page, counts))
+        if self.terminal:
+            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+        if self.record is not None:  # after the views, which show recording by its events
             recordings.start()

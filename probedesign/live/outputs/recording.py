@@ -1,4 +1,4 @@
-"""A sink whose work is done by a thread of its own, so that nobody waits for its disk."""
+"""Recording sink: one file after another, each started and stopped on request and written by a background thread."""
 
 import threading
 import time
@@ -11,139 +11,147 @@ from typing import Protocol
 
 from probedesign.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.estimates import EstimateUpdate
 
 MAX_QUEUED_READINGS = 65_536
-"""Readings that may wait: nine seconds at the 7000 a second of a Net F/T box, five megabytes."""
+"""Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB."""
 FLUSH_PERIOD = 0.5
-"""How often everything is handed to the disk [s]: what ends the program takes no more than this along, and what
-waits."""
+"""Period of flushing to the disk [s]; a crash of the program loses at most this and the queue."""
 GATHER_TIME = 0.05
-"""What comes within so long is written in one go [s]: each waking of the thread would interrupt whoever estimates."""
+"""Interval in which readings are gathered for one write [s]: each wake-up of the thread interrupts the estimator."""
 CLOSE_TIMEOUT = 30.0
-"""How long a disk is waited for at the end [s]."""
+"""Maximum wait for the disk at the end [s]."""
 
 Job = tuple[int, Callable[[], None]]
-"""How many readings it writes, and how."""
+"""Number of readings that a job writes, and the job."""
 
 
-class File(Sink, Protocol):
-    """A sink that writes a file; it is called from one thread, and may raise OSError."""
+class RecordingFile(Sink, Protocol):
+    """A sink that writes a file; called from one thread, may raise OSError."""
 
     def flush(self) -> None:
-        """Hand everything to the operating system: from now on it survives this program."""
+        """Pass everything to the operating system; from then on it survives this program."""
         ...
 
-    def posed(self, pose: TimedPose) -> None:
-        """Where the base was."""
+    def on_pose(self, pose: TimedPose) -> None:
+        """Receive a pose of the base."""
         ...
 
-    def left_out(self, readings: int, others: int) -> None:
-        """So many readings and answers or events did not come here."""
+    def on_dropped(self, readings: int, others: int) -> None:
+        """Receive the number of readings, and of estimates and events, that were dropped before this point."""
         ...
 
 
-class Behind:
-    """A file's calls, carried out in order and later. What finds no room is left out, counted and told.
+class BackgroundWriter:
+    """Writes a recording on a background thread; drops and counts what the queue cannot hold.
 
     Attributes:
-        readings: that came to be written.
-        lost: that were left out.
+        readings: number of readings passed to the file.
+        dropped: number of readings dropped.
     """
 
     def __init__(
         self,
-        file: File,
+        file: RecordingFile,
         name: str,
-        say: Callable[[str], None],
-        most: int = MAX_QUEUED_READINGS,
-        every: float = FLUSH_PERIOD,
+        log: Log,
+        max_queued: int = MAX_QUEUED_READINGS,
+        flush_period: float = FLUSH_PERIOD,
     ) -> None:
         """Start the thread.
 
         Args:
-            file: that is written; its own from now on.
-            name: of the file, for messages.
-            say: takes each line that a user should know; called from either thread.
-            most: readings that may wait.
-            every: how often the file is flushed [s].
+            file: file to write, used by no one else from now on.
+            name: name of the file, for messages.
+            log: callback for messages to the user; called from both threads.
+            max_queued: maximum number of queued readings.
+            flush_period: period of flushing [s].
         """
-        self._file, self._name, self._say, self._most, self._every = file, name, say, most, every
+        self._file, self._name, self._log, self._max_queued, self._flush_period = (
+            file,
+            name,
+            log,
+            max_queued,
+            flush_period,
+        )
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
-        self._put = self._done = 0
-        self._counting = threading.Lock()  # lines are told by several threads
-        self._missing = [0, 0]
-        self.readings = self.lost = 0
+        self._queued = self._done = 0
+        self._counting = threading.Lock()  # events come from several threads
+        self._dropped = [0, 0]
+        self.readings = self.dropped = 0
         self._failed = False
         self._thread = threading.Thread(target=self._work, name=f"writing {name}", daemon=True)
         self._thread.start()
 
-    def read(self, block: Block) -> None:
-        """See `Sink`."""
-        if self._asked(len(block) or 1, partial(self._file.read, block)):
+    def on_samples(self, block: Block) -> None:
+        """Queue readings; see `Sink`."""
+        if self._enqueue(len(block) or 1, partial(self._file.on_samples, block)):
             self.readings += 0 if self._failed else len(block)
         else:
-            self._leave_out(0, len(block))
+            self._count_dropped(0, len(block))
 
-    def answered(self, answer: Answer) -> None:
-        """See `Sink`."""
-        if not self._asked(1, partial(self._file.answered, answer)):
-            self._leave_out(1, 1)
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Queue an estimate; see `Sink`."""
+        if not self._enqueue(1, partial(self._file.on_estimate, update)):
+            self._count_dropped(1, 1)
 
-    def posed(self, pose: TimedPose) -> None:
-        """See `File`."""
-        if not self._asked(1, partial(self._file.posed, pose)):
-            self._leave_out(1, 1)
+    def on_pose(self, pose: TimedPose) -> None:
+        """Queue a pose; see `RecordingFile`."""
+        if not self._enqueue(1, partial(self._file.on_pose, pose)):
+            self._count_dropped(1, 1)
 
-    def told(self, time: float, line: str) -> None:
-        """See `Sink`."""
-        if not self._asked(1, partial(self._file.told, time, line)):
-            self._leave_out(1, 1)
+    def on_event(self, time: float, line: str) -> None:
+        """Queue an event; see `Sink`."""
+        if not self._enqueue(1, partial(self._file.on_event, time, line)):
+            self._count_dropped(1, 1)
 
     def close(self) -> None:
-        """Write what waits, and end the file."""
-        if any(self._missing):
-            self._queue.put((0, partial(self._file.left_out, *self._missing)))
+        """Write the queue and close the file."""
+        if any(self._dropped):
+            self._queue.put((0, partial(self._file.on_dropped, *self._dropped)))
         self._queue.put(None)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
-            self._say(f"{self._name}: its disk does not answer; what was not written yet is lost")
-        elif self.lost and not self._failed:
-            self._say(f"{self._name}: the disk was too slow: {self.lost} readings left out, and marked there")
+            self._log(f"{self._name}: the disk does not respond; unwritten data are lost")
+        elif self.dropped and not self._failed:
+            self._log(
+                f"{self._name}: the disk was too slow: {self.dropped} readings dropped, marked in the file"
+            )
 
-    def _asked(self, weight: int, job: Callable[[], None]) -> bool:
-        """Have the job done, unless too much waits already."""
+    def _enqueue(self, weight: int, job: Callable[[], None]) -> bool:
+        """Queue a job; return False if the queue is full."""
         if self._failed:
-            return True  # it was told that nothing is recorded any more
+            return True  # the failure has been reported
         with self._counting:
-            waiting = self._put - self._done
-            if waiting and waiting + weight > self._most:
+            waiting = self._queued - self._done
+            if waiting and waiting + weight > self._max_queued:
                 return False
-            if any(self._missing):
-                self._queue.put((0, partial(self._file.left_out, *self._missing)))
-                self._missing = [0, 0]
-            self._put += weight
+            if any(self._dropped):
+                self._queue.put((0, partial(self._file.on_dropped, *self._dropped)))
+                self._dropped = [0, 0]
+            self._queued += weight
             self._queue.put((weight, job))
         return True
 
-    def _leave_out(self, kind: int, count: int) -> None:
-        if not self.lost and kind == 0:
-            self._say(f"{self._name}: the disk does not keep up; readings are left out")
-        self._missing[kind] += count
-        self.lost += count if kind == 0 else 0
+    def _count_dropped(self, kind: int, count: int) -> None:
+        if not self.dropped and kind == 0:
+            self._log(f"{self._name}: the disk is too slow; readings are dropped")
+        self._dropped[kind] += count
+        self.dropped += count if kind == 0 else 0
 
     def _work(self) -> None:
-        """The thread: jobs until the end, a flush now and then; after a failure only the counting goes on."""
+        """Run jobs until the end and flush periodically; after a failure only count them."""
         try:
             self._write()
-        except Exception as error:  # a full disk, or a fault of ours: either way the run goes on
+        except Exception as error:  # a full disk or a bug: the run continues in both cases
             self._failed = True
             reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self._say(
-                f"{self._name}: recording ended: {reason}; the file is whole up to there, the run goes on"
+            self._log(
+                f"{self._name}: recording ended: {reason}; the file is complete up to this point, the run continues"
             )
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
@@ -151,27 +159,27 @@ class Behind:
     def _write(self) -> None:
         flushed = time.monotonic()
         while True:
-            for job in self._gathered():
+            for job in self._gather():
                 if job is None:
-                    self._queue.put(None)  # the end, also for what goes on where closing fails
+                    self._queue.put(None)  # the end marker again, for the counting loop if closing fails
                     self._file.close()
                     return
                 job[1]()
                 self._done += job[0]
-                flushed = self._flushed(flushed)
-            flushed = self._flushed(flushed)
+                flushed = self._flush_if_due(flushed)
+            flushed = self._flush_if_due(flushed)
 
-    def _flushed(self, last: float) -> float:
-        """When the file was last flushed [s]: now, if that is due."""
-        if time.monotonic() - last < self._every:
+    def _flush_if_due(self, last: float) -> float:
+        """Flush the file if it is due; return the time of the last flush [s]."""
+        if time.monotonic() - last < self._flush_period:
             return last
         self._file.flush()
         return time.monotonic()
 
-    def _gathered(self) -> Iterator[Job | None]:
-        """What comes from now on, for a while; nothing if nothing comes until a flush is due."""
+    def _gather(self) -> Iterator[Job | None]:
+        """Yield the jobs that arrive within the gathering interval; none if none arrives before a flush is due."""
         try:
-            first = self._queue.get(timeout=self._every)
+            first = self._queue.get(timeout=self._flush_period)
         except Empty:
             return
         if first is not None:
@@ -181,131 +189,133 @@ class Behind:
             yield self._queue.get_nowait()
 
 
-KINDS = (".mcap", ".csv")
-FOLDER = Path("recordings")
+SUFFIXES = (".mcap", ".csv")
+DEFAULT_FOLDER = Path("recordings")
 
 
-def check_name(path: Path) -> None:
-    """Refuse a name that says no kind of recording.
+def check_suffix(path: Path) -> None:
+    """Refuse a file name without a suffix of `SUFFIXES`.
 
     Raises:
-        InputError: it ends in none of `KINDS`.
+        InputError: the suffix is another.
     """
-    if path.suffix.lower() not in KINDS:
+    if path.suffix.lower() not in SUFFIXES:
         raise InputError(
-            f"{path}: end its name in .mcap (everything, for ROS 2 and replay) or .csv (raw readings)"
+            f"{path}: use the suffix .mcap (all data, for ROS 2 and replay) or .csv (raw readings)"
         )
 
 
-def open_file(path: Path, model: ProbeModel, force: bool, about: Mapping[str, str]) -> File:
-    """The file to record to, of the kind that its name says; for the arguments see `McapFile`."""
-    check_name(path)
+def open_recording_file(
+    path: Path, model: ProbeModel, force: bool, metadata: Mapping[str, str]
+) -> RecordingFile:
+    """Return the recording file of the type that the suffix names; see `McapRecorder` for the arguments."""
+    check_suffix(path)
     try:
         if path.suffix.lower() == ".csv":
-            from probedesign.live.recordings.csv import CsvFile
+            from probedesign.live.recordings.csv import CsvRecorder
 
-            return CsvFile(path, force)
-        from probedesign.live.recordings.mcap_write import McapFile
+            return CsvRecorder(path, force)
+        from probedesign.live.recordings.mcap_write import McapRecorder
 
-        return McapFile(path, model, force, about)
+        return McapRecorder(path, model, force, metadata)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-class Recordings:
-    """A sink that records from `start` to `stop`, and takes no note of anything between."""
+class RecordingSink:
+    """Sink that records between `start` and `stop`, to a new file each time; no file is ever overwritten unasked."""
 
     def __init__(
         self,
         path: Path | None,
         model: ProbeModel,
-        say: Callable[[str], None],
+        log: Log,
         force: bool = False,
-        about: Mapping[str, str] | None = None,
+        metadata: Mapping[str, str] | None = None,
     ) -> None:
-        """Nothing is opened yet.
+        """Prepare to record; no file is opened.
 
         Args:
-            path: of the first file; those after it are called NAME-2, NAME-3, ... None calls it by probe and
-                date, in the folder `recordings`.
-            model: the probe on the sensor.
-            say: takes each line that a user should know.
-            force: let the first file replace one that stands there.
-            about: what else an MCAP file should tell.
+            path: first file; later files are named NAME-2, NAME-3, ... None names it by probe and date in the folder
+                `recordings`.
+            model: probe on the sensor.
+            log: callback for messages to the user.
+            force: whether the first file may replace an existing one.
+            metadata: additional metadata of an MCAP file.
         """
-        self._path = path or FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
-        self._model, self._say, self._about = model, say, about or {}
+        self._path = path or DEFAULT_FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
+        self._model, self._log, self._metadata = model, log, metadata or {}
         self._force = force and path is not None
-        self._now: tuple[Path, Behind] | None = None
-        self._begun = False
+        self._current: tuple[Path, BackgroundWriter] | None = None
+        self._started = False
 
     @property
     def path(self) -> Path | None:
-        """Of the file that is being recorded to."""
-        return self._now and self._now[0]
+        """Path of the current file, or None."""
+        return self._current and self._current[0]
 
     def start(self) -> None:
-        """Begin the next file.
+        """Open the next file.
 
         Raises:
             InputError: it exists or cannot be written.
-            MissingDependencyError: what writes it is not installed.
+            MissingDependencyError: the package that writes it is not installed.
         """
-        if self._now is not None:
-            self._say(f"recording to {self._now[0]} already")
+        if self._current is not None:
+            self._log(f"recording to {self._current[0]} is already active")
             return
-        path = _free(self._path) if self._begun else self._path
-        file = open_file(path, self._model, self._force and not self._begun, self._about)
-        self._begun = True
-        self._now = path, Behind(file, str(path), self._say)
-        self._say(f"recording to {path}")
+        path = _unused_path(self._path) if self._started else self._path
+        file = open_recording_file(path, self._model, self._force and not self._started, self._metadata)
+        self._started = True
+        self._current = path, BackgroundWriter(file, str(path), self._log)
+        self._log(f"recording to {path}")
 
     def stop(self) -> None:
-        """End the file."""
-        if self._now is None:
-            self._say("nothing is being recorded")
+        """Close the file."""
+        if self._current is None:
+            self._log("no recording is active")
             return
-        (path, behind), self._now = self._now, None
-        behind.close()
-        self._say(f"recorded {behind.readings} readings to {path}")
+        (path, writer), self._current = self._current, None
+        writer.close()
+        self._log(f"recorded {writer.readings} readings to {path}")
 
-    def asked_to_start(self) -> None:
-        """Begin the next file, as a button asks; if that cannot be, it is said and the run goes on."""
+    def try_start(self) -> None:
+        """Open the next file on request; a failure is reported and the run continues."""
         try:
             self.start()
         except ProbeDesignError as error:
-            self._say(f"nothing is recorded: {error}")
+            self._log(f"cannot start recording: {error}")
 
-    def read(self, block: Block) -> None:
-        """See `Sink`."""
-        if self._now is not None:
-            self._now[1].read(block)
+    def on_samples(self, block: Block) -> None:
+        """Record readings; see `Sink`."""
+        if self._current is not None:
+            self._current[1].on_samples(block)
 
-    def answered(self, answer: Answer) -> None:
-        """See `Sink`."""
-        if self._now is not None:
-            self._now[1].answered(answer)
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Record an estimate; see `Sink`."""
+        if self._current is not None:
+            self._current[1].on_estimate(update)
 
-    def posed(self, pose: TimedPose) -> None:
-        """Where the base was, by the source's clock."""
-        if self._now is not None:
-            self._now[1].posed(pose)
+    def on_pose(self, pose: TimedPose) -> None:
+        """Record a pose of the base, by the source's clock."""
+        if self._current is not None:
+            self._current[1].on_pose(pose)
 
-    def told(self, time: float, line: str) -> None:
-        """See `Sink`."""
-        if self._now is not None:
-            self._now[1].told(time, line)
+    def on_event(self, time: float, line: str) -> None:
+        """Record an event; see `Sink`."""
+        if self._current is not None:
+            self._current[1].on_event(time, line)
 
     def close(self) -> None:
-        """See `Sink`."""
-        if self._now is not None:
+        """Close the current file, if any."""
+        if self._current is not None:
             self.stop()
 
 
-def _free(path: Path) -> Path:
-    """The first of NAME, NAME-2, NAME-3, ... that nothing stands under."""
-    number, free = 1, path
-    while free.exists():
+def _unused_path(path: Path) -> Path:
+    """Return the first of NAME, NAME-2, NAME-3, ... that does not exist."""
+    number, unused = 1, path
+    while unused.exists():
         number += 1
-        free = path.with_stem(f"{path.stem}-{number}")
-    return free
+        unused = path.with_stem(f"{path.stem}-{number}")
+    return unused

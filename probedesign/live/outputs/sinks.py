@@ -1,4 +1,4 @@
-"""Where readings, answers and events go: recorder, view, publisher, terminal, peers behind one small interface."""
+"""Sinks of a run: the interface, a group of sinks, standard error, and JSON datagrams by UDP."""
 
 import math
 import socket
@@ -9,127 +9,121 @@ from typing import Protocol
 from urllib.parse import urlsplit
 
 from probedesign.errors import InputError
+from probedesign.live import Log
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.estimates import Answer, Row, estimate_row, json_line, world_row
+from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row
 
 
 class Sink(Protocol):
-    """Takes what live reads and says. None of the calls waits for a disk, a network or a person."""
+    """Receives readings, estimates and events of a run. No call may wait for a disk, a network or a person."""
 
-    def read(self, block: Block) -> None:
-        """Readings as the source gave them, raw, before averaging and tare; a block without readings tells silence,
-        and why in its fault."""
+    def on_samples(self, block: Block) -> None:
+        """Receive raw readings, before averaging and tare; a block without readings reports silence in its fault."""
         ...
 
-    def answered(self, answer: Answer) -> None:
-        """An answer, at the rate of estimates."""
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Receive an estimate, at the rate of estimates."""
         ...
 
-    def told(self, time: float, line: str) -> None:
-        """An event in words, with the source's time [s]: a tare, a mark, silence, loss, a fault."""
+    def on_event(self, time: float, line: str) -> None:
+        """Receive an event at the source's time [s]: a tare, a mark, silence, loss, a fault."""
         ...
 
     def close(self) -> None:
-        """The run ends; called once, however it ends."""
+        """Handle the end of the run; called once, whatever ended it."""
         ...
 
 
-Say = Callable[[str], None]
-
-
-class Sinks:
-    """A sink of sinks. One that fails is dropped, with one line to the others, and the run goes on."""
+class SinkGroup:
+    """Forwards every call to several sinks; a sink that fails is removed and reported, and the run continues."""
 
     def __init__(self, *sinks: Sink) -> None:
         self._sinks = list(sinks)
         self._time = math.nan
 
     def add(self, sink: Sink) -> None:
-        """One more, from now on."""
+        """Add a sink."""
         self._sinks.append(sink)
 
-    def read(self, block: Block) -> None:
-        """Readings as the source gave them."""
+    def on_samples(self, block: Block) -> None:
+        """Forward raw readings."""
         if len(block):
             self._time = float(block.time[-1])
-        self._each(lambda sink: sink.read(block))
+        self._call_all(lambda sink: sink.on_samples(block))
 
-    def answered(self, answer: Answer) -> None:
-        """An answer."""
-        self._each(lambda sink: sink.answered(answer))
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Forward an estimate."""
+        self._call_all(lambda sink: sink.on_estimate(update))
 
-    def told(self, time: float, line: str) -> None:
-        """An event."""
-        self._each(lambda sink: sink.told(time, line))
+    def on_event(self, time: float, line: str) -> None:
+        """Forward an event."""
+        self._call_all(lambda sink: sink.on_event(time, line))
 
-    def say(self, line: str) -> None:
-        """An event at the time of the last reading; safe from other threads."""
-        self.told(self._time, line)
+    def log(self, line: str) -> None:
+        """Forward an event at the time of the last reading; may be called from any thread."""
+        self.on_event(self._time, line)
 
     def close(self) -> None:
-        """The run ends: every sink is closed, whatever becomes of the others, the last first, so that they can
-        still say something."""
+        """Close every sink, the last first, even if one fails, so that a sink can still report to the others."""
         while self._sinks:
             last = self._sinks.pop()
             try:
                 last.close()
             except Exception as error:
-                self.say(f"{type(last).__name__} cannot be closed: {error} ({type(error).__name__})")
+                self.log(f"{type(last).__name__} cannot be closed: {error} ({type(error).__name__})")
 
-    def _each(self, call: Callable[[Sink], None]) -> None:
+    def _call_all(self, call: Callable[[Sink], None]) -> None:
         for sink in tuple(self._sinks):
             try:
                 call(sink)
             except Exception as error:
-                self._drop(sink, error)
+                self._remove(sink, error)
 
-    def _drop(self, sink: Sink, error: Exception) -> None:
+    def _remove(self, sink: Sink, error: Exception) -> None:
         if sink in self._sinks:
             self._sinks.remove(sink)
-            self.say(
-                f"{type(sink).__name__} fails and is left out from here on: {error} ({type(error).__name__})"
-            )
+            self.log(f"{type(sink).__name__} failed and is no longer used: {error} ({type(error).__name__})")
 
 
-class Spoken:
-    """What is told goes to standard error, a line each."""
+class StderrSink:
+    """Prints events to standard error, one line each."""
 
-    def read(self, block: Block) -> None:
-        """Nothing is said of readings."""
+    def on_samples(self, block: Block) -> None:
+        """Ignore readings."""
 
-    def answered(self, answer: Answer) -> None:
-        """Nothing is said of answers."""
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Ignore estimates."""
 
-    def told(self, time: float, line: str) -> None:
-        """The line."""
+    def on_event(self, time: float, line: str) -> None:
+        """Print the event."""
         print(line, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: standard error stays open."""
 
 
 SCHEMA = 1
 
 
-class Publisher:
-    """A sink that sends each answer on its way and never waits: not for a receiver, not for the network.
+class UdpPublisher:
+    """Sends estimates and events as JSON datagrams; never waits for a receiver or the network.
 
-    Nobody needs to listen. What the system does not take at once is dropped and counted.
+    No receiver is required. A datagram that the system does not accept at once is dropped and counted.
 
     Attributes:
-        sent: datagrams so far.
-        dropped: those that the system did not take.
+        sent: number of datagrams sent.
+        dropped: number of datagrams that the system did not accept.
     """
 
-    def __init__(self, address: str, say: Say) -> None:
-        """Look up the receiver.
+    def __init__(self, address: str, log: Log) -> None:
+        """Resolve the address of the receiver.
 
         Args:
             address: `udp://HOST:PORT`.
-            say: takes what a user should know.
+            log: callback for messages to the user.
 
         Raises:
-            InputError: the address is none, or the host is not known.
+            InputError: the address is invalid, or the host is unknown.
         """
         host, port = _host_and_port(address)
         try:
@@ -138,30 +132,33 @@ class Publisher:
         except OSError as error:
             raise InputError(f"--publish {address}: {error.strerror or error}") from None
         self._socket.setblocking(False)
-        self._address, self._say = address, say
+        self._address, self._log = address, log
         self.sent, self.dropped = 0, 0
 
-    def read(self, block: Block) -> None:
-        """Raw readings are not published."""
+    def on_samples(self, block: Block) -> None:
+        """Ignore raw readings."""
 
-    def answered(self, answer: Answer) -> None:
-        """One datagram: the row of `live --json` and when it came and went."""
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Send the row of `live --json` and its time stamps."""
         kind: Row = {"kind": "estimate"}
-        world = world_row(answer) if answer.fused is not None else {}
+        world = world_row(update) if update.fused is not None else {}
         self._send(
-            kind | estimate_row(answer.reading, answer.estimate) | world | stamps(answer.reading.received)
+            kind
+            | estimate_row(update.reading, update.estimate)
+            | world
+            | time_stamps(update.reading.received)
         )
 
-    def told(self, time: float, line: str) -> None:
-        """One datagram: an event in words."""
+    def on_event(self, time: float, line: str) -> None:
+        """Send an event."""
         event: Row = {"kind": "event", "time_s": time, "event": line}
-        self._send(event | stamps(math.nan))
+        self._send(event | time_stamps(math.nan))
 
     def close(self) -> None:
-        """Say how many there were."""
-        lost = f", {self.dropped} were not taken by the network" if self.dropped else ""
+        """Close the socket and report the counts."""
+        lost = f", {self.dropped} were not accepted by the network" if self.dropped else ""
         self._socket.close()
-        self._say(f"published {self.sent} datagrams to {self._address}{lost}")
+        self._log(f"published {self.sent} datagrams to {self._address}{lost}")
 
     def _send(self, message: Row) -> None:
         counted: Row = {"schema": SCHEMA, "number": self.sent + self.dropped + 1} | message
@@ -171,16 +168,16 @@ class Publisher:
         except OSError as error:
             self.dropped += 1
             if self.dropped == 1:
-                self._say(
-                    f"--publish {self._address}: a datagram was not sent: {error.strerror or error}; going on"
+                self._log(
+                    f"--publish {self._address}: a datagram was not sent: {error.strerror or error}; the run continues"
                 )
 
 
-def stamps(received: float) -> Row:
-    """When a reading reached this program and when its answer leaves, by both clocks [s], and between [ms].
+def time_stamps(received: float) -> Row:
+    """Return the arrival time of a reading and the current time by both clocks [s], and the latency [ms].
 
     Args:
-        received: by `time.monotonic` [s]; NaN if it came from no wire.
+        received: arrival by `time.monotonic` [s]; NaN without hardware.
     """
     monotonic, wall = time.monotonic(), time.time()
     return {
@@ -193,7 +190,7 @@ def stamps(received: float) -> Row:
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
-    """Host and port of `udp://HOST:PORT`."""
+    """Return host and port of `udp://HOST:PORT`."""
     try:
         parts = urlsplit(address)
         host, port = parts.hostname or "", parts.port or 0

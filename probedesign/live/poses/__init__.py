@@ -1,1 +1,1 @@
-"""Where the base is: from a file, a bag or the robot itself, by the clock of the wrench."""
+"""Poses of the base from a file, a ROS 2 bag or a robot, by the clock of the wrench."""

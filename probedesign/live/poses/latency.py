@@ -1,9 +1,9 @@
-"""Whether the stated latency of the poses is true: a press that begins or stops must show in both at once.
+"""Checks the stated latency of the poses: a press that starts or stops must show in pose and wrench at once.
 
-While the probe touches, its wrench follows the base. Over one touch, the base's way along its main direction and the
-wrench along its own are laid over each other with one of them shifted in time; the shift at which a parabola of the
-way explains the wrench best is the latency that is left. The probe is taken to follow at once; a soft one that creeps
-looks like poses that come early.
+While the probe touches, its wrench follows the base. For one touch, the base's travel along its principal direction
+and the wrench along its own are compared with a time shift; the shift at which a parabola of the travel fits the wrench
+best is the remaining latency. The probe is assumed to follow without delay; a soft probe that creeps looks like poses
+that are early.
 """
 
 import math
@@ -14,84 +14,86 @@ import numpy as np
 
 from probedesign.frames import Array
 
-REACH = 0.200
-"""Shifts that are tried, either way [s]."""
+MAX_SHIFT = 0.200
+"""Maximum shift that is tested, in both directions [s]."""
 STEP = 0.004
-"""Between them [s]."""
-TOLD = 0.010
-"""Less than this is not told [s]: at 10 mm/s it is a tenth of a millimetre, what a tracker's node may hold."""
-SURE = 25.0
-"""By so much χ² must the shift explain the readings better than none: five standard deviations."""
-LEAST = 0.2
-"""Of what is told, which the shift must be known to."""
-WAY = 0.5e-3
-"""A base that went less far [m] tells nothing."""
+"""Step between shifts [s]."""
+MIN_REPORTED = 0.010
+"""Minimum latency that is reported [s]: at 10 mm/s it is 0.1 mm, the tolerance of a tracker's keyframe."""
+MIN_CHI2_GAIN = 25.0
+"""Minimum decrease of χ² by the shift: five standard deviations."""
+MAX_STD_SHARE = 0.2
+"""Maximum standard deviation of the shift, as a fraction of `MIN_REPORTED`."""
+MIN_TRAVEL = 0.5e-3
+"""Minimum travel of the base [m]."""
 GAP = 0.1
-"""Between readings of a touch that is looked at [s]."""
-FEWEST = 20
-"""Readings within the reach of all shifts."""
+"""Maximum interval between readings of a touch [s]."""
+MIN_READINGS = 20
+"""Minimum number of readings within the range of all shifts."""
 SPAN = 4.0
-"""Of one touch, the last so many seconds are looked at."""
-MOST = 800
-"""Readings that are looked at, at most: `SPAN` at 7000/36 a second."""
+"""Length of the last part of a touch that is used [s]."""
+MAX_READINGS = 800
+"""Maximum number of readings: `SPAN` at 7000/36 readings per second."""
 
 
 @dataclass
-class Timing:
-    """Gathers one touch.
+class LatencyCheck:
+    """Collects the readings of one touch and estimates the latency of its poses.
 
     Attributes:
-        whiten: of one reading, (6, 6).
+        whiten: whitening matrix of one reading, (6, 6).
     """
 
     whiten: Array
-    _seen: deque[tuple[float, Array, Array]] = field(default_factory=lambda: deque(maxlen=MOST))
+    _readings: deque[tuple[float, Array, Array]] = field(default_factory=lambda: deque(maxlen=MAX_READINGS))
 
-    def see(self, time: float, p_world_base: Array, wrench: Array) -> None:
-        """Take in a reading of the touch [s, m, N and N·m]; before a gap there may have been another."""
-        if self._seen and time - self._seen[-1][0] > GAP:
-            self.forget()
-        self._seen.append((time, p_world_base, self.whiten @ wrench))
-        while time - self._seen[0][0] > SPAN:
-            self._seen.popleft()
+    def add(self, time: float, p_world_base: Array, wrench: Array) -> None:
+        """Add a reading of the touch [s, m, N and N·m]; a gap starts another touch."""
+        if self._readings and time - self._readings[-1][0] > GAP:
+            self.reset()
+        self._readings.append((time, p_world_base, self.whiten @ wrench))
+        while time - self._readings[0][0] > SPAN:
+            self._readings.popleft()
 
-    def forget(self) -> None:
-        """The touch is over."""
-        self._seen.clear()
+    def reset(self) -> None:
+        """Discard the readings: the touch is over."""
+        self._readings.clear()
 
-    def late(self) -> float:
-        """How much later the poses are than they were said to be [s]; NaN if the touch does not tell."""
-        if len(self._seen) < FEWEST:
+    def delay(self) -> float:
+        """Return by how much the poses are later than stated [s]; NaN if the touch does not determine it."""
+        if len(self._readings) < MIN_READINGS:
             return math.nan
-        time = np.array([t for t, _, _ in self._seen])
-        way = _along(np.array([p for _, p, _ in self._seen]))
-        wrench = _along(np.array([w for _, _, w in self._seen]))
-        inside = (time >= time[0] + REACH) & (time <= time[-1] - REACH)
-        if inside.sum() < FEWEST or np.ptp(way[inside]) < WAY:
+        time = np.array([t for t, _, _ in self._readings])
+        travel = _principal_component(np.array([p for _, p, _ in self._readings]))
+        wrench = _principal_component(np.array([w for _, _, w in self._readings]))
+        inside = (time >= time[0] + MAX_SHIFT) & (time <= time[-1] - MAX_SHIFT)
+        if inside.sum() < MIN_READINGS or np.ptp(travel[inside]) < MIN_TRAVEL:
             return math.nan
-        shifts = np.arange(-REACH, REACH + 0.5 * STEP, STEP)
-        left = np.array([_left(np.interp(time[inside] + s, time, way), wrench[inside]) for s in shifts])
-        i = int(np.argmin(left))
-        noise = max(1.0, left[i] / (inside.sum() - 4))
-        now = left[len(shifts) // 2]
-        if now - left[i] < SURE * noise:
+        shifts = np.arange(-MAX_SHIFT, MAX_SHIFT + 0.5 * STEP, STEP)
+        residuals = np.array(
+            [_residual(np.interp(time[inside] + s, time, travel), wrench[inside]) for s in shifts]
+        )
+        i = int(np.argmin(residuals))
+        noise = max(1.0, residuals[i] / (inside.sum() - 4))
+        unshifted = residuals[len(shifts) // 2]
+        if unshifted - residuals[i] < MIN_CHI2_GAIN * noise:
             return 0.0
         if i in (0, len(shifts) - 1):
             return math.nan
-        before, here, after = left[i - 1 : i + 2]
+        before, here, after = residuals[i - 1 : i + 2]
         bend = before - 2.0 * here + after
-        late = float(shifts[i] + 0.5 * STEP * (before - after) / bend)
-        std = STEP * math.sqrt(2.0 * noise / bend)  # where χ² is up by one
-        return late if std < LEAST * TOLD else math.nan
+        delay = float(shifts[i] + 0.5 * STEP * (before - after) / bend)
+        std = STEP * math.sqrt(2.0 * noise / bend)  # where χ² increases by one
+        return delay if std < MAX_STD_SHARE * MIN_REPORTED else math.nan
 
 
-def _along(rows: Array) -> Array:
-    """Rows (n, k) along their main direction, (n,)."""
-    off = rows - rows.mean(axis=0)
-    return np.asarray(off @ np.linalg.svd(off, full_matrices=False)[2][0], dtype=float)
+def _principal_component(rows: Array) -> Array:
+    """Return the rows (n, k) along their principal direction, (n,)."""
+    centred = rows - rows.mean(axis=0)
+    return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][0], dtype=float)
 
 
-def _left(way: Array, wrench: Array) -> float:
-    """Squares that a parabola of the way leaves of the wrench."""
-    columns = np.stack([np.ones_like(way), way, way * way], axis=1)
+def _residual(travel: Array, wrench: Array) -> float:
+    """Return the sum of squares of the wrench after fitting a parabola of the travel."""
+    columns = np.stack([np.ones_like(travel), travel, travel * travel], axis=1)
     return float(np.sum((wrench - columns @ np.linalg.lstsq(columns, wrench)[0]) ** 2))

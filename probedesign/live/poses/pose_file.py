@@ -1,4 +1,4 @@
-"""A pose in words: the names of a packet, a line of JSON and a column of CSV, the same for all three."""
+"""Poses from a file of CSV or JSON lines; the field names are those of the UDP packet."""
 
 import csv
 import json
@@ -11,35 +11,36 @@ from probedesign.errors import InputError
 from probedesign.live.poses.track import TimedPose, timed_pose
 from probedesign.units import MM
 
-NAMES = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+"""Names of the fields of a pose, in CSV, JSON lines and UDP packets."""
 
 
-def pose_of(said: Mapping[str, Any]) -> TimedPose:
-    """The pose that `NAMES` tell; other names are left alone.
+def parse_pose(values: Mapping[str, Any]) -> TimedPose:
+    """Return the pose with the fields `POSE_COLUMNS`; other fields are ignored.
 
     Raises:
-        InputError: a name is missing, a value is no number, or they make no pose.
+        InputError: a field is missing, is not a number, or the numbers are not a pose.
     """
-    missing = [name for name in NAMES if name not in said]
+    missing = [name for name in POSE_COLUMNS if name not in values]
     if missing:
-        raise InputError(f"has no {', '.join(missing)}; a pose has {', '.join(NAMES)}")
-    time, x, y, z, *q = (_number(name, said[name]) for name in NAMES)
+        raise InputError(f"has no {', '.join(missing)}; a pose needs {', '.join(POSE_COLUMNS)}")
+    time, x, y, z, *q = (_number(name, values[name]) for name in POSE_COLUMNS)
     return timed_pose(time, [x * MM, y * MM, z * MM], q)
 
 
-def pose_of_json(text: str | bytes) -> tuple[TimedPose, str]:
-    """The pose of a JSON object, and the frame that it is told in, if it says `frame`.
+def parse_pose_json(text: str | bytes) -> tuple[TimedPose, str]:
+    """Return the pose of a JSON object, and the value of its field `frame`, if any.
 
     Raises:
-        InputError: it is none.
+        InputError: the text is not such an object.
     """
     try:
-        said = json.loads(text)
+        values = json.loads(text)
     except (ValueError, RecursionError):
-        raise InputError("is no JSON") from None
-    if not isinstance(said, dict):
-        raise InputError("is no JSON object")
-    return pose_of(said), str(said.get("frame", ""))
+        raise InputError("is not JSON") from None
+    if not isinstance(values, dict):
+        raise InputError("is not a JSON object")
+    return parse_pose(values), str(values.get("frame", ""))
 
 
 def _number(name: str, value: Any) -> float:
@@ -52,31 +53,33 @@ def _number(name: str, value: Any) -> float:
     return number
 
 
-def read_file(path: Path) -> list[TimedPose]:
-    """All poses of a file.
+def read_pose_file(path: Path) -> list[TimedPose]:
+    """Read all poses of a file.
 
     Args:
-        path: `NAME.csv` with the columns of `NAMES`, or anything else with one JSON object of these a line. Lines
-            that begin with # are left alone.
+        path: `NAME.csv` with the columns `POSE_COLUMNS`, or any other file with one JSON object of these fields per
+            line. Lines that begin with # are ignored.
 
     Raises:
-        InputError: it cannot be read, holds none, or a line is wrong; one line with the line of the file.
+        InputError: the file cannot be read, has no poses, or a line is wrong; the message names the line.
     """
     lines = _lines(path)
     poses: list[TimedPose] = []
     frames = set()
-    for number, pose, frame in _csv(path, lines) if path.suffix.lower() == ".csv" else _json(path, lines):
+    for number, pose, frame in (
+        _csv_poses(path, lines) if path.suffix.lower() == ".csv" else _json_poses(path, lines)
+    ):
         if poses and not pose.time > poses[-1].time:
             raise InputError(
-                f"{path}:{number}: time_s = {pose.time:.9g} does not follow {poses[-1].time:.9g}; sort the lines"
+                f"{path}:{number}: time_s = {pose.time:.9g} is not after {poses[-1].time:.9g}; sort the lines"
             )
         frames.add(frame)
         poses.append(pose)
     if not poses:
-        raise InputError(f"{path}: holds no poses; a line has {', '.join(NAMES)}")
+        raise InputError(f"{path}: no poses in the file; a line needs {', '.join(POSE_COLUMNS)}")
     if len(frames) > 1:
         raise InputError(
-            f"{path}: tells poses in several frames, {', '.join(sorted(frames))[:80]}; one is needed"
+            f"{path}: poses are in several frames, {', '.join(sorted(frames))[:80]}; one frame is required"
         )
     return poses
 
@@ -85,29 +88,29 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file of poses") from None
+        raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # UnicodeDecodeError and a NUL in the path are ValueErrors
-        why = getattr(error, "strerror", None) or "it is no text in UTF-8"
+        why = getattr(error, "strerror", None) or "not UTF-8 text"
         raise InputError(f"{path}: cannot be read as poses: {why}") from None
-    held = enumerate(text.splitlines(), 1)
-    return [(number, line) for number, line in held if line.strip() and not line.lstrip().startswith("#")]
+    numbered = enumerate(text.splitlines(), 1)
+    return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 
-def _csv(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[int, TimedPose, str]]:
+def _csv_poses(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[int, TimedPose, str]]:
     rows = csv.reader(line for _, line in lines)
     header = [name.strip() for name in next(rows, [])]
     for (number, _), row in zip(lines[1:], rows, strict=False):
         try:
             if len(row) != len(header):
-                raise InputError(f"has {len(row)} fields, the header {len(header)}")
-            yield number, pose_of(dict(zip(header, row, strict=True))), ""
+                raise InputError(f"has {len(row)} fields, but the header has {len(header)}")
+            yield number, parse_pose(dict(zip(header, row, strict=True))), ""
         except InputError as error:
             raise InputError(f"{path}:{number}: {error}") from None
 
 
-def _json(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[int, TimedPose, str]]:
+def _json_poses(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[int, TimedPose, str]]:
     for number, line in lines:
         try:
-            yield number, *pose_of_json(line)
+            yield number, *parse_pose_json(line)
         except InputError as error:
             raise InputError(f"{path}:{number}: {error}") from None

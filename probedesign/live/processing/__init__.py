@@ -1,1 +1,1 @@
-"""TODO processing/__init__."""
+"""Processing between source and output: blocks of readings, filter, tare, touch monitoring and estimates."""

@@ -1,4 +1,8 @@
-"""One reading of a wrench sensor."""
+"""Wrench readings, and blocks of readings that a source delivers together.
+
+A source delivers raw readings in blocks of any size. Results do not depend on where a source cuts its blocks:
+`BatchAverager` cuts them again into batches of a fixed number of samples.
+"""
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -11,14 +15,14 @@ from probedesign.frames import Array
 
 
 @dataclass(frozen=True)
-class Truth:
-    """What a simulation knows of the contact; NaN while nothing touches.
+class TrueContact:
+    """The true contact of a simulation; NaN while nothing touches.
 
     Attributes:
         s_contact: arclength of the contact [m].
-        p_contact_base: its point of the centreline [m], (3,).
-        force_base: what the object does to the probe [N], (3,).
-        p_surface_base: the touched point of the surface [m], (3,).
+        p_contact_base: contact point on the centreline [m], (3,).
+        force_base: force of the object on the probe [N], (3,).
+        p_surface_base: touched point of the surface [m], (3,).
     """
 
     s_contact: float
@@ -27,28 +31,28 @@ class Truth:
     p_surface_base: Array
 
 
-FREE = Truth(float("nan"), np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan))
-"""Nothing touches."""
+NO_CONTACT = TrueContact(float("nan"), np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan))
+"""The true contact while nothing touches."""
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What the sensor reads at one moment.
+class WrenchReading:
+    """One reading of the wrench sensor, raw or averaged.
 
     Attributes:
-        time: by the source's own clock [s].
-        wrench_sensor: in the sensor frame, its bias included [N, N·m], (6,).
-        gravity_base: vector of gravity in base axes [m/s²], (3,).
-        truth: where the contact really is, if the source knows.
-        fault: what is wrong with it, in words; such a reading counts as out of range.
-        stretch: counts what the source read without an interruption; nothing is averaged from one to the next.
-        received: when it reached this program, by `time.monotonic` [s]; NaN if nothing is received.
+        time: time by the source's clock [s].
+        wrench_sensor: wrench in the sensor frame, bias included [N, N·m], (6,).
+        gravity_base: gravity vector in base axes [m/s²], (3,).
+        truth: the true contact, if the source knows it.
+        fault: description of a sensor fault; a reading with a fault is treated as out of range.
+        stretch: number of the uninterrupted stretch of readings; averages never span two stretches.
+        received: arrival time by `time.monotonic` [s]; NaN if the reading was not received from hardware.
     """
 
     time: float
     wrench_sensor: Array
     gravity_base: Array
-    truth: Truth | None = None
+    truth: TrueContact | None = None
     fault: str = ""
     stretch: int = 0
     received: float = float("nan")
@@ -56,18 +60,18 @@ class Reading:
 
 @dataclass(frozen=True)
 class Block:
-    """n readings one after the other, of one stretch, with one gravity and one fault or none.
+    """n consecutive readings of one stretch, with one gravity vector and one fault or none.
 
-    A block without readings tells silence: nothing has come for a while, as its fault says.
+    A block without readings reports that the sensor is silent; `fault` gives the reason.
 
     Attributes:
-        time: by the source's own clock [s], (n,).
-        wrench_sensor: in the sensor frame, bias included [N, N·m], (n, 6).
-        gravity_base: vector of gravity in base axes [m/s²], (3,).
-        received: when they reached this program, by `time.monotonic` [s], (n,); NaN if nothing is received.
-        fault: what is wrong with all of them, in words; they count as out of range.
-        stretch: counts what the source read without an interruption.
-        truths: where the contact really is, of each, if the source knows; else empty.
+        time: times by the source's clock [s], (n,).
+        wrench_sensor: wrenches in the sensor frame, bias included [N, N·m], (n, 6).
+        gravity_base: gravity vector in base axes [m/s²], (3,).
+        received: arrival times by `time.monotonic` [s], (n,); NaN if not received from hardware.
+        fault: description of a fault that affects all of them; they are treated as out of range.
+        stretch: number of the uninterrupted stretch of readings.
+        truths: the true contact of each reading, if the source knows it; otherwise empty.
     """
 
     time: Array
@@ -76,74 +80,78 @@ class Block:
     received: Array
     fault: str = ""
     stretch: int = 0
-    truths: tuple[Truth, ...] = ()
+    truths: tuple[TrueContact, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
 
-    def __getitem__(self, part: slice) -> "Block":
-        """Some of its readings, in order."""
+    def __getitem__(self, index: slice) -> "Block":
+        """Return a slice of the readings as a block."""
         return replace(
             self,
-            time=self.time[part],
-            wrench_sensor=self.wrench_sensor[part],
-            received=self.received[part],
-            truths=self.truths[part],
+            time=self.time[index],
+            wrench_sensor=self.wrench_sensor[index],
+            received=self.received[index],
+            truths=self.truths[index],
         )
 
-    def readings(self) -> Iterator[Reading]:
-        """One by one."""
+    def readings(self) -> Iterator[WrenchReading]:
+        """Iterate over the readings one by one."""
         truths = self.truths or (None,) * len(self)
         rows = zip(self.time.tolist(), self.wrench_sensor, truths, self.received.tolist(), strict=True)
         for stamp, wrench, truth, received in rows:
-            yield Reading(stamp, wrench, self.gravity_base, truth, self.fault, self.stretch, received)
+            yield WrenchReading(stamp, wrench, self.gravity_base, truth, self.fault, self.stretch, received)
 
 
-def silence(gravity_base: Array, why: str, stretch: int) -> Block:
-    """A block without readings.
+def dropout_block(gravity_base: Array, why: str, stretch: int) -> Block:
+    """Return a block without readings, which reports a silent sensor.
 
     Args:
-        gravity_base: as the last one had it [m/s²], (3,).
-        why: what is told of the silence.
-        stretch: that is interrupted.
+        gravity_base: gravity vector of the last reading [m/s²], (3,).
+        why: reason for the silence.
+        stretch: number of the interrupted stretch.
     """
     return Block(np.empty(0), np.empty((0, 6)), gravity_base, np.empty(0), why, stretch)
 
 
-def readings_in(blocks: Iterable[Block]) -> Iterator[Reading]:
-    """The readings of blocks, one by one."""
+def iter_readings(blocks: Iterable[Block]) -> Iterator[WrenchReading]:
+    """Iterate over the readings of blocks one by one."""
     for block in blocks:
         yield from block.readings()
 
 
-def blocks_of(readings: Iterable[Reading], most: int = 1, span: float = inf) -> Iterator[Block]:
-    """Readings gathered to blocks, each given away when it is full or the next does not fit in.
+def group_readings(
+    readings: Iterable[WrenchReading], max_count: int = 1, max_span: float = inf
+) -> Iterator[Block]:
+    """Group readings into blocks; a block is emitted when it is full or the next reading does not fit.
 
     Args:
-        readings: in order of time.
-        most: so many to a block.
-        span: the last of a block is less than so long after its first [s].
+        readings: readings in order of time.
+        max_count: maximum number of readings in a block.
+        max_span: the last reading of a block is less than this after its first [s].
     """
-    held: list[Reading] = []
+    pending: list[WrenchReading] = []
     for reading in readings:
-        if held and not (_alike(held[0], reading) and reading.time - held[0].time < span):
-            yield _gathered(held)
-            held = []
-        held.append(reading)
-        if len(held) == most:
-            yield _gathered(held)
-            held = []
-    if held:
-        yield _gathered(held)
+        if pending and not (
+            _same_source_state(pending[0], reading) and reading.time - pending[0].time < max_span
+        ):
+            yield _block_of(pending)
+            pending = []
+        pending.append(reading)
+        if len(pending) == max_count:
+            yield _block_of(pending)
+            pending = []
+    if pending:
+        yield _block_of(pending)
 
 
-def _alike(a: Reading, b: Reading) -> bool:
+def _same_source_state(a: WrenchReading, b: WrenchReading) -> bool:
     if (a.fault, a.stretch, a.truth is None) != (b.fault, b.stretch, b.truth is None):
         return False
     return a.gravity_base is b.gravity_base or np.array_equal(a.gravity_base, b.gravity_base)
 
 
-def _gathered(readings: list[Reading]) -> Block:
+def _block_of(readings: list[WrenchReading]) -> Block:
     first = readings[0]
     return Block(
         np.array([r.time for r in readings]),
@@ -156,10 +164,12 @@ def _gathered(readings: list[Reading]) -> Block:
     )
 
 
-def mean(blocks: list[Block]) -> Reading:
-    """The mean of all readings, at their mean time, received with the last; its truth is free if any of theirs is,
-    and a fault of one is its fault."""
-    return Reading(
+def mean_reading(blocks: list[Block]) -> WrenchReading:
+    """Return the mean of all readings, at their mean time and with the last arrival time.
+
+    The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
+    """
+    return WrenchReading(
         float(np.concatenate([block.time for block in blocks]).mean()),
         np.concatenate([block.wrench_sensor for block in blocks]).mean(axis=0),
         _mean_gravity(blocks),
@@ -171,7 +181,7 @@ def mean(blocks: list[Block]) -> Reading:
 
 
 def _mean_gravity(blocks: list[Block]) -> Array:
-    """The mean vector of gravity; the very one if it does not turn."""
+    """Return the mean gravity vector; the same object if it is constant."""
     first = blocks[0].gravity_base
     if all(block.gravity_base is first for block in blocks):
         return first
@@ -179,10 +189,10 @@ def _mean_gravity(blocks: list[Block]) -> Array:
     return first if (rows == first).all() else np.asarray(rows.mean(axis=0))
 
 
-def _mean_truth(truths: list[Truth]) -> Truth | None:
+def _mean_truth(truths: list[TrueContact]) -> TrueContact | None:
     if not truths:
         return None
-    return Truth(
+    return TrueContact(
         float(np.mean([t.s_contact for t in truths])),
         np.mean([t.p_contact_base for t in truths], axis=0),
         np.mean([t.force_base for t in truths], axis=0),
@@ -196,8 +206,10 @@ def paced(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Generator[Block, None, None]:
-    """Blocks at their own time, which is that of their last reading, `speed` times as fast; at once if it is
-    infinite. A late one does not delay those that follow."""
+    """Yield blocks at the time of their last reading, `speed` times as fast; at once if `speed` is infinite.
+
+    A late block does not delay the blocks after it.
+    """
     start: tuple[float, float] | None = None
     for block in blocks:
         start = start or (clock(), float(block.time[0]))
@@ -207,8 +219,8 @@ def paced(
         yield block
 
 
-def until(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
-    """Readings of the first `seconds` of the source's clock [s]."""
+def limit_duration(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
+    """Yield the readings of the first `seconds` of the source's clock [s]."""
     start: float | None = None
     for block in blocks:
         if len(block):
@@ -222,59 +234,59 @@ def until(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
 
 
 @dataclass(frozen=True)
-class Batch:
-    """n samples one after the other, of one stretch.
+class AveragedBatch:
+    """n consecutive samples of one stretch and their mean.
 
     Attributes:
-        block: their times, wrenches and what came with them; of one gravity and one fault, the first.
-        reading: their mean.
+        block: the samples, with the gravity vector of the mean and the first fault.
+        reading: the mean of the samples.
     """
 
     block: Block
-    reading: Reading
+    reading: WrenchReading
 
 
-class Batches:
-    """Cuts batches of n samples, so that what follows does not depend on how a source cut its blocks."""
+class BatchAverager:
+    """Cut blocks into batches of n samples, independent of how the source cut its blocks."""
 
     def __init__(self, samples: int) -> None:
         self._samples = samples
-        self._held: list[Block] = []
+        self._pending: list[Block] = []
         self._count = 0
 
-    def cut(self, block: Block) -> Iterator[Batch]:
-        """All batches that a block fills; what fills none by the end of a stretch is dropped."""
-        if self._held and self._held[0].stretch != block.stretch:
-            self._held, self._count = [], 0
+    def add(self, block: Block) -> Iterator[AveragedBatch]:
+        """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch."""
+        if self._pending and self._pending[0].stretch != block.stretch:
+            self._pending, self._count = [], 0
         start = 0
         while self._count + len(block) - start >= self._samples:
             end = start + self._samples - self._count
-            yield _joined_batch([*self._held, block[start:end]])
-            self._held, self._count, start = [], 0, end
+            yield _joined_batch([*self._pending, block[start:end]])
+            self._pending, self._count, start = [], 0, end
         if start < len(block):
-            self._held.append(block[start:])
+            self._pending.append(block[start:])
             self._count += len(block) - start
 
 
-def averaged(blocks: Iterable[Block], samples: int) -> Iterator[Reading]:
-    """Means of `samples` readings one after the other."""
-    batches = Batches(samples)
+def averaged(blocks: Iterable[Block], samples: int) -> Iterator[WrenchReading]:
+    """Yield the means of `samples` consecutive readings."""
+    batches = BatchAverager(samples)
     for block in blocks:
-        for batch in batches.cut(block):
+        for batch in batches.add(block):
             yield batch.reading
 
 
-def _joined_batch(parts: list[Block]) -> Batch:
+def _joined_batch(parts: list[Block]) -> AveragedBatch:
     if len(parts) == 1 and len(parts[0]) == 1:
-        return Batch(parts[0], next(parts[0].readings()))
-    reading = mean(parts)
+        return AveragedBatch(parts[0], next(parts[0].readings()))
+    reading = mean_reading(parts)
     whole = Block(
-        np.concatenate([part.time for part in parts]),
-        np.concatenate([part.wrench_sensor for part in parts]),
+        np.concatenate([index.time for index in parts]),
+        np.concatenate([index.wrench_sensor for index in parts]),
         reading.gravity_base,
-        np.concatenate([part.received for part in parts]),
+        np.concatenate([index.received for index in parts]),
         reading.fault,
         reading.stretch,
-        tuple(truth for part in parts for truth in part.truths),
+        tuple(truth for index in parts for truth in index.truths),
     )
-    return Batch(whole, reading)
+    return AveragedBatch(whole, reading)

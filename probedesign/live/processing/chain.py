@@ -1,7 +1,7 @@
-"""From blocks of raw readings to answers: pose and gravity, tare, filter, phases and fusion, estimate.
+"""Processing chain from blocks of raw readings to estimates: gravity, tare, filter, phase and fusion, estimate.
 
-What comes out does not depend on how the source cuts its blocks: everything goes on in batches of so many samples as
-are averaged to one reading, so that a replay gives the same answers.
+The output does not depend on how the source cuts its blocks: all processing is on batches of as many samples as are
+averaged to one reading. A replay therefore reproduces the estimates of the live run.
 """
 
 import math
@@ -17,158 +17,172 @@ from probedesign.errors import InputError
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
-from probedesign.live.poses.base_poses import Poses
-from probedesign.live.processing.blocks import Batch, Batches, Block, Reading
-from probedesign.live.processing.estimates import Answer, locate
+from probedesign.live import Log
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading
+from probedesign.live.processing.estimates import EstimateUpdate, locate
 from probedesign.live.processing.low_pass import LowPass
-from probedesign.live.processing.scheduler import MAX_AGE, Due, Plan
-from probedesign.live.processing.tare import ASKED, Tare, Taring, Window, describe_tare, without_bias
-from probedesign.live.processing.touches import Contact, Contacts, Say, Seen, Watch
+from probedesign.live.processing.scheduler import MAX_AGE, EstimateScheduler, ProcessingOptions
+from probedesign.live.processing.tare import (
+    TARE_DURATION,
+    Tare,
+    TareCollector,
+    TareWindow,
+    describe_tare,
+    without_bias,
+)
+from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
 
-FEWEST = 8
-"""Samples from which the source's rate is told, before anything else."""
-RECENT = 1000
-"""Batches of a tare's window that the test for touches learns from, at most: the last."""
-MANY = 500.0
-"""Means a second beyond which somebody forgot to average."""
+MIN_RATE_SAMPLES = 8
+"""Number of samples from which the rate of the source is determined before processing starts."""
+MAX_TARE_BATCHES = 1000
+"""Maximum number of batches of a tare window that calibrate the detector: the last ones."""
+MAX_MEAN_RATE = 500.0
+"""Rate of means beyond which averaging was probably forgotten [Hz]."""
 
 
 class Chain:
-    """Answers as the blocks come.
+    """Processes blocks and yields estimates.
 
     Attributes:
-        tare: taken from every reading; None where none was.
-        due: counts the estimates that were due.
+        tare: bias subtracted from every reading; None without a tare.
+        scheduler: counts the estimates that were due and skipped.
     """
 
-    def __init__(self, estimator: Estimator, plan: Plan, poses: Poses | None, say: Say) -> None:
-        """Begin.
+    def __init__(
+        self, estimator: Estimator, options: ProcessingOptions, poses: BasePoses | None, log: Log
+    ) -> None:
+        """Start with no readings.
 
         Args:
-            estimator: of the probe.
-            plan: what to do with the readings.
-            poses: of the base; None if it stands as the frozen probe or the source says.
-            say: takes each line that a user should know.
+            estimator: estimator of the probe.
+            options: processing options.
+            poses: poses of the base; None if it is fixed as the frozen probe or the source states.
+            log: callback for messages to the user.
         """
         self.tare: Tare | None = None
-        self._estimator, self._plan, self._poses, self._say = estimator, plan, poses, say
-        self._batches, self._waiting = Batches(plan.samples), deque[Batch]()
-        self._taring = Taring(plan.window, estimator) if plan.window is not None else None
-        self._free = deque[Batch](maxlen=RECENT)
-        self._contacts = Contacts()
-        self._watch: Watch | None = None
+        self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
+        self._batches, self._waiting = BatchAverager(options.samples), deque[AveragedBatch]()
+        self._tare_collector = (
+            TareCollector(options.window, estimator) if options.window is not None else None
+        )
+        self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
+        self._contacts = ContactHistory()
+        self._monitor: TouchMonitor | None = None
         self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
         self._now = -math.inf
-        self.due = Due(plan.rate, say, MAX_AGE if plan.estimates else math.inf)
+        self.scheduler = EstimateScheduler(options.rate, log, MAX_AGE if options.estimates else math.inf)
         self._stretch = 0
-        self._seen = Seen("", None)
-        self._lacks_pose = False
+        self._state = TouchState("", None)
+        self._pose_missing = False
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """Every touch so far."""
-        return self._contacts.so_far
+        return self._contacts.contacts
 
-    def take(self, block: Block) -> Iterator[Answer]:
-        """Answers that a block completes."""
+    def process(self, block: Block) -> Iterator[EstimateUpdate]:
+        """Yield the estimates that a block completes."""
         if len(block) == 0:
             return
         self._now = float(block.time[-1])
-        held, now = len(self._waiting), monotonic()  # for want of a pose
+        n_waiting, now = len(self._waiting), monotonic()  # readings that waited for a pose
         if self._poses is not None:
             self._poses.refresh(block)
-        self._waiting.extend(self._batches.cut(block))
-        if math.isnan(self._rate) and not self._began():
+        self._waiting.extend(self._batches.add(block))
+        if math.isnan(self._rate) and not self._initialize():
             return
         while self._waiting and not self._awaits_pose(self._waiting[0].reading.time):
-            yield from self._step(self._waiting.popleft(), now if held > 0 else -math.inf)
-            held -= 1
+            yield from self._step(self._waiting.popleft(), now if n_waiting > 0 else -math.inf)
+            n_waiting -= 1
 
-    def ended(self) -> Iterator[Answer]:
-        """Those that are left when the source has ended.
+    def finish(self) -> Iterator[EstimateUpdate]:
+        """Yield the remaining estimates after the source has ended.
 
         Raises:
-            InputError: the tare's window was not over, and is no good.
+            InputError: the tare window was not complete and cannot be used.
         """
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
-        if self._taring is not None and not self._taring.asked:
-            self._say(describe_tare(self._taring.tare()))
+        if self._tare_collector is not None and not self._tare_collector.on_request:
+            self._log(describe_tare(self._tare_collector.tare()))
 
     def take_tare(self) -> None:
-        """Take a tare from the readings that come next; what comes of it is told."""
-        if math.isnan(self._first) or self._taring is not None:
-            return self._say("tare: not now, one is being taken")
-        if self._refused():
+        """Start a tare from the next readings; its outcome is reported."""
+        if math.isnan(self._first) or self._tare_collector is not None:
+            return self._log("tare: a tare is already being taken")
+        if self._tare_refused():
             return
         start = self._now - self._first
-        self._taring = Taring(Window(start, start + ASKED), self._estimator, asked=True)
-        self._say(f"tare: keep the probe free and still for {ASKED:g} s")
+        self._tare_collector = TareCollector(
+            TareWindow(start, start + TARE_DURATION), self._estimator, on_request=True
+        )
+        self._log(f"tare: keep the probe free and still for {TARE_DURATION:g} s")
 
-    # before the first batch goes on
+    # before the first batch is processed
 
-    def _began(self) -> bool:
-        """Whether enough is there to tell the rate; if so, all that needs it is made."""
-        needed = math.ceil(FEWEST / self._plan.samples)
+    def _initialize(self) -> bool:
+        """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
+        needed = math.ceil(MIN_RATE_SAMPLES / self._options.samples)
         if len(self._waiting) < needed:
             return False
         time = np.concatenate([batch.block.time for batch in islice(self._waiting, needed)])
         step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
         self._rate = 1.0 / step if step > 0.0 else math.inf
         if math.isinf(self._rate):
-            self._say("the source's clock stands still: no phases, no filter")
+            self._log("the source's clock does not advance: phases and filter are off")
             return True
-        if self._rate / self._plan.samples > MANY:
+        if self._rate / self._options.samples > MAX_MEAN_RATE:
             fits = self._estimator.model.averaging_samples
-            self._say(f"{self._rate:.0f} readings/s: --average {fits} is what the probe's noise counts")
-        if self._plan.filter_hz is not None:
-            self._low_pass = LowPass(self._plan.filter_hz, self._rate)
+            self._log(f"{self._rate:.0f} readings/s: --average {fits} matches the noise model of the probe")
+        if self._options.filter_hz is not None:
+            self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
-            self._say(f"low-pass {self._plan.filter_hz:g} Hz: estimates tell of {delay:.1f} ms before")
-        self._anew()
+            self._log(f"low-pass {self._options.filter_hz:g} Hz: estimates are delayed by {delay:.1f} ms")
+        self._reset_monitor()
         return True
 
-    def _anew(self) -> None:
-        """Watch with nothing seen yet."""
-        self._watch = Watch(
-            self._estimator, self._contacts, self._rate, self._plan.samples, self._poses, self._say,
-            self._plan.estimates,
+    def _reset_monitor(self) -> None:
+        """Start a new touch monitor."""
+        self._monitor = TouchMonitor(
+            self._estimator, self._contacts, self._rate, self._options.samples, self._poses, self._log,
+            self._options.estimates,
         )  # fmt: skip
 
     # one batch
 
-    def _step(self, batch: Batch, ready: float) -> Iterator[Answer]:
-        """The answer of a batch, if one is due; for when it was ready see `Due.wants`."""
+    def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:
+        """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
         if math.isnan(self._first):
             self._first = batch.reading.time
-        whole = replace(batch.reading, fault=batch.reading.fault or self._limit(batch.block))
-        reading = self._placed(whole)
-        self._say_pose(reading)
+        whole = replace(batch.reading, fault=batch.reading.fault or self._saturation(batch.block))
+        reading = self._with_gravity(whole)
+        self._report_pose(reading)
         if reading.stretch != self._stretch:
             self._interrupted(reading.stretch)
         smooth = self._filtered(batch.block, whole)
-        self._gather(Batch(batch.block, reading))
-        if self._taring is not None and not self._taring.asked:
+        self._collect_tare(AveragedBatch(batch.block, reading))
+        if self._tare_collector is not None and not self._tare_collector.on_request:
             return
-        self._seen = self._see(Batch(batch.block, reading))
-        if self.due.wants(reading, ready):
-            yield self._answer(reading if smooth is None else self._placed(smooth))
+        self._state = self._update_state(AveragedBatch(batch.block, reading))
+        if self.scheduler.is_due(reading, ready):
+            yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
 
-    def _answer(self, reading: Reading) -> Answer:
-        """Of a reading, filtered or not, and of what is seen by now."""
+    def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
+        """Return the estimate of a reading, filtered or not, with the current state."""
         estimate = Estimate("unobservable")
-        if self._plan.estimates:
-            estimate = locate(self._estimator, reading, self.tare, self._plan.method)
-            self._contacts.locate(estimate, self._seen.phase)
+        if self._options.estimates:
+            estimate = locate(self._estimator, reading, self.tare, self._options.method)
+            self._contacts.locate(estimate, self._state.phase)
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
         wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base)
-        return Answer(
+        return EstimateUpdate(
             reading,
             estimate,
-            self._seen.phase,
-            self._seen.fused,
+            self._state.phase,
+            self._state.fused,
             np.full((4, 4), np.nan) if T is None else T,
             wrench if not reading.fault else np.full(6, np.nan),
             monotonic(),
@@ -176,86 +190,88 @@ class Chain:
             self.contacts,
         )
 
-    def _limit(self, block: Block) -> str:
-        """What is wrong with a batch of which a single sample is at its limit: its mean would not show it."""
+    def _saturation(self, block: Block) -> str:
+        """Return the fault of a batch in which any sample is at its limit: the mean would not show it."""
         within = np.abs(block.wrench_sensor) <= self._estimator.model.readable
-        return "" if within.all() else "a channel is at its limit or no number"
+        return "" if within.all() else "a channel is at its limit or not a number"
 
-    def _placed(self, reading: Reading) -> Reading:
-        """The reading with gravity as the base is turned then, or with a fault where that is not known."""
+    def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
+        """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
         if self._poses is None:
             return reading
         T = self._poses.at(reading.time)
         if T is None:
-            return replace(reading, fault=reading.fault or self._poses.why(reading.time))
+            return replace(reading, fault=reading.fault or self._poses.reason(reading.time))
         return replace(reading, gravity_base=self._poses.gravity(T))
 
-    def _say_pose(self, reading: Reading) -> None:
-        """Tell when poses begin to lack and when they are there again."""
-        if self._poses is None or (lacks := self._poses.at(reading.time) is None) == self._lacks_pose:
+    def _report_pose(self, reading: WrenchReading) -> None:
+        """Report when poses become unavailable and available again."""
+        if self._poses is None or (missing := self._poses.at(reading.time) is None) == self._pose_missing:
             return
-        self._lacks_pose = lacks
-        why = self._poses.why(reading.time) + "; no estimate until there is one"
-        self._say(why if lacks else "the base's pose is known again")
+        self._pose_missing = missing
+        why = self._poses.reason(reading.time) + "; no estimates until one is available"
+        self._log(why if missing else "the base pose is available again")
 
     def _interrupted(self, stretch: int) -> None:
-        """Readings are missing before this one."""
+        """Handle missing readings before this one."""
         self._stretch = stretch
         if self._low_pass is not None:
-            self._low_pass.rest()
-        if self._watch is not None:
-            self._watch.interrupted()
+            self._low_pass.reset()
+        if self._monitor is not None:
+            self._monitor.on_interruption()
 
-    def _filtered(self, block: Block, reading: Reading) -> Reading | None:
-        """The reading through the filter, of the moment that it tells of; None without a filter."""
+    def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
+        """Return the filtered reading at the time it represents; None without a filter."""
         if self._low_pass is None:
             return None
         if reading.fault:
-            self._low_pass.rest()
+            self._low_pass.reset()
             return reading
-        wrench = self._low_pass.run(block.wrench_sensor).mean(axis=0)
+        wrench = self._low_pass.filter(block.wrench_sensor).mean(axis=0)
         return replace(reading, time=reading.time - self._low_pass.delay, wrench_sensor=wrench)
 
-    def _gather(self, batch: Batch) -> None:
-        """Let the tare that is being taken, if one is, have a reading; take it when its window is over."""
-        taring, reading = self._taring, batch.reading
-        if taring is None or (taring.asked and self._refused()):
+    def _collect_tare(self, batch: AveragedBatch) -> None:
+        """Add a batch to the active tare; take the tare when its window is over."""
+        collector, reading = self._tare_collector, batch.reading
+        if collector is None or (collector.on_request and self._tare_refused()):
             return
-        if not taring.over(reading, reading.time - self._first):
+        if not collector.add(reading, reading.time - self._first):
             self._free.append(batch)
             return
-        free, self._taring = tuple(self._free), None
+        free, self._tare_collector = tuple(self._free), None
         self._free.clear()
         try:
-            self.tare = taring.tare()
+            self.tare = collector.tare()
         except InputError as error:
-            if not taring.asked:
+            if not collector.on_request:
                 raise
-            return self._say(f"tare refused: {error}")
-        self._say(describe_tare(self.tare))
-        self._contacts.follow(reading.time, "", None)
-        if self._watch is not None:
-            self._anew()
-            since = self._first + taring.window.start
-            self._watch.learn([b for b in free if b.reading.time >= since], self.tare)
+            return self._log(f"tare refused: {error}")
+        self._log(describe_tare(self.tare))
+        self._contacts.update(reading.time, "", None)
+        if self._monitor is not None:
+            self._reset_monitor()
+            since = self._first + collector.window.start
+            self._monitor.calibrate([b for b in free if b.reading.time >= since], self.tare)
 
-    def _refused(self) -> bool:
-        """Whether a tare that is asked for is refused, since the probe is not free; that is told. Before the first
-        tare nobody knows: a bias looks like a touch."""
-        phase = self._seen.phase
+    def _tare_refused(self) -> bool:
+        """Return whether a requested tare is refused because the probe is not free, and report it.
+
+        Before the first tare this cannot be decided: a bias looks like a touch.
+        """
+        phase = self._state.phase
         if self.tare is None or phase in ("", "free"):
             return False
-        self._taring = None
+        self._tare_collector = None
         self._free.clear()
-        self._say(f"tare refused: the probe is {phase}; the tare from before is kept")
+        self._log(f"tare refused: the probe is {phase}; the previous tare is kept")
         return True
 
-    def _see(self, batch: Batch) -> Seen:
-        """What the watch sees; nothing where a reading has a fault."""
-        if self._watch is None or batch.reading.fault:
-            return Seen("", None if self._poses is None else FusedEstimate("out_of_range"))
+    def _update_state(self, batch: AveragedBatch) -> TouchState:
+        """Return the state of the touch monitor; unknown for a reading with a fault."""
+        if self._monitor is None or batch.reading.fault:
+            return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)
-        return self._watch.see(batch, self.tare, T)
+        return self._monitor.update(batch, self.tare, T)
 
     def _awaits_pose(self, time: float) -> bool:
-        return self._poses is not None and self._poses.awaits(time, self._now)
+        return self._poses is not None and self._poses.may_arrive(time, self._now)

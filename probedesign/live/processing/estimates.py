@@ -1,4 +1,4 @@
-"""What live says of one moment."""
+"""Estimates of single readings, with their rows for CSV and JSON and their line for the terminal."""
 
 import json
 import math
@@ -10,61 +10,62 @@ from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.frames import Array
-from probedesign.live.processing.blocks import Reading
+from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.tare import Tare, without_bias
 from probedesign.live.processing.touches import Contact, Phase
 from probedesign.units import MILLINEWTON, MM
 
 
-def _unknown_pose() -> Array:
+def _nan_pose() -> Array:
     return np.full((4, 4), np.nan)
 
 
 @dataclass(frozen=True)
-class Answer:
-    """One estimate and what belongs to it.
+class EstimateUpdate:
+    """One estimate and the state of the run at its time.
 
     Attributes:
-        reading: what was estimated from, averaged, its bias included.
-        estimate: from this reading alone, in the base frame.
-        phase: of the touch, as in the paper's figure 8: free, moving, touching, settled or released; empty where
-            nobody watches.
-        fused: the touched point from all readings of this touch; None where nothing is fused.
-        T_world_base: pose of the base, (4, 4); NaN if it is not known.
-        wrench_base: what was estimated from, without bias, at the base [N, N·m], (6,); NaN where there is a fault.
-        made: when it was there, by `time.monotonic` [s].
-        stale: what is too old or missing to be used: "pose", or nothing.
-        contacts: every touch so far, the present one included.
+        reading: the averaged reading that was located, bias included.
+        estimate: estimate from this reading alone, in the base frame.
+        phase: phase of the touch: free, moving, touching, settled or released; empty if not monitored.
+        fused: touched point from all readings of this touch; None without fusion.
+        T_world_base: pose of the base, (4, 4); NaN if unknown.
+        wrench_base: wrench at the base without bias [N, N·m], (6,); NaN for a reading with a fault.
+        computed: time at which the estimate was available, by `time.monotonic` [s].
+        stale: input that is too old or missing: "pose", or empty.
+        contacts: every touch so far, including the current one.
     """
 
-    reading: Reading
+    reading: WrenchReading
     estimate: Estimate
     phase: Phase = ""
     fused: FusedEstimate | None = None
-    T_world_base: Array = field(default_factory=_unknown_pose)
+    T_world_base: Array = field(default_factory=_nan_pose)
     wrench_base: Array = field(default_factory=lambda: np.full(6, np.nan))
-    made: float = float("nan")
+    computed: float = float("nan")
     stale: str = ""
     contacts: tuple[Contact, ...] = ()
 
 
-def locate(estimator: Estimator, read: Reading, tare: Tare | None = None, method: Method = "ml") -> Estimate:
-    """Return the estimate of one reading; a channel at its limit counts as read, before the bias is taken off.
+def locate(
+    estimator: Estimator, reading: WrenchReading, tare: Tare | None = None, method: Method = "ml"
+) -> Estimate:
+    """Return the estimate of one reading. Saturation is tested before the bias is removed.
 
     The variance of the bias grows with the age of the tare.
 
     Args:
-        estimator: of the probe.
-        read: bias included.
-        tare: of the bias; None where none was taken.
-        method: as in `Estimator.estimate`.
+        estimator: estimator of the probe.
+        reading: the reading, bias included.
+        tare: the sensor bias; None if no tare was taken.
+        method: see `Estimator.estimate`.
     """
-    if read.fault or not estimator.model.reads(read.wrench_sensor):
+    if reading.fault or not estimator.model.reads(reading.wrench_sensor):
         return Estimate("out_of_range")
-    reading = without_bias(read, tare)
+    reading = without_bias(reading, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
     if tare is not None:
-        estimator = estimator.since_tare(read.time - tare.time)
+        estimator = estimator.since_tare(reading.time - tare.time)
     return estimator.estimate(wrench_base, reading.gravity_base, method=method)
 
 
@@ -86,7 +87,8 @@ COLUMNS = (
     "force_tangential_N",
     "friction_ratio",
 )
-"""Contact: the centreline point where the force's line of action comes nearest; surface: the touched point."""
+"""Columns of an estimate. Contact: the point of the centreline nearest to the line of action of the force; surface: the
+touched point."""
 WORLD_COLUMNS = (
     "phase",
     "fused_result",
@@ -97,33 +99,32 @@ WORLD_COLUMNS = (
     "stale",
     *(f"cov_surface_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
 )
-"""Where poses of the base are known, after `COLUMNS`."""
+"""Additional columns with poses of the base."""
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
                 *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
 
 
-def estimate_row(reading: Reading, estimate: Estimate) -> Row:
-    """The estimate in the units of `COLUMNS`, and of `TRUE_COLUMNS` where the truth is known; what the result
-    does not tell is NaN."""
+def estimate_row(reading: WrenchReading, estimate: Estimate) -> Row:
+    """Return the estimate in the units of `COLUMNS`, with `TRUE_COLUMNS` if the truth is known; NaN where unknown."""
     values: list[float | str] = [reading.time, estimate.result, estimate.s_contact / MM, estimate.std_s / MM]
     values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
     values += [*_mm2(estimate.cov_contact_base), estimate.detection_chi2, *_mm2(estimate.cov_surface_base)]
     values += [estimate.force_normal, estimate.force_tangential, estimate.friction_ratio]
-    answer: Row = dict(zip(COLUMNS, values, strict=True))
+    update: Row = dict(zip(COLUMNS, values, strict=True))
     if (truth := reading.truth) is not None:
         true = [truth.s_contact / MM, *_mm(truth.p_contact_base), *_mm(truth.p_surface_base)]
-        answer |= dict(zip(TRUE_COLUMNS, true, strict=True))
-    return answer
+        update |= dict(zip(TRUE_COLUMNS, true, strict=True))
+    return update
 
 
-def world_row(answer: Answer) -> Row:
-    """The answer in the units of `WORLD_COLUMNS`; what it does not tell is NaN."""
-    fused = answer.fused or FusedEstimate("out_of_range")
-    values: list[float | str] = [answer.phase, fused.result]
+def world_row(update: EstimateUpdate) -> Row:
+    """Return the fused estimate in the units of `WORLD_COLUMNS`; unknown values are NaN."""
+    fused = update.fused or FusedEstimate("out_of_range")
+    values: list[float | str] = [update.phase, fused.result]
     values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world)]
     values += _mm2(fused.cov_contact_world)
-    present = answer.contacts[-1].number if answer.contacts and answer.contacts[-1].lasts else math.nan
-    values += [present, answer.stale, *_mm2(fused.cov_surface_world)]
+    present = update.contacts[-1].number if update.contacts and update.contacts[-1].ongoing else math.nan
+    values += [present, update.stale, *_mm2(fused.cov_surface_world)]
     return dict(zip(WORLD_COLUMNS, values, strict=True))
 
 
@@ -136,7 +137,7 @@ def _mm(p: Array) -> list[float]:
 
 
 def csv_line(estimate_row: Row) -> str:
-    """The row's `COLUMNS` as a line of CSV: nine digits, the time to its last bit, nothing for NaN."""
+    """Return the row's `COLUMNS` as a line of CSV: nine digits, the time exactly, empty fields for NaN."""
     return ",".join(_csv_field(name, estimate_row[name]) for name in COLUMNS) + "\n"
 
 
@@ -149,7 +150,7 @@ def _csv_field(name: str, value: float | str) -> str:
 
 
 def json_line(estimate_row: Row) -> str:
-    """The row as one line of JSON, null for what is not finite."""
+    """Return the row as one line of JSON, with null for non-finite numbers."""
     return json.dumps({name: _finite_or_null(value) for name, value in estimate_row.items()}, allow_nan=False)
 
 
@@ -157,39 +158,41 @@ def _finite_or_null(value: float | str) -> float | str | None:
     return value if isinstance(value, str) or math.isfinite(value) else None
 
 
-def readable_line(since: float, reading: Reading, estimate: Estimate, answer: Answer | None = None) -> str:
-    """One line of fixed columns for a person; what the result does not tell is left blank.
+def readable_line(
+    elapsed: float, reading: WrenchReading, estimate: Estimate, update: EstimateUpdate | None = None
+) -> str:
+    """Return one line of fixed columns for the terminal; unknown values are blank.
 
     Args:
-        since: when it was read, counted from the first line [s].
-        reading: what was estimated from.
-        estimate: the answer.
-        answer: for phase and place in the world, where poses of the base are known.
+        elapsed: time since the first line [s].
+        reading: the reading.
+        estimate: its estimate.
+        update: source of phase and world coordinates, if poses of the base are known.
     """
     force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
     cells = [
-        f"{since:9.2f} s",
+        f"{elapsed:9.2f} s",
         f"{estimate.result:<13}",
-        _cell("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM),
-        _cell("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_surface_base)),
-        _cell("F {:7.1f} mN", force),
+        _format_or_blank("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM),
+        _format_or_blank("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_surface_base)),
+        _format_or_blank("F {:7.1f} mN", force),
     ]
-    if answer is not None and answer.fused is not None:
-        fused = answer.fused
-        cells.append(f"{answer.phase:<8}")
-        place = _cell(
+    if update is not None and update.fused is not None:
+        fused = update.fused
+        cells.append(f"{update.phase:<8}")
+        world = _format_or_blank(
             "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_surface_world), fused.rms / MM
         )
-        told = answer.stale and f"world: no {answer.stale}"
-        cells.append(place if fused.ok or not told else told)
+        note = update.stale and f"world: no {update.stale}"
+        cells.append(world if fused.ok or not note else note)
     if reading.truth is not None:
         true_s = reading.truth.s_contact / MM
-        cells.append(_cell("true s {:6.1f} mm", true_s) if math.isfinite(true_s) else "true: free")
+        cells.append(_format_or_blank("true s {:6.1f} mm", true_s) if math.isfinite(true_s) else "true: free")
     return "  ".join(cells).rstrip()
 
 
-def _cell(template: str, *values: float) -> str:
-    """The template with its numbers; blanks as wide where there are none."""
+def _format_or_blank(template: str, *values: float) -> str:
+    """Return the template with its numbers, or blanks of equal width if one is not finite."""
     if all(math.isfinite(value) for value in values):
         return template.format(*values)
     return " " * len(template.format(*[0.0] * len(values)))

@@ -1,4 +1,4 @@
-"""A low-pass filter that never overshoots: a touch does not look harder than it is."""
+"""Critically damped low-pass filter: a step response without overshoot, so a contact force is never overestimated."""
 
 import math
 
@@ -9,24 +9,24 @@ from probedesign.frames import Array
 
 
 class LowPass:
-    """Two poles at one place (critically damped), down by 3 dB at the cut-off.
+    """Low-pass filter with a double real pole (critically damped), 3 dB down at the cut-off.
 
-    Each pole is y += (1 - a)(x - y), whose gain (1 - a)² / (1 - 2 a cos ω + a²) is 1/√2 at the cut-off; at low
-    frequencies it delays by a / (1 - a) samples, exactly, whatever the cut-off.
+    Each pole is y += (1 - a)(x - y), with gain (1 - a)² / (1 - 2 a cos ω + a²), which is 1/√2 at the cut-off. At
+    low frequencies its delay is exactly a / (1 - a) samples, for any cut-off.
 
     Attributes:
-        delay: of anything slow against the cut-off [s]; 0.2/cut-off or so.
+        delay: delay of signals that are slow compared with the cut-off [s]; about 0.2/cut-off.
     """
 
     def __init__(self, cutoff: float, rate: float) -> None:
-        """At rest at the first sample that comes.
+        """Design the filter; it starts in steady state at the first sample.
 
         Args:
-            cutoff: where the power is halved [Hz].
-            rate: of samples [Hz].
+            cutoff: half-power frequency [Hz].
+            rate: sampling rate [Hz].
 
         Raises:
-            InputError: the cut-off is not positive and below half the rate.
+            InputError: the cut-off is not positive or not below half the rate.
         """
         if not 0.0 < cutoff < 0.5 * rate:
             raise InputError(
@@ -40,17 +40,17 @@ class LowPass:
         self._sections = np.array([[1.0 - pole, 0.0, 0.0, 1.0, -pole, 0.0]] * 2)
         self._state: Array | None = None
 
-    def run(self, samples: Array) -> Array:
-        """The samples that come next (n, k), filtered."""
-        from scipy.signal import sosfilt  # half a second that only who filters waits for
+    def filter(self, samples: Array) -> Array:
+        """Return the next samples (n, k), filtered."""
+        from scipy.signal import sosfilt  # takes half a second to import, so only if a filter is used
 
-        if self._state is None:  # each pole holds pole × value where it has rested at a value
+        if self._state is None:  # steady state of each pole is pole × value
             pole = -self._sections[0, 4]
             self._state = np.zeros((2, 2, samples.shape[1]))
             self._state[:, 0] = pole * samples[0]
         filtered, self._state = sosfilt(self._sections, samples, axis=0, zi=self._state)
         return np.asarray(filtered, dtype=float)
 
-    def rest(self) -> None:
-        """Forget: the next sample is the first."""
+    def reset(self) -> None:
+        """Discard the filter state: the next sample is treated as the first."""
         self._state = None

@@ -1,4 +1,4 @@
-"""What `live` does with the readings of a source."""
+"""Options of a run, commands from the user during it, and the schedule of estimates."""
 
 import math
 from collections.abc import Callable
@@ -9,26 +9,27 @@ from typing import Literal
 
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Method
-from probedesign.live.processing.blocks import Reading
-from probedesign.live.processing.tare import Window
+from probedesign.live import Log
+from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.processing.tare import TareWindow
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What `live` does with the readings of a source.
+class ProcessingOptions:
+    """Options for processing the readings of a source.
 
     Attributes:
-        window: when the probe is free, for the tare; None takes none.
-        samples: how many readings are averaged to one.
-        rate: at most so many estimates a second of the source's clock [Hz].
-        count: end after so many estimates.
-        seconds: end so long after the first reading [s].
-        filter_hz: cut-off of the low-pass before each estimate; None filters nothing.
-        method: by which a single reading is located.
-        estimates: whether contacts are located as readings come; else phases and touches alone are told.
+        window: window of the tare, in which the probe is free; None takes no tare.
+        samples: number of readings averaged to one.
+        rate: maximum number of estimates per second of the source's clock [Hz].
+        count: end after this many estimates.
+        seconds: end this long after the first reading [s].
+        filter_hz: cut-off frequency of the low-pass filter before each estimate; None does not filter.
+        method: method by which a single reading is located.
+        estimates: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
     """
 
-    window: Window | None = None
+    window: TareWindow | None = None
     samples: int = 1
     rate: float = math.inf
     count: int | None = None
@@ -38,129 +39,136 @@ class Plan:
     method: Method = "ml"
 
     def __post_init__(self) -> None:
-        """Raises InputError where a number cannot be meant."""
-        said = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
+        """Check the numbers; raises InputError if one is not positive."""
+        limits = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
                 "filter-hz": self.filter_hz}  # fmt: skip
-        for name, value in said.items():
+        for name, value in limits.items():
             if value is not None and not value > 0:
                 raise InputError(f"--{name} {value} must be positive")
 
 
-Wish = Literal["tare", "mark", "start recording", "stop recording", "stop"]
+CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
 
 
 @dataclass(frozen=True)
-class Request:
-    """One wish.
+class Command:
+    """One command of the user.
 
     Attributes:
-        wish: what is asked.
-        text: of a mark.
+        name: the command.
+        text: text of a mark.
     """
 
-    wish: Wish
+    name: CommandName
     text: str = ""
 
 
-class Requests:
-    """From any thread to the one that runs, which looks between two blocks of readings."""
+class CommandQueue:
+    """Passes commands from any thread to the processing thread, which polls between two blocks of readings."""
 
     def __init__(self) -> None:
-        self._queue: SimpleQueue[Request] = SimpleQueue()
-        self._done_by: dict[Wish, Callable[[Request], None]] = {}
+        self._queue: SimpleQueue[Command] = SimpleQueue()
+        self._handlers: dict[CommandName, Callable[[Command], None]] = {}
 
-    def does(self, wish: Wish, act: Callable[[Request], None]) -> None:
-        """Who does what is asked, in the thread that runs, between two blocks; it tells what became of it."""
-        self._done_by[wish] = act
+    def register(self, name: CommandName, handler: Callable[[Command], None]) -> None:
+        """Register the handler of a command; it is called in the processing thread and reports the outcome itself."""
+        self._handlers[name] = handler
 
-    def ask(self, wish: Wish, text: str = "") -> None:
-        """Ask; answered by an event that every sink is told."""
-        self._queue.put(Request(wish, text))
+    def put(self, name: CommandName, text: str = "") -> None:
+        """Queue a command; the outcome is reported to every sink as an event."""
+        self._queue.put(Command(name, text))
 
-    def taken(self) -> list[Request]:
-        """All that was asked since the last call, in order, without what somebody did by now."""
-        left: list[Request] = []
+    def pop_all(self) -> list[Command]:
+        """Return all commands since the last call, in order, except those that a handler has executed."""
+        pending: list[Command] = []
         while True:
             try:
-                request = self._queue.get_nowait()
+                command = self._queue.get_nowait()
             except Empty:
-                return left
-            if act := self._done_by.get(request.wish):
-                act(request)
+                return pending
+            if handler := self._handlers.get(command.name):
+                handler(command)
             else:
-                left.append(request)
+                pending.append(command)
 
 
 MAX_AGE = 0.012
-"""A reading that waited so long [s] is not located, since newer ones wait behind it: readings that nothing explains
-cost the most, and would let those after them wait as well. Recorded, watched and fused it is all the same. With the
-eight milliseconds that such a reading takes, its estimate comes within twenty."""
+"""Maximum age of a reading that is still located [s].
+
+An older reading is skipped because newer ones are queued behind it: readings that no contact explains take longest to
+process and would delay all later ones. It is still recorded, monitored and fused. Such a reading takes about 8 ms, so
+its estimate is available within 20 ms."""
 
 REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
-"""In each span [s] of the source's clock, the share left out from which that is told at once."""
+"""Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once."""
 
 
-class Due:
-    """At most so many estimates a second of the source's clock, and none of a reading that has waited too long.
+class EstimateScheduler:
+    """Limits the rate of estimates by the source's clock and skips readings that are too old.
 
     Attributes:
-        wanted: estimates that were due.
-        left_out: those of them whose reading had waited too long.
+        n_due: number of estimates that were due.
+        n_skipped: number of due estimates that were skipped because their reading was too old.
     """
 
-    def __init__(self, rate: float, say: Callable[[str], None], late: float = MAX_AGE) -> None:
-        """Begin.
+    def __init__(self, rate: float, log: Log, max_age: float = MAX_AGE) -> None:
+        """Start with nothing due.
 
         Args:
-            rate: of estimates [Hz].
-            say: takes each line that a user should know.
-            late: from when on a reading has waited too long [s]; infinite where nobody waits for what is made of it.
+            rate: maximum rate of estimates [Hz].
+            log: callback for messages to the user.
+            max_age: maximum age of a reading [s]; infinite if no consumer waits for the estimates.
         """
-        self._late = late
-        self._period, self._due, self._say = 1.0 / rate, -math.inf, say
-        self.wanted = self.left_out = 0
-        self._start, self._before, self._behind = -math.inf, (0, 0), False
+        self._max_age = max_age
+        self._period, self._next, self._log = 1.0 / rate, -math.inf, log
+        self.n_due = self.n_skipped = 0
+        self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
 
-    def wants(self, reading: Reading, ready: float = -math.inf) -> bool:
-        """Whether the reading is to be located.
+    def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
+        """Return whether the reading is to be located.
 
         Args:
-            reading: that there is.
-            ready: when the base's pose was known at last, if it had to wait for that [s], by `time.monotonic`.
+            reading: the reading.
+            ready: time by `time.monotonic` at which the base pose became available [s], if the reading waited for it.
         """
-        if not self._is_due(reading.time):
+        if not self._period_elapsed(reading.time):
             return False
         if reading.time - self._start > REPORT_PERIOD:
-            self._tell(reading.time)
-        late = monotonic() - max(reading.received, ready) > self._late  # never so of one that came by no wire
-        self.wanted, self.left_out = self.wanted + 1, self.left_out + late
-        return not late
+            self._report(reading.time)
+        max_age = (
+            monotonic() - max(reading.received, ready) > self._max_age
+        )  # NaN, and so never too old, without hardware
+        self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + max_age
+        return not max_age
 
-    def ended(self) -> None:
-        """Tell how many were left out, if any were."""
-        if self.left_out:
-            self._say(
-                f"{self.left_out} of {self.wanted} estimates were left out: each came more than "
-                f"{1e3 * self._late:g} ms late, with newer readings behind it"
+    def finish(self) -> None:
+        """Report the number of skipped estimates, if any."""
+        if self.n_skipped:
+            self._log(
+                f"{self.n_skipped} of {self.n_due} estimates were skipped: each was more than "
+                f"{1e3 * self._max_age:g} ms late, with newer readings queued"
             )
 
-    def _is_due(self, time: float) -> bool:
-        """A hundredth of a period early will do, so that a source that keeps the very rate loses none to rounding."""
-        if time < self._due - 0.01 * self._period:
+    def _period_elapsed(self, time: float) -> bool:
+        """Return whether the period has elapsed, with a tolerance of 1 %.
+
+        The tolerance keeps a source that runs at exactly this rate from losing estimates to rounding.
+        """
+        if time < self._next - 0.01 * self._period:
             return False
-        self._due = self._due + self._period if self._due + self._period > time else time + self._period
+        self._next = self._next + self._period if self._next + self._period > time else time + self._period
         return True
 
-    def _tell(self, time: float) -> None:
-        """Tell when more than a few are left out, and when that is over."""
-        wanted, left_out = self.wanted - self._before[0], self.left_out - self._before[1]
-        self._start, self._before = time, (self.wanted, self.left_out)
-        behind = left_out > MAX_SKIPPED_SHARE * wanted
-        if behind and not self._behind:
-            self._say(
-                f"{left_out} of {wanted} estimates left out in {REPORT_PERIOD:g} s: each came more than "
-                f"{1e3 * self._late:g} ms late; a lower --rate-hz needs less"
+    def _report(self, time: float) -> None:
+        """Report when the fraction of skipped estimates exceeds the limit, and when it recovers."""
+        n_due, n_skipped = self.n_due - self._reported[0], self.n_skipped - self._reported[1]
+        self._start, self._reported = time, (self.n_due, self.n_skipped)
+        overloaded = n_skipped > MAX_SKIPPED_SHARE * n_due
+        if overloaded and not self._overloaded:
+            self._log(
+                f"{n_skipped} of {n_due} estimates skipped in {REPORT_PERIOD:g} s: each was more than "
+                f"{1e3 * self._max_age:g} ms late; reduce --rate-hz"
             )
-        elif self._behind and not behind:
-            self._say("estimates are in time again")
-        self._behind = behind
+        elif self._overloaded and not overloaded:
+            self._log("estimates are on time again")
+        self._overloaded = overloaded

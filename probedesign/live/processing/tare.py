@@ -1,4 +1,4 @@
-"""The tare: what the sensor reads more than it should while the probe is free. Only ever on demand."""
+"""Tare: the sensor bias, estimated from readings of the free probe. It is taken only on request."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -10,26 +10,26 @@ import numpy as np
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.frames import Array
-from probedesign.live.processing.blocks import Reading
+from probedesign.live.processing.blocks import WrenchReading
 
-FEWEST = 10
-"""Readings of a window: their mean adds a tenth to the variance of every later reading."""
-STEADY = 3.0
-"""A channel that scatters more than this many times its noise is not the noise of a free probe. Ten readings
-of pure noise do so once in 1e12 windows."""
-ASKED = 2.0
-"""How long a tare takes that is asked for while live runs [s]; with 194 readings a second its mean leaves a twentieth
-of their noise."""
+MIN_READINGS = 10
+"""Minimum number of readings in a tare window: the mean of ten adds a tenth to the variance of every later reading."""
+MAX_SCATTER = 3.0
+"""Maximum standard deviation of a channel, in units of its noise. Ten readings of pure noise exceed it once in 1e12
+windows."""
+TARE_DURATION = 2.0
+"""Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
+theirs."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
 @dataclass(frozen=True)
-class Window:
-    """When the probe is free.
+class TareWindow:
+    """Time window in which the probe is free.
 
     Attributes:
-        start: from the first reading [s].
-        end: from the first reading [s]; not in the window itself.
+        start: start, counted from the first reading [s].
+        end: end, counted from the first reading [s]; exclusive.
     """
 
     start: float
@@ -38,121 +38,125 @@ class Window:
 
 @dataclass(frozen=True)
 class Tare:
-    """A bias and what it was taken from.
+    """A sensor bias and the readings it was estimated from.
 
     Attributes:
-        bias_sensor: to take from every reading, in the sensor frame [N, N·m], (6,).
-        std_sensor: scatter of the window's readings [N, N·m], (6,).
-        readings: how many there were.
-        window: when.
-        time: of the last of them, by the source's clock [s].
+        bias_sensor: bias to subtract from every reading, in the sensor frame [N, N·m], (6,).
+        std_sensor: standard deviation of the readings in the window [N, N·m], (6,).
+        readings: number of readings.
+        window: the window.
+        time: time of the last reading, by the source's clock [s].
     """
 
     bias_sensor: Array
     std_sensor: Array
     readings: int
-    window: Window
+    window: TareWindow
     time: float
 
 
-class Taring:
-    """A tare that is being taken: readings of its window gather until the first one after it.
+class TareCollector:
+    """Collects the readings of a tare window until the first reading after it.
 
     Attributes:
-        window: when the probe is free.
-        asked: whether it was asked for while live ran.
+        window: time window in which the probe is free.
+        on_request: whether the tare was requested during the run.
     """
 
-    def __init__(self, window: Window, estimator: Estimator, asked: bool = False) -> None:
-        """Begin.
+    def __init__(self, window: TareWindow, estimator: Estimator, on_request: bool = False) -> None:
+        """Start with no readings.
 
         Args:
-            window: when the probe is free.
-            estimator: of the probe.
-            asked: while live runs; else it comes before anything else.
+            window: time window in which the probe is free.
+            estimator: estimator of the probe.
+            on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
         """
-        self.window, self.asked = window, asked
+        self.window, self.on_request = window, on_request
         self._estimator = estimator
-        self._inside: list[Reading] = []
+        self._readings: list[WrenchReading] = []
 
-    def over(self, reading: Reading, since: float) -> bool:
-        """Take in a reading that came so long after the first one [s]; whether it lies after the window."""
+    def add(self, reading: WrenchReading, since: float) -> bool:
+        """Add a reading, `since` seconds after the first one of the run; return whether it lies after the window."""
         if since >= self.window.end:
             return True
         if since >= self.window.start:
-            self._inside.append(reading)
+            self._readings.append(reading)
         return False
 
     def tare(self) -> Tare:
-        """What was found.
+        """Return the tare.
 
         Raises:
-            InputError: as of `take_tare`.
+            InputError: see `take_tare`.
         """
-        return take_tare(self._inside, self.window, self._estimator)
+        return take_tare(self._readings, self.window, self._estimator)
 
 
-def parse_window(text: str) -> Window:
-    """The window that START:END in seconds names.
+def parse_window(text: str) -> TareWindow:
+    """Return the window given as START:END in seconds.
 
     Raises:
-        InputError: these are no two numbers, 0 ≤ START < END.
+        InputError: the text is not two numbers with 0 ≤ START < END.
     """
     start, _, end = text.partition(":")
     try:
-        window = Window(float(start), float(end))
+        window = TareWindow(float(start), float(end))
     except ValueError:
-        window = Window(math.nan, math.nan)
+        window = TareWindow(math.nan, math.nan)
     if not 0.0 <= window.start < window.end < math.inf:
         raise InputError(f"--tare-s {text} must be START:END in seconds from the first reading, START < END")
     return window
 
 
-def take_tare(readings: list[Reading], window: Window, estimator: Estimator) -> Tare:
-    """Bias of the sensor from the readings of a window in which nothing touches the probe.
+def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Estimator) -> Tare:
+    """Estimate the sensor bias from readings of a window in which nothing touches the probe.
 
-    A touch that stays perfectly still looks like a bias: that nothing touches is the user's word.
+    A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe.
 
     Args:
-        readings: those of the window.
-        window: when they were read.
-        estimator: of the probe, for what the free probe weighs and for the noise.
+        readings: readings of the window.
+        window: the window.
+        estimator: estimator of the probe, for the weight of the free probe and the noise.
 
     Raises:
-        InputError: the readings are too few, or scatter more than a free probe's.
+        InputError: there are too few readings, or they scatter more than those of a free probe.
     """
-    told = f"tare window {window.start:g}:{window.end:g} s"
-    if len(readings) < FEWEST:
-        raise InputError(f"{told} holds {len(readings)} readings; a tare needs {FEWEST}")
+    label = f"tare window {window.start:g}:{window.end:g} s"
+    if len(readings) < MIN_READINGS:
+        raise InputError(f"{label} has {len(readings)} readings; a tare needs {MIN_READINGS}")
     if fault := next((reading.fault for reading in readings if reading.fault), ""):
-        raise InputError(f"{told} holds readings with a fault: {fault}")
-    excess = np.array([reading.wrench_sensor - _free(reading, estimator) for reading in readings])
+        raise InputError(f"{label} has readings with a fault: {fault}")
+    excess = np.array([reading.wrench_sensor - _free_wrench(reading, estimator) for reading in readings])
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
     noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
-    if (std > STEADY * noise).any():
-        raise InputError(f"{told} is not steady: {_worst(std, noise)}; touched, moving or not averaged?")
+    if (std > MAX_SCATTER * noise).any():
+        raise InputError(
+            f"{label} is not steady: {_largest_scatter(std, noise)}; touched, moving or not averaged?"
+        )
     return Tare(bias, std, len(readings), window, readings[-1].time)
 
 
-def _free(reading: Reading, estimator: Estimator) -> Array:
-    """What a sensor without bias reads of the free probe, (6,)."""
+def _free_wrench(reading: WrenchReading, estimator: Estimator) -> Array:
+    """Return the wrench that an unbiased sensor measures with the free probe, (6,)."""
     free = estimator.free(reading.gravity_base)
     if not free.ok:
         raise InputError(f"the free probe has no equilibrium under gravity {reading.gravity_base} m/s²")
     return estimator.model.to_sensor(free.wrench_base, reading.gravity_base)
 
 
-def _worst(std: Array, noise: Array) -> str:
-    """The channel that scatters most for its noise."""
+def _largest_scatter(std: Array, noise: Array) -> str:
+    """Describe the channel with the largest scatter relative to its noise."""
     i = int(np.argmax(std / noise))
     milli = "mN" if i < 3 else "Nmm"
     return f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {milli}, its noise is {noise[i] * 1e3:.3g} {milli}"
 
 
-def split(readings: Iterable[Reading], window: Window) -> tuple[list[Reading], Iterator[Reading]]:
-    """Readings of the window, read as soon as they are there, and the stream of those after it."""
+def split_at_tare(
+    readings: Iterable[WrenchReading], window: TareWindow
+) -> tuple[list[WrenchReading], Iterator[WrenchReading]]:
+    """Return the readings inside the window, consumed at once, and the iterator of the readings after it."""
     stream = iter(readings)
-    inside: list[Reading] = []
+    inside: list[WrenchReading] = []
     start: float | None = None
     for reading in stream:
         start = reading.time if start is None else start
@@ -163,15 +167,15 @@ def split(readings: Iterable[Reading], window: Window) -> tuple[list[Reading], I
     return inside, iter(())
 
 
-def without_bias(reading: Reading, tare: Tare | None) -> Reading:
-    """The reading less the bias; itself where no tare was taken."""
+def without_bias(reading: WrenchReading, tare: Tare | None) -> WrenchReading:
+    """Return the reading minus the bias; the reading itself if there is no tare."""
     if tare is None:
         return reading
     return replace(reading, wrench_sensor=reading.wrench_sensor - tare.bias_sensor)
 
 
 def describe_tare(tare: Tare) -> str:
-    """The tare in one line."""
+    """Return the tare as one line."""
     bias = ", ".join(
         f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
         for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)

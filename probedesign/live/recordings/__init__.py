@@ -1,4 +1,4 @@
-"""Recordings in MCAP: standard ROS 2 messages in a file that survives its writer."""
+"""Recordings: CSV with raw readings, and MCAP with standard ROS 2 messages in a file that survives a crash."""
 
 from importlib.util import find_spec
 
@@ -6,7 +6,7 @@ from probedesign.errors import MissingDependencyError
 
 
 def require() -> None:
-    """Refuse to go on without the package that reads and writes MCAP.
+    """Check that the package that reads and writes MCAP is installed.
 
     Raises:
         MissingDependencyError: it is not installed.

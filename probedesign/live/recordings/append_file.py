@@ -1,4 +1,4 @@
-"""A file that grows by whole pieces, so that whatever ends the program or fills the disk cuts no piece in two."""
+"""A file that grows by whole records, so that a crash or a full disk never leaves part of a record."""
 
 import os
 from pathlib import Path
@@ -6,62 +6,62 @@ from pathlib import Path
 from probedesign.errors import InputError
 
 
-class Pieces:
-    """What is written waits for `flush`, which puts it into the file at once or leaves the file as it was."""
+class AppendFile:
+    """Buffers what is written until `flush`, which appends all of it or leaves the file unchanged."""
 
     def __init__(self, path: Path, force: bool = False) -> None:
-        """Make the file; its folder is made if missing.
+        """Create the file, and its folder if necessary.
 
         Args:
-            path: where.
-            force: replace a file that stands there.
+            path: path of the file.
+            force: replace an existing file.
 
         Raises:
-            InputError: the file exists and `force` is not said, or it cannot be written.
+            InputError: the file exists and `force` is not set, or it cannot be written.
         """
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0) | (os.O_TRUNC if force else os.O_EXCL)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, flags, 0o644)
         except FileExistsError:
-            raise InputError(f"{path}: exists; say --force to replace it, or name another file") from None
+            raise InputError(f"{path}: already exists; use --force or choose another file") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         self._path = path
-        self._waiting: list[bytes] = []
-        self._held = self._written = 0
+        self._pending: list[bytes] = []
+        self._pending_size = self._written = 0
 
     def write(self, data: bytes) -> int:
-        """Take bytes for the next `flush`."""
-        self._waiting.append(data)
-        self._held += len(data)
+        """Buffer bytes for the next `flush`; return their number."""
+        self._pending.append(data)
+        self._pending_size += len(data)
         return len(data)
 
     def tell(self) -> int:
-        """Where the next byte will stand."""
-        return self._written + self._held
+        """Return the offset of the next byte."""
+        return self._written + self._pending_size
 
     def flush(self) -> None:
-        """Hand what waits to the operating system.
+        """Pass the buffer to the operating system.
 
         Raises:
-            OSError: it takes it not, or not all; the file ends where it ended before.
+            OSError: it cannot be written completely; the file is unchanged.
         """
-        rest = memoryview(b"".join(self._waiting))
+        rest = memoryview(b"".join(self._pending))
         try:
             while rest:
                 rest = rest[os.write(self._file, rest) :]
         except OSError:
             os.ftruncate(self._file, self._written)
             raise
-        self._written += self._held
-        self._waiting, self._held = [], 0
+        self._written += self._pending_size
+        self._pending, self._pending_size = [], 0
 
     def close(self) -> None:
-        """Close the file; what was not flushed is not in it."""
+        """Close the file; the buffer is not written."""
         os.close(self._file)
 
-    def abandon(self) -> None:
-        """Close the file and take it away: nothing of it is any good."""
+    def discard(self) -> None:
+        """Close and delete the file."""
         self.close()
         self._path.unlink(missing_ok=True)

@@ -1,9 +1,12 @@
-"""The columns of a recording: time, wrench and, if the file holds it, gravity."""
+"""Recordings of a wrench sensor as CSV with a unit in every column name. See docs/recording-format.md.
+
+Reading is strict: a column without unit, an invalid number or decreasing time is an error that names the line. Only
+unambiguous damage is repaired: an incomplete last line is dropped, and gaps are counted.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, NoReturn, TextIO
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +15,8 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.estimates import Answer
-from probedesign.live.recordings.append_file import Pieces
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.recordings.append_file import AppendFile
 from probedesign.tables.columns import (
     CEILING,
     NUMBER,
@@ -29,43 +32,45 @@ GRAVITY = ("gx", "gy", "gz")
 KINDS = {"time": "time", **WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
 ALIASES = {"t": "time", "timestamp": "time", **WRENCH_ALIASES}
 
-HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
+CSV_HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
 GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
 
 
-def columns_of(table: TextTable) -> list[Column]:
-    """The columns to read: time, wrench and, if they are there, gravity.
+def recording_columns(table: TextTable) -> list[Column]:
+    """Return the columns to read: time, wrench and, if present, gravity.
 
     Raises:
-        InputError: a column is missing, doubled or without a known unit.
+        InputError: a column is missing, duplicated or without a known unit.
     """
-    found = find_columns(table, KINDS, ALIASES, HEADER)
+    found = find_columns(table, KINDS, ALIASES, CSV_HEADER)
     wanted = ("time", *WRENCH, *(GRAVITY if found.keys() & set(GRAVITY) else ()))
-    names = f"{HEADER},{GRAVITY_HEADER}".split(",")
+    names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
     missing = [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]
     if missing:
-        told = ", ".join(missing)
-        table.fail(table.header_number, f"columns are missing: {told}; the header must be like {HEADER}")
+        table.fail(
+            table.header_number,
+            f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}",
+        )
     return [found[quantity] for quantity in wanted]
 
 
 GAP = 1.5
-"""A step longer than this many median steps has a sample missing."""
+"""Factor of the median interval above which an interval counts as a gap."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What a sensor read, in SI.
+    """Readings of a recording, in SI units.
 
     Attributes:
-        time: of each sample [s], (n,), never decreasing.
-        wrench: [N, N·m], (n, 6), about the origin and in the axes of `frame`.
+        time: time of each sample [s], (n,), not decreasing.
+        wrench: wrenches [N, N·m], (n, 6), about the origin and in the axes of `frame`.
         frame: "sensor" or "base".
-        gravity_base: vector of gravity in base axes [m/s²], (n, 3), if the file holds it.
-        gaps: steps longer than 1.5 median steps.
-        missing_samples: how many samples those gaps would have held.
-        dropped_lines: lines left out: half a line at the end.
-        notes: what a user should know of the above, each one line.
+        gravity_base: gravity vector in base axes [m/s²], (n, 3), if the file contains it.
+        gaps: number of intervals longer than 1.5 median intervals.
+        missing_samples: number of samples missing in the gaps.
+        dropped_lines: number of dropped lines: an incomplete line at the end.
+        notes: notes for the user about the above, one line each.
     """
 
     time: Array
@@ -82,20 +87,20 @@ def read_recording(path: str | Path) -> Recording:
     """Read a recording.
 
     Args:
-        path: CSV with named units, as docs/recording-format.md says.
+        path: CSV with units in its column names, see docs/recording-format.md.
 
     Returns:
-        The recording in SI.
+        The recording in SI units.
 
     Raises:
-        InputError: the file cannot be read or says something wrong; one line with the line of the file.
+        InputError: the file cannot be read or is invalid; the message names the line.
     """
-    table = read_table(Path(path), "recording", HEADER)
-    columns = columns_of(table)
+    table = read_table(Path(path), "recording", CSV_HEADER)
+    columns = recording_columns(table)
     rows, notes = _whole_rows(table, columns)
     if not rows:
-        raise InputError(f"{path}: holds no samples, only a header")
-    values = _numbers(table, rows, columns)
+        raise InputError(f"{path}: no samples, only a header")
+    values = _numeric_columns(table, rows, columns)
     _check(table, columns, values)
     gravity = values[:, 7:] if values.shape[1] > 7 else None
     gaps, missing = gaps_in(values[:, 0])
@@ -114,7 +119,7 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _whole_rows(table: TextTable, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
-    """The rows with the right number of fields, without half a line at the end, and notes for the user."""
+    """Return the rows without an incomplete last line, and notes; every row has the right number of fields."""
     rows, notes = table.rows, []
     ignored = [shown(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}]
     if ignored:
@@ -123,9 +128,9 @@ def _whole_rows(table: TextTable, columns: list[Column]) -> tuple[list[str], tup
         last = f"line {table.numbers[-1]}"
         if _is_cut(rows[-1], table, columns):
             rows = rows[:-1]
-            notes.append(f"{last} is half a line at the end: dropped")
+            notes.append(f"{last} is incomplete at the end: dropped")
         else:
-            notes.append(f"{last} does not end in a newline: kept, but its last number may be cut short")
+            notes.append(f"{last} does not end in a newline: kept, but its last number may be truncated")
     commas = len(table.header) - 1
     for row, number in zip(rows, table.numbers, strict=False):
         if row.count(",") != commas:
@@ -134,7 +139,7 @@ def _whole_rows(table: TextTable, columns: list[Column]) -> tuple[list[str], tup
 
 
 def _is_cut(row: str, table: TextTable, columns: list[Column]) -> bool:
-    """Whether a last line without a newline lacks fields or ends in part of a number."""
+    """Return whether a last line without newline has too few fields or ends in part of a number."""
     fields = row.split(",")
     if len(fields) < len(table.header):
         return True
@@ -150,8 +155,8 @@ def _is_float(text: str) -> bool:
     return True
 
 
-def _numbers(table: TextTable, rows: list[str], columns: list[Column]) -> Array:
-    """The columns' numbers in SI, (n, len(columns)); only if one is none is it searched for."""
+def _numeric_columns(table: TextTable, rows: list[str], columns: list[Column]) -> Array:
+    """Return the columns in SI units, (n, len(columns)); an invalid number is located only if there is one."""
     index = [column.index for column in columns]
     try:
         values = np.loadtxt(rows, delimiter=",", usecols=index, comments=None, ndmin=2)
@@ -163,101 +168,57 @@ def _numbers(table: TextTable, rows: list[str], columns: list[Column]) -> Array:
 
 
 def _name_bad_number(table: TextTable, rows: list[str], columns: list[Column]) -> NoReturn:
-    """Raise the error of the first field that is no finite number."""
+    """Raise the error of the first field that is not a finite number."""
     for row, number in zip(rows, table.numbers, strict=False):
         fields = row.split(",")
         for column in columns:
             text = fields[column.index].strip()
             if not NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-                remedy = "write the value or take the line out"
+                remedy = "correct the value or delete the line"
                 table.fail(number, f"{column.name} = {shown(text)} is not a finite number; {remedy}")
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
 
 
 def _check(table: TextTable, columns: list[Column], values: Array) -> None:
-    """Refuse values that no sensor reads, and time that runs backward."""
+    """Refuse values beyond the range of any sensor, and decreasing time."""
     absurd = np.abs(values) > [column.ceiling for column in columns]
     if absurd.any():
         i, j = np.argwhere(absurd)[0]
         value = f"{columns[j].name} = {values[i, j] / columns[j].factor:g}"
-        table.fail(table.numbers[i], f"{value} is more than any sensor reads; raw counts or a wrong unit?")
+        table.fail(table.numbers[i], f"{value} exceeds the range of any sensor; raw counts or a wrong unit?")
     backward = np.diff(values[:, 0]) < 0
     if backward.any():
         i = int(np.argmax(backward)) + 1
         times = f"from {values[i - 1, 0]:.9g} s to {values[i, 0]:.9g} s"
-        table.fail(table.numbers[i], f"time runs backward, {times}; sort the rows or split the recording")
+        table.fail(table.numbers[i], f"time decreases, {times}; sort the rows or split the recording")
 
 
-def check_values(path: Path, recording: Recording) -> None:
-    """Refuse a recording with values that no sensor reads.
+def check_wrenches(path: Path, time: Array, wrench: Array) -> None:
+    """Refuse wrenches [N, N·m], (n, 6), beyond the range of any sensor.
 
     Raises:
-        InputError: a force or a moment is absurd; the line tells its time.
+        InputError: a force or a moment is too large or not a number; the message states its time.
     """
     ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
-    absurd = np.argwhere(~(np.abs(recording.wrench) <= ceiling))
-    if len(absurd):
-        i, j = absurd[0]
-        value = f"{WRENCH[j].capitalize()} = {recording.wrench[i, j]:g} {'N' if j < 3 else 'N·m'}"
+    invalid = ~(np.abs(wrench) <= ceiling)
+    if invalid.any():
+        i, j = np.argwhere(invalid)[0]
+        value = f"{WRENCH[j].capitalize()} = {wrench[i, j]:g} {'N' if j < 3 else 'N·m'}"
         raise InputError(
-            f"{path}: {value} at {recording.time[i]:.9g} s is no reading; raw counts or a wrong unit?"
+            f"{path}: {value} at {time[i]:.9g} s exceeds the range of any sensor; raw counts or a wrong unit?"
         )
 
 
 def gaps_in(time: Array) -> tuple[int, int]:
-    """How many gaps there are in times [s], (n,), and how many samples they would have held."""
+    """Return the number of gaps in times [s], (n,), and the number of samples missing in them."""
     steps = np.diff(time)
     median = float(np.median(steps)) if len(steps) else 0.0
     if median == 0.0:
-        return 0, 0  # several samples to a tick of a coarse clock: no rate to speak of
+        return 0, 0  # several samples per tick of a coarse clock: the rate is undefined
     long = steps[steps > GAP * median]
     with np.errstate(over="ignore"):
         missing = np.clip(np.rint(long / median) - 1.0, 1.0, 1e9)
     return len(long), int(missing.sum())
-
-
-class Recorder:
-    """A recording that grows by whole lines, so that whatever ends the program leaves a readable file.
-
-    Use it as a context manager.
-    """
-
-    def __init__(
-        self, path: str | Path, *, frame: Frame = "sensor", gravity: bool = True, force: bool = False
-    ) -> None:
-        """Open the file and write its header.
-
-        Args:
-            path: where; its folder is made if missing.
-            frame: of the wrenches, "sensor" or "base".
-            gravity: whether every line ends in the vector of gravity.
-            force: replace a file that stands there.
-
-        Raises:
-            InputError: the file exists and `force` is not said, or it cannot be written.
-        """
-        header = f"{HEADER},{GRAVITY_HEADER}" if gravity else HEADER
-        self._file = _open_text(Path(path), "w" if force else "x")
-        self._file.write(f"# frame: {frame}\n{header}\n")
-
-    def write(self, time: float, wrench: ArrayLike, gravity_base: ArrayLike = ()) -> None:
-        """Add a line.
-
-        Args:
-            time: [s].
-            wrench: [N, N·m], (6,).
-            gravity_base: vector of gravity in base axes [m/s²], (3,), if the recording holds it.
-        """
-        values = np.concatenate([[time], wrench, gravity_base]).tolist()
-        self._file.write(",".join(map(repr, values)) + "\n")
-
-    def __enter__(self) -> "Recorder":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
 
 
 def write_recording(
@@ -267,94 +228,91 @@ def write_recording(
     frame: Frame = "sensor",
     gravity_base: ArrayLike | None = None,
 ) -> None:
-    """Write a recording that reads back exactly; a file that stands there is replaced.
+    """Write a recording that is read back exactly; an existing file is replaced.
 
     Args:
-        path: where.
-        time: of each sample [s], (n,).
-        wrench: [N, N·m], (n, 6), in the axes of `frame`.
+        path: path of the file; its folder is created if necessary.
+        time: time of each sample [s], (n,).
+        wrench: wrenches [N, N·m], (n, 6), in the axes of `frame`.
         frame: "sensor" or "base".
-        gravity_base: vector of gravity in base axes [m/s²], (n, 3).
+        gravity_base: gravity vector in base axes [m/s²], (n, 3).
 
     Raises:
         InputError: the file cannot be written.
-        ValueError: the arrays do not fit together.
+        ValueError: the shapes of the arrays do not match.
     """
-    times = np.asarray(time, dtype=float).reshape(-1)
+    times = np.asarray(time, dtype=float).reshape(-1, 1)
     wrenches = np.asarray(wrench, dtype=float).reshape(-1, 6)
-    shape = (-1, 3) if gravity_base is not None else (len(times), 0)
-    gravities = np.asarray(() if gravity_base is None else gravity_base, dtype=float).reshape(shape)
-    lines = list(zip(times, wrenches, gravities, strict=True))
-    with Recorder(path, frame=frame, gravity=gravity_base is not None, force=True) as recorder:
-        for line in lines:
-            recorder.write(*line)
-
-
-def _open_text(path: Path, mode: Literal["w", "x"]) -> TextIO:
-    """The file, buffered by lines."""
+    columns = [times, wrenches]
+    if gravity_base is not None:
+        columns.append(np.asarray(gravity_base, dtype=float).reshape(-1, 3))
+    rows = np.hstack(columns)
+    header = CSV_HEADER if gravity_base is None else f"{CSV_HEADER},{GRAVITY_HEADER}"
+    file = AppendFile(Path(path), force=True)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path.open(mode, encoding="utf-8", newline="\n", buffering=1)
-    except FileExistsError:
-        raise InputError(f"{path}: exists; say --force to replace it, or name another file") from None
+        file.write(f"# frame: {frame}\n{header}\n".encode())
+        file.write("".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()).encode())
+        file.flush()
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        file.close()
 
 
-class CsvFile:
-    """A recording that grows by whole lines. A `File`: called from one thread.
+class CsvRecorder:
+    """Records raw readings as CSV, in whole lines; called from one thread (see `RecordingFile`).
 
-    It holds raw readings and nothing else; those with a fault are left out and make a gap.
+    Readings with a fault are omitted and leave a gap.
     """
 
     def __init__(self, path: Path, force: bool = False) -> None:
-        """Make the file and write its header.
+        """Create the file and write its header.
 
         Args:
-            path: where; its folder is made if missing.
-            force: replace a file that stands there.
+            path: path; its folder is created if necessary.
+            force: replace an existing file.
 
         Raises:
-            InputError: the file exists and `force` is not said, or it cannot be written.
+            InputError: the file exists and `force` is not set, or it cannot be written.
         """
-        self._pieces = Pieces(path, force)
-        self._pieces.write(f"# frame: sensor\n{HEADER},{GRAVITY_HEADER}\n".encode())
+        self._file = AppendFile(path, force)
+        self._file.write(f"# frame: sensor\n{CSV_HEADER},{GRAVITY_HEADER}\n".encode())
         try:
-            self._pieces.flush()
+            self._file.flush()
         except OSError:
-            self._pieces.abandon()
+            self._file.discard()
             raise
 
-    def read(self, block: Block) -> None:
-        """A line a reading."""
+    def on_samples(self, block: Block) -> None:
+        """Write one line per reading."""
         if block.fault:
             return
         gravity = "".join(f",{value!r}" for value in block.gravity_base.tolist())
         rows = zip(block.time.tolist(), block.wrench_sensor.tolist(), strict=True)
         lines = [",".join(map(repr, (time, *wrench))) + gravity for time, wrench in rows]
-        self._pieces.write("".join(f"{line}\n" for line in lines).encode())
-        self._pieces.flush()  # so little that it need not wait for more
+        self._file.write("".join(f"{line}\n" for line in lines).encode())
+        self._file.flush()  # little data, so it is written at once
 
-    def answered(self, answer: Answer) -> None:
-        """Only what is raw stands in CSV."""
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Ignore estimates: CSV contains raw readings only."""
 
-    def posed(self, pose: TimedPose) -> None:
-        """Only what is raw stands in CSV."""
+    def on_pose(self, pose: TimedPose) -> None:
+        """Ignore poses: CSV contains raw readings only."""
 
-    def told(self, time: float, line: str) -> None:
-        """Only what is raw stands in CSV."""
+    def on_event(self, time: float, line: str) -> None:
+        """Ignore events: CSV contains raw readings only."""
 
-    def left_out(self, readings: int, others: int) -> None:
-        """A comment."""
-        self._pieces.write(f"# the disk was too slow: {readings} readings left out here\n".encode())
+    def on_dropped(self, readings: int, others: int) -> None:
+        """Write a comment."""
+        self._file.write(f"# the disk was too slow: {readings} readings dropped here\n".encode())
 
     def flush(self) -> None:
-        """Hand what waits to the operating system."""
-        self._pieces.flush()
+        """Pass the buffer to the operating system."""
+        self._file.flush()
 
     def close(self) -> None:
-        """Write what waits, and close."""
+        """Write the buffer and close the file."""
         try:
-            self._pieces.flush()
+            self._file.flush()
         finally:
-            self._pieces.close()
+            self._file.close()

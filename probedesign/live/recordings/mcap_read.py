@@ -1,7 +1,7 @@
-"""The records of an MCAP file, read by somebody who trusts nothing in it.
+"""Reads MCAP files without trusting them, and recovers files that were not closed.
 
-What the records say is parsed by the `mcap` package; how long they claim to be is checked here first, so that
-no file makes us take memory that it does not itself fill.
+The `mcap` package parses the records; claimed lengths are checked here first, so that no file makes the program
+allocate memory that the file does not fill.
 """
 
 import json
@@ -26,24 +26,24 @@ from probedesign.errors import InputError
 from probedesign.live.recordings.schemas import MCAP_MAGIC, Channel, Message
 
 MAX_RECORD = 256 * 1024 * 1024
-"""No record and no unpacked chunk is longer [bytes]: writers aim at one megabyte, large images included."""
+"""Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images."""
 Record = TypeVar("Record", bound=records.McapRecord)
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 RawMessage = tuple[int, int, int, int, memoryview]
-"""Channel, sequence, when it was logged and when published [ns], and data."""
+"""Channel, sequence number, time of recording and of publication [ns], and data."""
 
 
 class DamagedError(Exception):
-    """The file goes on in a way that no writer meant; the text says how."""
+    """The file is damaged; the text describes how."""
 
 
 def walk(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each record from here to the footer, which comes too.
+    """Yield opcode and content of each record up to and including the footer.
 
     Raises:
-        DamagedError: the file ends before the footer, or a record is longer than any.
+        DamagedError: the file ends before the footer, or a record is too long.
     """
     opcode, end = 0, os.fstat(file.fileno()).st_size
     while opcode != Opcode.FOOTER:
@@ -59,23 +59,23 @@ def walk(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 
 def parse(kind: type[Record], content: bytes) -> Record:
-    """A record as the `mcap` package reads it.
+    """Return a record parsed by the `mcap` package.
 
     Raises:
-        DamagedError: it is none.
+        DamagedError: it cannot be parsed.
     """
     try:
         record: Record = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]
-    except Exception as error:  # it was written for honest files: whatever it meets here is the file's fault
+    except Exception as error:  # the package does not validate: any exception is the file's fault
         raise DamagedError(f"a {kind.__name__} record cannot be read ({type(error).__name__})") from None
     return record
 
 
 def unpack(content: bytes) -> bytes:
-    """What a chunk holds.
+    """Return the content of a chunk.
 
     Raises:
-        DamagedError: it does not unpack to what it says it does.
+        DamagedError: the content does not match the length or the checksum of the chunk.
     """
     chunk = parse(records.Chunk, content)
     size = chunk.uncompressed_size
@@ -99,10 +99,10 @@ def unpack(content: bytes) -> bytes:
 
 
 def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
-    """Opcode and content of each record in a chunk.
+    """Yield opcode and content of each record in a chunk.
 
     Raises:
-        DamagedError: the last does not end with the chunk.
+        DamagedError: the last record does not end with the chunk.
     """
     at, view = 0, memoryview(data)
     while at < len(view):
@@ -117,10 +117,10 @@ def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
 
 
 def split_message(content: memoryview) -> RawMessage:
-    """The message that a record holds.
+    """Return the fields of a message record.
 
     Raises:
-        DamagedError: it is too short for one.
+        DamagedError: it is too short.
     """
     if len(content) < _MESSAGE_HEAD.size:
         raise DamagedError("a message is too short")
@@ -129,25 +129,25 @@ def split_message(content: memoryview) -> RawMessage:
 
 
 FOOTER_AND_MAGIC = 9 + 20 + 8
-SMALL = 10_000_000
-"""An attachment that is longer is no frozen probe [bytes]."""
+MAX_PROBE_BYTES = 10_000_000
+"""Maximum length of an attachment that is read as a frozen probe [bytes]."""
 
 
 class McapBag:
-    """An MCAP file.
+    """An MCAP file as a bag; a damaged file is read up to the damage.
 
     Attributes:
-        path: of the file.
-        damage: how it is hurt, as far as it was read; empty while it is whole.
-        metadata: by name, as far as it stands before the first message.
-        probe: the frozen probe that is attached to it, if there is one.
+        path: path of the file.
+        damage: description of the damage, as far as the file was read; empty if none.
+        metadata: metadata by name, as far as they precede the first message.
+        probe: attached frozen probe, if any.
     """
 
     def __init__(self, path: Path) -> None:
-        """Read what stands before the first message.
+        """Read the records before the first message.
 
         Raises:
-            InputError: it is no MCAP file.
+            InputError: the file is not MCAP.
         """
         self.path, self.damage = path, ""
         self.metadata: dict[str, dict[str, str]] = {}
@@ -162,7 +162,7 @@ class McapBag:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
     def channels(self) -> list[Channel]:
-        """See `Bag`: from the summary at the end, or by reading everything."""
+        """Return all channels, from the summary at the end or by reading the whole file; see `Bag`."""
         try:
             self._read_summary()
         except DamagedError:
@@ -171,26 +171,26 @@ class McapBag:
         return list(dict.fromkeys(self._channels.values()))
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """See `Bag`."""
+        """Yield the messages of the topics; see `Bag`."""
         self._channels, self._schemas = {}, {}
         try:
-            for opcode, content in self._flat():
+            for opcode, content in self._records():
                 if opcode == Opcode.MESSAGE:
                     number, _, logged, _, data = split_message(memoryview(content))
                     channel = self._channels.get(number)
                     if channel is None:
-                        raise DamagedError(f"a message belongs to channel {number}, which there is not")
+                        raise DamagedError(f"a message belongs to channel {number}, which does not exist")
                     if channel.topic in topics:
                         yield Message(channel.topic, logged, data)
                 else:
-                    self._learn(opcode, bytes(content))
+                    self._register(opcode, bytes(content))
         except DamagedError as error:
             self.damage = str(error)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def _flat(self) -> Iterator[tuple[int, bytes | memoryview]]:
-        """All records up to the end of the data, those in chunks too."""
+    def _records(self) -> Iterator[tuple[int, bytes | memoryview]]:
+        """Yield all records up to the end of the data, including those in chunks."""
         with self.path.open("rb") as file:
             file.seek(len(MCAP_MAGIC))
             for opcode, content in walk(file):
@@ -201,8 +201,8 @@ class McapBag:
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                     yield opcode, content
 
-    def _learn(self, opcode: int, content: bytes) -> None:
-        """A schema or a channel."""
+    def _register(self, opcode: int, content: bytes) -> None:
+        """Store a schema or a channel."""
         if opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, content)
             self._schemas[schema.id] = schema.name
@@ -214,11 +214,11 @@ class McapBag:
     def _read_head(self) -> None:
         with self.path.open("rb") as file:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-                raise InputError(f"{self.path}: is no MCAP file: it does not begin like one")
+                raise InputError(f"{self.path}: not an MCAP file: wrong first bytes")
             try:
                 for opcode, content in walk(file):
-                    if opcode == Opcode.ATTACHMENT and len(content) < SMALL:
-                        self._attached(parse(records.Attachment, content))
+                    if opcode == Opcode.ATTACHMENT and len(content) < MAX_PROBE_BYTES:
+                        self._read_attachment(parse(records.Attachment, content))
                     elif opcode == Opcode.METADATA:
                         metadata = parse(records.Metadata, content)
                         self.metadata[metadata.name] = metadata.metadata
@@ -227,7 +227,7 @@ class McapBag:
             except DamagedError as error:
                 self.damage = str(error)
 
-    def _attached(self, attachment: records.Attachment) -> None:
+    def _read_attachment(self, attachment: records.Attachment) -> None:
         if attachment.name.endswith(".probe.json"):
             try:
                 probe = json.loads(attachment.data)
@@ -236,10 +236,10 @@ class McapBag:
             self.probe = probe if isinstance(probe, dict) else None
 
     def _read_summary(self) -> None:
-        """Schemas and channels from the end of the file.
+        """Read schemas and channels from the end of the file.
 
         Raises:
-            DamagedError: the file was never closed, or its end is no such thing.
+            DamagedError: the file was not closed, or its end is invalid.
         """
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
@@ -251,18 +251,18 @@ class McapBag:
                 raise DamagedError("it has no summary")
             file.seek(footers[0].summary_start)
             for opcode, content in walk(file):
-                self._learn(opcode, content)
+                self._register(opcode, content)
 
 
 @dataclass(frozen=True)
-class Recovered:
-    """What was saved.
+class RecoveryResult:
+    """Result of a recovery.
 
     Attributes:
-        path: of the new file; None if the old one is whole.
-        messages: that are in it.
-        seconds: from the first to the last of them.
-        damage: what ended the old file.
+        path: path of the new file; None if the old file is not damaged.
+        messages: number of messages.
+        seconds: time from the first to the last message [s].
+        damage: damage at which the old file ends.
     """
 
     path: Path | None
@@ -271,8 +271,8 @@ class Recovered:
     damage: str
 
 
-class _Copy:
-    """Records of one file written to another, with numbers of its own."""
+class _RecordCopier:
+    """Copies records of one file to another and renumbers schemas and channels."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -280,8 +280,8 @@ class _Copy:
         self._channels: dict[int, int] = {}
         self.messages, self.first, self.last = 0, 0, 0
 
-    def outer(self, opcode: int, content: bytes) -> None:
-        """A record of the file."""
+    def copy_record(self, opcode: int, content: bytes) -> None:
+        """Copy a record of the file."""
         if opcode == Opcode.HEADER:
             header = parse(records.Header, content)
             self._writer.start(header.profile, header.library)
@@ -293,13 +293,13 @@ class _Copy:
             self._writer.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.CHUNK:
             for inner, part in split(unpack(content)):
-                self._inner(inner, part)
+                self._copy_inner(inner, part)
             self._writer.flush()
         else:
-            self._inner(opcode, memoryview(content))
+            self._copy_inner(opcode, memoryview(content))
 
-    def _inner(self, opcode: int, content: memoryview) -> None:
-        """A record of a chunk, or one that stands alone though it might be in one."""
+    def _copy_inner(self, opcode: int, content: memoryview) -> None:
+        """Copy a schema, channel or message record, in a chunk or outside."""
         if opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, bytes(content))
             if schema.id not in self._schemas:
@@ -318,59 +318,59 @@ class _Copy:
         elif opcode == Opcode.MESSAGE:
             number, sequence, logged, published, data = split_message(content)
             if number not in self._channels:
-                raise DamagedError(f"a message belongs to channel {number}, which there is not")
+                raise DamagedError(f"a message belongs to channel {number}, which does not exist")
             self._writer.add_message(self._channels[number], logged, bytes(data), published, sequence)
             self.first = min(self.first, logged) if self.messages else logged
             self.messages, self.last = self.messages + 1, max(self.last, logged)
 
 
-def recover(path: Path, out: Path, force: bool = False) -> Recovered:
-    """Copy what is whole of an MCAP file into a new one that every tool opens.
+def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
+    """Copy the undamaged part of an MCAP file to a new file that every tool can open.
 
     Args:
-        path: of the file that was cut off.
-        out: of the new one.
-        force: replace a file that stands there.
+        path: path of the truncated file.
+        out: path of the new file.
+        force: replace an existing file.
 
     Raises:
-        InputError: there is no such file, nothing of it can be read, or `out` exists or cannot be written.
+        InputError: the file does not exist, contains no readable message, or `out` exists or cannot be written.
     """
     if out.exists() and (not force or out.samefile(path)):
         raise InputError(
-            f"{out}: exists; " + ("it is the file itself" if force else "say --force to replace it")
+            f"{out}: exists; " + ("it is the input file" if force else "use --force to replace it")
         )
-    aside = ""
+    temporary = ""
     try:
         with path.open("rb") as file:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-                raise InputError(f"{path}: is no MCAP file: it does not begin like one")
+                raise InputError(f"{path}: not an MCAP file: wrong first bytes")
             out.parent.mkdir(parents=True, exist_ok=True)
-            handle, aside = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.")
+            handle, temporary = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.")
             with os.fdopen(handle, "wb") as written:
                 writer = Writer(written)
-                copy = _Copy(writer)
-                damage = _copied(copy, file)
-                if damage and copy.messages:
+                copier = _RecordCopier(writer)
+                damage = _copy_records(copier, file)
+                if damage and copier.messages:
                     writer.finish()
-        if damage and not copy.messages:
-            raise InputError(f"{path}: holds no message that can be read: {damage}")
-        seconds = (copy.last - copy.first) / 1e9
+        if damage and not copier.messages:
+            raise InputError(f"{path}: contains no readable message: {damage}")
+        seconds = (copier.last - copier.first) / 1e9
         if not damage:
-            return Recovered(None, copy.messages, seconds, "")
-        os.chmod(aside, 0o644)
-        os.replace(aside, out)
-        return Recovered(out, copy.messages, seconds, damage)
+            return RecoveryResult(None, copier.messages, seconds, "")
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, out)
+        return RecoveryResult(out, copier.messages, seconds, damage)
     except FileNotFoundError:
         raise InputError(f"{path}: no such recording") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be recovered to {out}: {error.strerror}") from None
     finally:
-        if aside and os.path.exists(aside):
-            os.unlink(aside)
+        if temporary and os.path.exists(temporary):
+            os.unlink(temporary)
 
 
-def _copied(copy: _Copy, file: BinaryIO) -> str:
-    """Copy record by record; what ended it, empty if that was the end."""
+def _copy_records(copier: _RecordCopier, file: BinaryIO) -> str:
+    """Copy record by record; return the damage, empty at a regular end."""
     try:
         ended = False
         for i, (opcode, content) in enumerate(walk(file)):
@@ -378,7 +378,7 @@ def _copied(copy: _Copy, file: BinaryIO) -> str:
                 return "its records do not begin with a header"
             ended = ended or opcode == Opcode.DATA_END
             if not ended:
-                copy.outer(opcode, content)
+                copier.copy_record(opcode, content)
     except DamagedError as error:
         return str(error)
     except struct.error:

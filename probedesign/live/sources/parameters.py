@@ -1,4 +1,4 @@
-"""What follows a source's name: `sim:?force_mN=20&seed=1`. Nothing misspelt is passed over."""
+"""Parses the parameters of a source, `sim:?force_mN=20&seed=1`; an unknown or misspelt parameter is an error."""
 
 import difflib
 import math
@@ -10,61 +10,61 @@ from probedesign.errors import InputError
 
 
 @dataclass(frozen=True)
-class Parameter:
+class SourceParameter:
     """One parameter of a source, in the unit that ends its name.
 
     Attributes:
-        default: where it is not said.
-        low: least value.
-        high: largest value.
-        whole: only whole numbers.
-        words: words that stand for a value.
+        default: default value.
+        minimum: minimum value.
+        maximum: maximum value.
+        integer: whether only integers are allowed.
+        words: words that are accepted as values.
     """
 
     default: float
-    low: float
-    high: float
-    whole: bool = False
+    minimum: float
+    maximum: float
+    integer: bool = False
     words: Mapping[str, float] = field(default_factory=dict)
 
 
-SPEED = Parameter(1.0, 1e-3, 1e6, words={"max": math.inf})
-"""How many times as fast as the source's own clock; shared by every source that does not run by itself."""
-TICK, MOST = 0.002, 64
-"""Readings of such sources come in blocks of so long at most, as they are paced [s], and of so many."""
+SPEED = SourceParameter(1.0, 1e-3, 1e6, words={"max": math.inf})
+"""Playback speed relative to the source's own clock, for all sources without hardware."""
+BLOCK_DURATION, MAX_BLOCK_READINGS = 0.002, 64
+"""Maximum duration [s] and size of a block of such sources."""
 
 
-def taken_text(source: str, query: str, name: str) -> tuple[str, str]:
-    """The one parameter that is no number, empty where it is not said, and the query without it.
+def pop_text_parameter(source: str, query: str, name: str) -> tuple[str, str]:
+    """Return the value of a text parameter, empty if absent, and the query without it.
 
     Args:
-        source: its name, for messages.
-        query: `name=value&name=value`, or nothing.
-        name: of the parameter.
+        source: name of the source, for messages.
+        query: `name=value&name=value`, or empty.
+        name: name of the parameter.
 
     Raises:
-        InputError: it is said twice, or the query is none.
+        InputError: the parameter is duplicated, or the query is malformed.
     """
     pairs = _pairs(source, query)
-    found = [text for said, text in pairs if said == name]
+    found = [text for given, text in pairs if given == name]
     if len(found) > 1:
-        raise InputError(f"{source} {name} is said twice; keep one")
+        raise InputError(f"{source} {name} is given twice; keep one")
     return "".join(found), urlencode([pair for pair in pairs if pair[0] != name])
 
 
-def parse_parameters(source: str, query: str, known: Mapping[str, Parameter]) -> dict[str, float]:
-    """Values of a source's parameters.
+def parse_parameters(source: str, query: str, known: Mapping[str, SourceParameter]) -> dict[str, float]:
+    """Return the values of a source's parameters.
 
     Args:
-        source: its name, for messages.
-        query: `name=value&name=value`, or nothing.
-        known: what there is.
+        source: name of the source, for messages.
+        query: `name=value&name=value`, or empty.
+        known: the parameters.
 
     Returns:
-        A value for every known parameter.
+        A value for every parameter.
 
     Raises:
-        InputError: a parameter is unknown, doubled, no number or out of its range.
+        InputError: a parameter is unknown, duplicated, not a number or out of range.
     """
     values: dict[str, float] = {}
     for name, text in _pairs(source, query):
@@ -73,7 +73,7 @@ def parse_parameters(source: str, query: str, known: Mapping[str, Parameter]) ->
             hint = f"did you mean {near[0]}? " if near else ""
             raise InputError(f"{source} has no parameter {name!r}; {hint}known: {', '.join(known)}")
         if name in values:
-            raise InputError(f"{source} {name} is said twice; keep one")
+            raise InputError(f"{source} {name} is given twice; keep one")
         values[name] = _value(f"{source} {name}", text, known[name])
     return {name: values.get(name, parameter.default) for name, parameter in known.items()}
 
@@ -85,15 +85,15 @@ def _pairs(source: str, query: str) -> list[tuple[str, str]]:
         raise InputError(f"{source}?{query}: write parameters as name=value&name=value") from None
 
 
-def _value(what: str, text: str, parameter: Parameter) -> float:
+def _value(what: str, text: str, parameter: SourceParameter) -> float:
     if text in parameter.words:
         return parameter.words[text]
-    kind = "a whole number" if parameter.whole else "a number"
-    allowed = " or ".join([f"{kind} in {parameter.low:g} ... {parameter.high:g}", *parameter.words])
+    kind = "a whole number" if parameter.integer else "a number"
+    allowed = " or ".join([f"{kind} in {parameter.minimum:g} ... {parameter.maximum:g}", *parameter.words])
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not parameter.low <= value <= parameter.high or (parameter.whole and value != int(value)):
+    if not parameter.minimum <= value <= parameter.maximum or (parameter.integer and value != int(value)):
         raise InputError(f"{what} = {text!r} must be {allowed}")
     return value

@@ -1,4 +1,4 @@
-"""Bags of ROS 2 messages, whatever keeps them: an MCAP file, or what `ros2 bag` and rosbags read."""
+"""ROS 2 bags, as MCAP or sqlite3: channels, messages, wrenches and poses."""
 
 import difflib
 from collections.abc import Collection, Iterator
@@ -12,7 +12,7 @@ import numpy as np
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.frames import Array
-from probedesign.live.poses.track import TimedPose, Tree, timed_pose
+from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require
 from probedesign.live.recordings.schemas import MCAP_MAGIC, WRENCH, Channel, Message, read_stamped
 from probedesign.tables.text_table import plain, shown
@@ -26,28 +26,28 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class Bag(Protocol):
-    """Messages in the order in which they were recorded."""
+    """A bag: messages in the order in which they were recorded."""
 
     path: Path
     damage: str
-    """How the bag is hurt, as far as it was read; empty while it is whole."""
+    """Description of the damage, as far as the bag was read; empty if none."""
 
     def channels(self) -> list[Channel]:
-        """All there are."""
+        """Return all channels."""
         ...
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """The topics' messages; of a damaged bag those before the damage."""
+        """Yield the messages of the topics; of a damaged bag those before the damage."""
         ...
 
 
 @runtime_checkable
-class Attached(Bag, Protocol):
-    """A bag that holds more than messages.
+class AnnotatedBag(Bag, Protocol):
+    """A bag with metadata and attachments.
 
     Attributes:
-        metadata: by name.
-        probe: the frozen probe that is attached to it, if there is one.
+        metadata: metadata by name.
+        probe: attached frozen probe, if any.
     """
 
     metadata: dict[str, dict[str, str]]
@@ -55,7 +55,7 @@ class Attached(Bag, Protocol):
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file or folder is a bag, by what it begins with; by its name if it begins with nothing."""
+    """Return whether a file or folder is a bag, by its first bytes, or by its suffix."""
     try:
         if path.is_dir():
             return (path / "metadata.yaml").exists()
@@ -67,11 +67,11 @@ def is_bag(path: Path) -> bool:
 
 
 def open_bag(path: Path) -> Bag:
-    """The bag at a path.
+    """Open the bag at a path.
 
     Raises:
-        InputError: there is none, or it cannot be read.
-        MissingDependencyError: what reads it is not installed.
+        InputError: there is no bag, or it cannot be read.
+        MissingDependencyError: the package that reads it is not installed.
     """
     if path.suffix == ".db3" or path.is_dir():
         return RosBag(path)
@@ -81,16 +81,16 @@ def open_bag(path: Path) -> Bag:
     return McapBag(path)
 
 
-def choose(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
-    """The channel to read.
+def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
+    """Select the channel to read.
 
     Args:
-        bag: that holds it.
-        types: of messages that will do.
-        topic: its name; may be empty if there is only one.
+        bag: the bag.
+        types: accepted message types.
+        topic: name of the topic; may be empty if there is only one.
 
     Raises:
-        InputError: there is none, or several and no name.
+        InputError: there is no such channel, or there are several and no name is given.
     """
     found = {channel.topic: channel for channel in bag.channels()}
     fit = [name for name, channel in found.items() if channel.type in types and channel.encoding == "cdr"]
@@ -98,26 +98,26 @@ def choose(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
     listed = ", ".join(map(shown, fit[:10])) or "none"
     if topic and topic in found and topic not in fit:
         other = shown(found[topic].type)
-        raise InputError(f"{bag.path}: topic {topic} holds {other}, not {wanted}; such are: {listed}")
+        raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
         hint = f"did you mean {near[0]}? " if near else ""
         raise InputError(f"{bag.path}: has no topic {topic!r}; {hint}topics of {wanted}: {listed}")
     if not fit:
-        raise InputError(f"{bag.path}: holds no topic of {wanted}")
+        raise InputError(f"{bag.path}: has no topic of {wanted}")
     if len(fit) > 1 and not topic:
-        raise InputError(f"{bag.path}: holds several topics of {wanted}: {listed}; choose one with ?topic=")
+        raise InputError(f"{bag.path}: has several topics of {wanted}: {listed}; select one with ?topic=")
     return found[topic or fit[0]]
 
 
 class RosBag:
-    """A folder with metadata.yaml, or a database of `ros2 bag`, read by rosbags."""
+    """A folder with metadata.yaml, or a database of `ros2 bag`, read with rosbags."""
 
     def __init__(self, path: Path) -> None:
-        """Open it for a moment, to see what is in it.
+        """Read the list of channels.
 
         Raises:
-            InputError: it cannot be read.
+            InputError: the bag cannot be read.
             MissingDependencyError: rosbags is not installed.
         """
         try:
@@ -133,11 +133,11 @@ class RosBag:
             raise self._unreadable(error) from None
 
     def channels(self) -> list[Channel]:
-        """See `Bag`."""
+        """Return all channels; see `Bag`."""
         return list(dict.fromkeys(self._channels))
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """See `Bag`.
+        """Yield the messages of the topics; see `Bag`.
 
         Raises:
             InputError: the bag cannot be read further.
@@ -148,8 +148,8 @@ class RosBag:
                 for connection, logged, data in reader.messages(wanted) if wanted else ():
                     if not isinstance(data, bytes) or not isinstance(
                         logged, int
-                    ):  # a database holds anything
-                        raise ValueError(f"a message of {connection.topic} is no message")
+                    ):  # a database may contain anything
+                        raise ValueError(f"a message of {connection.topic} is not a message")
                     yield Message(connection.topic, logged, data)
         except InputError:
             raise
@@ -157,26 +157,26 @@ class RosBag:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: Exception) -> InputError:
-        """rosbags is written for honest bags: whatever it meets is told as the bag's fault."""
-        told = plain(str(error), 200) or type(error).__name__
-        return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {told}")
+        """Return any exception of rosbags as an error of the bag: rosbags does not validate its input."""
+        text = plain(str(error), 200) or type(error).__name__
+        return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {text}")
 
 
 BLOCK_SIZE = 256
-"""Readings to a block: few enough to be soon there, enough to be cheap."""
+"""Readings per block: few enough for a short delay, enough for efficiency."""
 Wrenches = tuple[Array, Array]
 """Times [s], (n,), and wrenches as published, (n, 6)."""
 
 
 @dataclass(frozen=True)
-class Published:
+class RosWrenchTopic:
     """A topic of wrenches.
 
     Attributes:
-        bag: that holds it.
-        channel: of it.
-        frame_id: that its first message names.
-        unstamped: whether its headers say no time, so that the time of recording counts.
+        bag: the bag.
+        channel: channel of the topic.
+        frame_id: frame of its first message.
+        unstamped: whether its headers have no time stamp, so that the time of recording is used.
     """
 
     bag: Bag
@@ -185,10 +185,10 @@ class Published:
     unstamped: bool
 
     def wrenches(self) -> Iterator[Wrenches]:
-        """Times and wrenches, some at once.
+        """Yield times and wrenches in blocks.
 
         Raises:
-            InputError: a message is none.
+            InputError: a message is invalid.
         """
         messages = self.bag.messages({self.channel.topic})
         while batch := list(islice(messages, BLOCK_SIZE)):
@@ -198,24 +198,24 @@ class Published:
             yield np.array(stamps, dtype=float) / 1e9, np.array([values for _, _, values in read])
 
 
-def find_wrenches(bag: Bag, topic: str = "") -> Published:
-    """The topic of wrenches in a bag.
+def find_wrench_topic(bag: Bag, topic: str = "") -> RosWrenchTopic:
+    """Return the topic of wrenches in a bag.
 
     Args:
-        bag: to read.
-        topic: its name; may be empty if there is only one.
+        bag: the bag.
+        topic: name of the topic; may be empty if there is only one.
 
     Raises:
-        InputError: there is none, it holds nothing, or there are several and no name.
+        InputError: there is none, it is empty, or there are several and no name is given.
     """
-    channel = choose(bag, {WRENCH}, topic)
+    channel = select_channel(bag, {WRENCH}, topic)
     first = next(iter(bag.messages({channel.topic})), None)
     if first is None:
         raise InputError(
-            f"{bag.path}: topic {plain(channel.topic)} holds no messages" + (bag.damage and f"; {bag.damage}")
+            f"{bag.path}: topic {plain(channel.topic)} has no messages" + (bag.damage and f"; {bag.damage}")
         )
     stamp, frame_id, _ = _read_wrench(bag, first)
-    return Published(bag, channel, frame_id, stamp == 0)
+    return RosWrenchTopic(bag, channel, frame_id, stamp == 0)
 
 
 def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...]]:
@@ -231,26 +231,26 @@ TF = "tf2_msgs/msg/TFMessage"
 STATIC = "/tf_static"
 
 
-def looks_like_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: a folder, or one of its files."""
+def is_bag_path(path: Path) -> bool:
+    """Return whether a path is a bag by its name: a folder, or a file with the suffix of a bag."""
     return path.is_dir() or path.suffix in (".mcap", ".db3")
 
 
-def read_poses(path: Path, topic: str = "", world: str = "", base: str = "") -> list[TimedPose]:
-    """Poses of the base, each at its header's time, in order.
+def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "") -> list[TimedPose]:
+    """Read the poses of the base, in order of the time in their headers.
 
     Args:
-        path: of the bag's folder, or of its one file.
-        topic: of PoseStamped; the only one there is if empty.
-        world: frame of TF that counts as the world; with it `base` is needed and `topic` is not.
-        base: frame of TF that is the probe's base.
+        path: path of the bag's folder, or of its single file.
+        topic: topic of PoseStamped; empty if there is only one.
+        world: TF frame of the world; requires `base` and excludes `topic`.
+        base: TF frame of the probe's base.
 
     Raises:
-        InputError: it is no bag, or holds no such poses, or one that is none.
+        InputError: the path is not a bag, has no such poses, or an invalid one.
         MissingDependencyError: rosbags is not installed.
     """
     if bool(world) != bool(base) or (world and topic):
-        raise InputError(f"--pose {path}: say topic=/NAME, or world=FRAME&base=FRAME")
+        raise InputError(f"--pose {path}: use topic=/NAME, or world=FRAME&base=FRAME")
     with _pose_reader(path) as reader:
         found = _poses_from_tf(reader, path, world, base) if world else _poses_from_topic(reader, path, topic)
     found.sort(key=lambda pose: pose.time)
@@ -263,23 +263,23 @@ def _poses_from_topic(reader: "AnyReader", path: Path, topic: str) -> list[Timed
     if name not in topics:
         there = f"there are {', '.join(sorted(topics))[:200]}" if topics else "there are none"
         raise InputError(
-            f"{path}: topic {topic or 'not named'}; of poses (PoseStamped) {there}; say ?topic=/NAME"
+            f"{path}: topic {topic or 'not named'}; of poses (PoseStamped) {there}; use ?topic=/NAME"
         )
     found, frames = [], set()
     for _, message in _deserialized(reader, path, topics[name].msgtype, name):
         frames.add(message.header.frame_id)
-        place, turn = message.pose.position, message.pose.orientation
-        found.append(_timed_pose(path, name, message.header.stamp, place, turn))
+        position, orientation = message.pose.position, message.pose.orientation
+        found.append(_timed_pose(path, name, message.header.stamp, position, orientation))
     if not found:
-        raise InputError(f"{path}: topic {name} holds no poses")
+        raise InputError(f"{path}: topic {name} has no poses")
     if len(frames) > 1:
-        told = ", ".join(sorted(frames))[:80]
-        raise InputError(f"{path}: topic {name} tells poses in several frames, {told}; one is needed")
+        text = ", ".join(sorted(frames))[:80]
+        raise InputError(f"{path}: topic {name} has poses in several frames, {text}; one frame is required")
     return found
 
 
 def _poses_from_tf(reader: "AnyReader", path: Path, world: str, base: str) -> list[TimedPose]:
-    tree = Tree()
+    tree = TransformTree()
     for topic, message in _deserialized(reader, path, TF):
         for edge in message.transforms:
             move = edge.transform
@@ -292,7 +292,7 @@ def _poses_from_tf(reader: "AnyReader", path: Path, world: str, base: str) -> li
 
 
 def _deserialized(reader: "AnyReader", path: Path, kind: str, topic: str = "") -> Iterator[tuple[str, Any]]:
-    """Topic and message of all of that kind, and of that topic if one is named."""
+    """Yield topic and message of all messages of a type, and of one topic if given."""
     chosen = [c for c in reader.connections if c.msgtype == kind and topic in ("", c.topic)]
     if not chosen:
         return
@@ -301,14 +301,18 @@ def _deserialized(reader: "AnyReader", path: Path, kind: str, topic: str = "") -
             yield connection.topic, reader.deserialize(raw, connection.msgtype)
     except InputError:
         raise
-    except Exception as error:  # whatever a reader makes of bytes that are none
+    except Exception as error:  # rosbags may raise anything on invalid bytes
         raise InputError(f"{path}: is damaged: {' '.join(str(error).split())[:120]}") from None
 
 
-def _timed_pose(path: Path, topic: str, stamp: Any, place: Any, turn: Any) -> TimedPose:
+def _timed_pose(path: Path, topic: str, stamp: Any, position: Any, orientation: Any) -> TimedPose:
     try:
         time = stamp.sec + stamp.nanosec * 1e-9
-        return timed_pose(time, (place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w))
+        return timed_pose(
+            time,
+            (position.x, position.y, position.z),
+            (orientation.x, orientation.y, orientation.z, orientation.w),
+        )
     except InputError as error:
         raise InputError(f"{path}: a pose on {topic}: {error}") from None
 
@@ -323,10 +327,10 @@ def _pose_reader(path: Path) -> Iterator["AnyReader"]:
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
-    except Exception as error:  # rosbags raises what its files happen to break in
+    except Exception as error:  # rosbags does not validate: any exception is possible
         why = " ".join(str(error).split())[:120] or type(error).__name__
-        mend = "; if it was cut off: probedesign recover" if path.suffix == ".mcap" else ""
-        raise InputError(f"{path}: cannot be read as a ROS 2 bag: {why}{mend}") from None
+        hint = "; if it was cut off: probedesign recover" if path.suffix == ".mcap" else ""
+        raise InputError(f"{path}: cannot be read as a ROS 2 bag: {why}{hint}") from None
     try:
         yield reader
     finally:

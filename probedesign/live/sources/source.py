@@ -1,59 +1,62 @@
-"""Sources of readings: peers behind one small interface."""
+"""The interface of a source of readings, and the function that opens one."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Protocol
 
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
 from probedesign.live.processing.blocks import Block
-from probedesign.live.sources.daq import DAQ
-from probedesign.live.sources.netft.source import NetFT
-from probedesign.live.sources.replay import Replay
-from probedesign.live.sources.sim import Simulation
+from probedesign.live.sources.daq import DaqSource
+from probedesign.live.sources.netft.source import NetFTSource
+from probedesign.live.sources.replay import ReplaySource
+from probedesign.live.sources.sim import SimulatedSource
 
 
 class Source(Protocol):
-    """Where readings come from, raw. Iterating opens it; closing the iterator closes it."""
+    """A source of raw readings. Iterating opens it; closing the iterator closes it."""
 
     title: str
-    """One line that says what it is."""
+    """One line that describes the source."""
     notes: tuple[str, ...]
-    """What a user should know of it, each one line."""
+    """Notes for the user, one line each."""
 
     def __iter__(self) -> Generator[Block, None, None]:
-        """Readings in order of time, a few at once, each block as soon as it is there; while a sensor is silent,
-        blocks without readings."""
+        """Yield readings in order of time, in small blocks as soon as they are available.
+
+        While a sensor is silent, it yields blocks without readings.
+        """
         ...
 
 
 SOURCES = "netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE and sim:"
 
 
-def open_source(spec: str, model: ProbeModel, say: Callable[[str], None] = lambda line: None) -> Source:
-    """The source that a specification names.
+def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> Source:
+    """Open the source that a specification names.
 
     Args:
         spec: `netft://HOST[:PORT]`, `daq://Dev1/ai0:5?cal=FILE`, `replay:FILE?speed=max` or `sim:?name=value&...`.
-        model: the probe on the sensor.
-        say: takes each line that a user should know while it runs: what is late, lost or broken.
+        model: probe on the sensor.
+        log: callback for messages to the user during the run: late, lost or invalid data.
 
     Raises:
-        InputError: there is no such source, what follows its name is wrong, or it does not answer.
-        MissingDependencyError: what it is read with is not installed.
+        InputError: the source is unknown, its parameters are invalid, or it does not respond.
+        MissingDependencyError: the package that reads it is not installed.
     """
     scheme, colon, rest = spec.partition(":")
-    place, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
+    target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
     match scheme if colon else "":
-        case "sim" if not place:
-            return Simulation(model, query)
+        case "sim" if not target:
+            return SimulatedSource(model, query)
         case "sim":
-            raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {place!r}")
+            raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {target!r}")
         case "replay":
-            return Replay(model, Path(place), query, say)
+            return ReplaySource(model, Path(target), query, log)
         case "netft":
-            return NetFT(model, place, query, say)
+            return NetFTSource(model, target, query, log)
         case "daq":
-            return DAQ(model, place, query, say)
+            return DaqSource(model, target, query, log)
         case _:
-            raise InputError(f"source {spec!r} is not known; there are {SOURCES}")
+            raise InputError(f"source {spec!r} is unknown; available are {SOURCES}")

@@ -1,4 +1,4 @@
-"""`--view`: a sink that shows what it is given on a page, drawn by another process."""
+"""Sink of `--view`: shows the run on a page that another process serves."""
 
 import importlib.util
 import json
@@ -14,35 +14,34 @@ from typing import IO, Any, get_args
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.outputs.sinks import Say
-from probedesign.live.processing.scheduler import Requests, Wish
-from probedesign.live.view.scene import Setup, Tube, parts_of
-from probedesign.live.view.snapshot import Shape
-from probedesign.live.view.state import Counts, Keeper
+from probedesign.live import Log
+from probedesign.live.processing.scheduler import CommandName, CommandQueue
+from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
+from probedesign.live.view.snapshot import BentShape
+from probedesign.live.view.state import Counts, ViewState
 
 PERIOD = 1.0 / 30.0
-"""Between two frames [s]."""
-LONGEST_NOTE = 200
-"""Characters of a mark that are taken."""
+"""Minimum interval between two frames [s]."""
+MAX_NOTE = 200
+"""Maximum number of characters of a mark."""
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
-class View(Keeper):
-    """The page of a run, from when it listens to `close`.
+class BrowserView(ViewState):
+    """The page of a run, open until `close`.
 
-    Nothing here waits for it: a thread sends what there is to see, at most 30 times a second, and if the page does not
-    keep up it sees fewer moments.
+    It never blocks the run: a thread sends snapshots at most 30 times per second, and fewer if the page is slow.
 
     Attributes:
-        url: where it is.
+        url: address of the page.
     """
 
     def __init__(
         self,
         estimator: Estimator,
         folder: Path,
-        requests: Requests,
-        say: Say,
+        commands: CommandQueue,
+        log: Log,
         host: str = "127.0.0.1",
         port: int = 8080,
         counts: Counts = dict,
@@ -50,42 +49,40 @@ class View(Keeper):
         """Open the page.
 
         Args:
-            estimator: of the probe.
-            folder: where its exported parts may lie.
-            requests: takes what people ask.
-            say: takes what a user should know.
+            estimator: estimator of the probe.
+            folder: folder of the exported parts, if any.
+            commands: receives the commands of the user.
+            log: callback for messages to the user.
             host: address to listen on.
-            port: where, or at the next free one.
-            counts: gives what the source counts: lost, dropped.
+            port: port, or the first free one after it.
+            counts: returns the counters of the source: lost, dropped.
 
         Raises:
-            InputError: it cannot listen there.
+            InputError: the address cannot be used.
             MissingDependencyError: viser is not installed.
         """
         if importlib.util.find_spec("viser") is None:
             raise MissingDependencyError("--view needs viser; install probedesign[view]")
-        _check(host, port)
-        self._requests, self._say = requests, say
+        _check_address(host, port)
+        self._requests, self._log = commands, log
         super().__init__(counts)
         self._ended = threading.Event()
-        self._process = process = _start()
+        self._process = process = _start_process()
         assert process.stdin is not None and process.stdout is not None
-        with suppress(BrokenPipeError):  # then the next line tells why
-            self._send(process.stdin, setup_of(estimator, folder, host, port, say))
-        self.url = self._opened(process.stdout)
+        with suppress(BrokenPipeError):  # the next line reports the reason
+            self._send(process.stdin, scene_setup(estimator, folder, host, port, log))
+        self.url = self._wait_for_url(process.stdout)
         who = (
-            "this machine alone"
-            if host in LOCAL
-            else "anyone who reaches it, who may tare and end recordings"
+            "this machine only" if host in LOCAL else "the network: anyone there can tare and stop recordings"
         )
-        say(f"view: {self.url}, open to {who}")
+        log(f"view: {self.url}, open to {who}")
         self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
         self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
         self._writer.start()
         self._reader.start()
 
     def close(self) -> None:
-        """The page is gone a moment later."""
+        """Close the page."""
         self._ended.set()
         self._writer.join(timeout=1.0)
         self._process.kill()
@@ -94,21 +91,21 @@ class View(Keeper):
     def _write(self, page: IO[bytes]) -> None:
         while not self._ended.wait(PERIOD):
             try:
-                self._send(page, self.moment())
+                self._send(page, self.snapshot())
             except OSError:
-                return  # the reader has heard why
+                return  # the reader reports the reason
 
     def _send(self, page: IO[bytes], what: Any) -> None:
         pickle.dump(what, page, protocol=pickle.HIGHEST_PROTOCOL)
         page.flush()
 
-    def _opened(self, page: IO[bytes]) -> str:
-        """Where it is, once it is there.
+    def _wait_for_url(self, page: IO[bytes]) -> str:
+        """Return the address of the page when it is open.
 
         Raises:
-            InputError: it is not.
+            InputError: it cannot be opened.
         """
-        message = _message(page.readline())
+        message = _parse_message(page.readline())
         if "url" not in message:
             self._process.kill()
             raise InputError(
@@ -119,33 +116,33 @@ class View(Keeper):
     def _read(self, page: IO[bytes]) -> None:
         why = "its process ended"
         for line in page:
-            message = _message(line)
+            message = _parse_message(line)
             why = message.get("error", why)
-            for wish in get_args(Wish):
-                if wish == message.get("wish"):
-                    self._requests.ask(wish, message.get("text", "")[:LONGEST_NOTE])
+            for name in get_args(CommandName):
+                if name == message.get("command"):
+                    self._requests.put(name, message.get("text", "")[:MAX_NOTE])
         if not self._ended.is_set():
-            self._say(f"view: the page is gone: {why}; the run goes on")
+            self._log(f"view: the page has closed: {why}; the run continues")
 
 
-def setup_of(estimator: Estimator, folder: Path, host: str, port: int, say: Say) -> Setup:
-    """What the page needs to know before anything is read."""
+def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: Log) -> SceneSetup:
+    """Return the static content of the page."""
     model = estimator.model
-    parts, note = parts_of(model, folder)
+    parts, note = rigid_parts(model, folder)
     if note:
-        say(f"view: {note}")
+        log(f"view: {note}")
     eq = estimator.free()
     if not eq.ok:
         raise InputError("--view: the free probe has no equilibrium under its own weight")
-    tube = Tube(model.rod.s, model.rod.radius, model.cross_section.flatness)
-    free = Shape(eq.s, eq.p_base, eq.R_base)
-    return Setup(
+    tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
+    free = BentShape(eq.s, eq.p_base, eq.R_base)
+    return SceneSetup(
         f"{model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note
     )
 
 
-def _start() -> "subprocess.Popen[bytes]":
-    """A process that neither Ctrl-C nor a closing terminal reaches: it ends when its input does."""
+def _start_process() -> "subprocess.Popen[bytes]":
+    """Start the process of the page; neither Ctrl-C nor a closing terminal ends it, only the end of its input."""
     here = str(Path(__file__).parents[3])
     paths = os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH", "")]))
     return subprocess.Popen(
@@ -157,7 +154,7 @@ def _start() -> "subprocess.Popen[bytes]":
     )
 
 
-def _message(line: bytes) -> dict[str, Any]:
+def _parse_message(line: bytes) -> dict[str, Any]:
     try:
         message = json.loads(line)
     except ValueError:
@@ -165,11 +162,11 @@ def _message(line: bytes) -> dict[str, Any]:
     return message if isinstance(message, dict) else {}
 
 
-def _check(host: str, port: int) -> None:
-    """Whether an address of this machine is meant; what else is wrong viser would not tell.
+def _check_address(host: str, port: int) -> None:
+    """Check that the address belongs to this machine; viser does not report other errors.
 
     Raises:
-        InputError: it is not.
+        InputError: it does not.
     """
     if not 0 < port < 65536:
         raise InputError(f"--view-port {port} must be in 1 ... 65535")
@@ -178,5 +175,5 @@ def _check(host: str, port: int) -> None:
         with socket.socket(*found[:3]) as trial:
             trial.bind(found[4])
     except (OSError, UnicodeError) as error:
-        told = getattr(error, "strerror", None) or error
-        raise InputError(f"--view-host {host}: {told}; say an address of this machine") from None
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None

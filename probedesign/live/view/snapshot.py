@@ -1,4 +1,4 @@
-"""What there is to see at one moment, as plain numbers that may go to another process."""
+"""Snapshot of a run for the views: plain numbers that can be sent to another process, and status lines."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,24 +8,24 @@ import numpy as np
 
 from probedesign.estimation.estimate import RESULTS
 from probedesign.frames import Array
-from probedesign.live.processing.estimates import Answer
+from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.units import MILLINEWTON, MM
 
-Mood = Literal["good", "fair", "bad", "plain"]
+Level = Literal["good", "fair", "bad", "plain"]
 
 
-class Said(NamedTuple):
-    """One thing in words.
+class StatusLine(NamedTuple):
+    """One line of the status.
 
     Attributes:
-        name: what it is about.
-        text: what there is to say.
-        mood: how it is.
+        name: its topic.
+        text: its text.
+        level: how good or bad it is.
     """
 
     name: str
     text: str
-    mood: Mood = "plain"
+    level: Level = "plain"
 
 
 def _nan(*shape: int) -> Array:
@@ -33,13 +33,13 @@ def _nan(*shape: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Shape:
-    """The bent centreline at the nodes of its solve.
+class BentShape:
+    """The bent centreline at the nodes of its solution.
 
     Attributes:
         s: arclengths, base to tip [m], (k,).
         p_base: points [m], (k, 3).
-        R_base: sections, their columns x, y and tangent, (k, 3, 3).
+        R_base: section frames with columns x, y and tangent, (k, 3, 3).
     """
 
     s: Array
@@ -48,18 +48,18 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A contact that was located.
+class ContactMarker:
+    """A located contact.
 
     Attributes:
-        p_surface: the touched point [m], (3,).
+        p_surface: touched point [m], (3,).
         cov: its covariance [m²], (3, 3).
-        force: what the object does to the probe [N], (3,).
+        force: force of the object on the probe [N], (3,).
         s, std_s: arclength and its standard deviation [m].
-        in_world: whether all this is told in the world; else in the base frame.
-        time: of the source [s].
-        number: of the touch, from one.
-        friction_ratio: tangential over normal force; NaN where it is not known.
+        in_world: whether all this is in the world frame; otherwise in the base frame.
+        time: time by the source's clock [s].
+        number: number of the touch, from 1.
+        friction_ratio: tangential over normal force; NaN if unknown.
     """
 
     p_surface: Array
@@ -74,34 +74,34 @@ class Place:
 
 
 STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
-"""What a row of a strip holds: [s], [N], [N·m], [m], [N]."""
+"""Columns of a row of a strip chart: [s], [N], [N·m], [m], [N]."""
 
 
 @dataclass(frozen=True)
-class Moment:
-    """One moment.
+class Snapshot:
+    """State of a run at one time.
 
     Attributes:
-        since: of the last answer, from the first on [s].
-        result: of the last answer; empty before the first.
-        old: whether what is known of probe and contact is not of now: stale, or too long without an answer.
-        words: everything in words.
-        shape: of the probe, where the answer tells one.
-        place: the contact, where the answer is sure of it.
-        touches: the surest place of each touch so far, the last ones.
-        T_world_base: pose of the base, (4, 4); NaN if it is not known.
-        gravity_base: [m/s²], (3,).
-        strip: what came since the last moment, rows of `STRIP`, (j, 10).
-        events: what was told last, with the source's time [s].
+        since: time of the last estimate, from the first one [s].
+        result: result of the last estimate; empty before the first.
+        stale: whether probe and contact are not current: no recent reading or estimate.
+        status: the status lines.
+        shape: shape of the probe, if estimated.
+        marker: the contact, if the estimate is ok.
+        touches: best contact of each touch so far, the last ones.
+        T_world_base: pose of the base, (4, 4); NaN if unknown.
+        gravity_base: gravity vector [m/s²], (3,).
+        strip: rows of `STRIP` since the last snapshot, (j, 10).
+        events: last events, with the source's time [s].
     """
 
     since: float = 0.0
     result: str = ""
-    old: bool = False
-    words: tuple[Said, ...] = ()
-    shape: Shape | None = None
-    place: Place | None = None
-    touches: tuple[Place, ...] = ()
+    stale: bool = False
+    status: tuple[StatusLine, ...] = ()
+    shape: BentShape | None = None
+    marker: ContactMarker | None = None
+    touches: tuple[ContactMarker, ...] = ()
     T_world_base: Array = field(default_factory=lambda: _nan(4, 4))
     gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
@@ -109,124 +109,128 @@ class Moment:
 
 
 NEWTON_MM = 1e-3
-"""N·m in a N·mm."""
+"""One N·mm in N·m."""
 
 
 @dataclass(frozen=True)
-class Health:
-    """How the run is.
+class RunHealth:
+    """Condition of the run.
 
     Attributes:
         stale: no reading for longer than usual.
-        no_answer: no answer for longer than usual.
-        silence: since the last reading [s].
-        rate, answers: readings and answers a second.
-        fault: of the last readings.
-        taken: readings so far.
-        counts: what the source counts.
-        tare, recording: what was said of them last; empty if nothing was.
+        no_estimate: no estimate for longer than usual.
+        silent_for: time since the last reading [s].
+        rate, estimate_rate: readings and estimates per second.
+        fault: fault of the last readings.
+        n_readings: number of readings so far.
+        counts: counters of the source.
+        tare, recording: last events on them; empty if there was none.
     """
 
     stale: bool = False
-    no_answer: bool = False
-    silence: float = float("nan")
+    no_estimate: bool = False
+    silent_for: float = float("nan")
     rate: float = float("nan")
-    answers: float = float("nan")
+    estimate_rate: float = float("nan")
     fault: str = ""
-    taken: int = 0
+    n_readings: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
     tare: str = ""
     recording: str = ""
 
 
-def words_of(answer: Answer | None, place: Place | None, health: Health) -> tuple[Said, ...]:
-    """Everything, in the order in which it matters."""
-    said = [_result_line(answer, health)]
-    if answer is not None:
-        said.append(Said("phase", answer.phase or "not followed"))
-        said += _contact_lines(place)
-        said += _fused_lines(answer)
-        said += _wrench_lines(answer.wrench_base)
-    return (*said, *_health_lines(answer, health))
+def status_lines(
+    update: EstimateUpdate | None, marker: ContactMarker | None, health: RunHealth
+) -> tuple[StatusLine, ...]:
+    """Return all status lines, most important first."""
+    lines = [_result_line(update, health)]
+    if update is not None:
+        lines.append(StatusLine("phase", update.phase or "not monitored"))
+        lines += _contact_lines(marker)
+        lines += _fused_lines(update)
+        lines += _wrench_lines(update.wrench_base)
+    return (*lines, *_health_lines(update, health))
 
 
-def _result_line(answer: Answer | None, health: Health) -> Said:
+def _result_line(update: EstimateUpdate | None, health: RunHealth) -> StatusLine:
     if health.stale:
-        return Said("result", f"stale: nothing read for {health.silence:.1f} s", "bad")
-    if answer is None:
-        return Said("result", "no estimate yet" if health.taken else "nothing read yet", "fair")
-    if health.no_answer:
-        return Said("result", "no estimate now: what is shown is old", "bad")
-    result = answer.estimate.result
-    moods: dict[str, Mood] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
-    return Said("result", f"{result}: {RESULTS[result]}", moods.get(result, "bad"))
+        return StatusLine("result", f"stale: no reading for {health.silent_for:.1f} s", "bad")
+    if update is None:
+        return StatusLine("result", "no estimate yet" if health.n_readings else "no reading yet", "fair")
+    if health.no_estimate:
+        return StatusLine("result", "no recent estimate: the values shown are old", "bad")
+    result = update.estimate.result
+    moods: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
+    return StatusLine("result", f"{result}: {RESULTS[result]}", moods.get(result, "bad"))
 
 
-def _contact_lines(place: Place | None) -> list[Said]:
-    """Where it is; a dash where that is not known, so that the lines keep their places."""
-    if place is None:
-        return [Said(name, "–") for name in ("contact", "point", "force")]
-    frame = "world" if place.in_world else "base"
+def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
+    """Return the lines of the contact; dashes if it is unknown, so that the lines keep their positions."""
+    if marker is None:
+        return [StatusLine(name, "–") for name in ("contact", "point", "force")]
+    frame = "world" if marker.in_world else "base"
     return [
-        Said("contact", f"s {place.s / MM:.1f} ± {place.std_s / MM:.1f} mm"),
-        Said("point", f"{_numbers(place.p_surface, MM)} mm, {frame}; ± {_numbers(_stds(place.cov), MM)} mm"),
-        Said("force", f"{float(np.linalg.norm(place.force)) / MILLINEWTON:.1f} mN{_friction(place)}"),
+        StatusLine("contact", f"s {marker.s / MM:.1f} ± {marker.std_s / MM:.1f} mm"),
+        StatusLine(
+            "point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {_numbers(_stds(marker.cov), MM)} mm"
+        ),
+        StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{_friction(marker)}"),
     ]
 
 
-def _friction(place: Place) -> str:
-    """Return the friction in words; empty where the method does not separate it."""
-    if not np.isfinite(place.friction_ratio):
+def _friction(marker: ContactMarker) -> str:
+    """Return the friction ratio as text; empty if the method does not estimate it."""
+    if not np.isfinite(marker.friction_ratio):
         return ""
-    return f", tangential over normal {place.friction_ratio:.2f}"
+    return f", tangential over normal {marker.friction_ratio:.2f}"
 
 
-def _fused_lines(answer: Answer) -> list[Said]:
-    """What all readings of the touch tell, where they are fused, and why not where they should be."""
-    if answer.fused is None:
-        return [Said("fused", f"no {answer.stale}", "fair")] if answer.stale else []
-    if not answer.fused.ok:
-        return [Said("fused", answer.fused.result)]
+def _fused_lines(update: EstimateUpdate) -> list[StatusLine]:
+    """Return the line of the fused estimate, or the reason why there is none."""
+    if update.fused is None:
+        return [StatusLine("fused", f"no {update.stale}", "fair")] if update.stale else []
+    if not update.fused.ok:
+        return [StatusLine("fused", update.fused.result)]
     return [
-        Said(
+        StatusLine(
             "fused",
-            f"{_numbers(answer.fused.p_surface_world, MM)} mm, world, ± {answer.fused.rms / MM:.1f} mm",
+            f"{_numbers(update.fused.p_surface_world, MM)} mm, world, ± {update.fused.rms / MM:.1f} mm",
         )
     ]
 
 
-def _wrench_lines(wrench: Array) -> list[Said]:
-    """What is read at the base."""
+def _wrench_lines(wrench: Array) -> list[StatusLine]:
+    """Return the lines of the wrench at the base."""
     if not np.isfinite(wrench).all():
-        return [Said("forces", "–"), Said("moments", "–")]
+        return [StatusLine("forces", "–"), StatusLine("moments", "–")]
     return [
-        Said("forces", f"{_numbers(wrench[:3], MILLINEWTON)} mN at the base"),
-        Said("moments", f"{_numbers(wrench[3:], NEWTON_MM, 2)} N·mm"),
+        StatusLine("forces", f"{_numbers(wrench[:3], MILLINEWTON)} mN at the base"),
+        StatusLine("moments", f"{_numbers(wrench[3:], NEWTON_MM, 2)} N·mm"),
     ]
 
 
-def _health_lines(answer: Answer | None, health: Health) -> list[Said]:
-    fault: list[Said] = [Said("fault", health.fault, "bad")] if health.fault else []
+def _health_lines(update: EstimateUpdate | None, health: RunHealth) -> list[StatusLine]:
+    fault: list[StatusLine] = [StatusLine("fault", health.fault, "bad")] if health.fault else []
     return [
         *fault,
-        Said("rate", _rates(answer, health)),
-        _loss_line(health.counts, health.taken),
-        Said("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
-        Said("recording", health.recording.removeprefix("recording ") or "no"),
+        StatusLine("rate", _rates(update, health)),
+        _loss_line(health.counts, health.n_readings),
+        StatusLine("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
+        StatusLine("recording", health.recording.removeprefix("recording ") or "no"),
     ]
 
 
-def _rates(answer: Answer | None, health: Health) -> str:
-    told = [f"{health.rate:.0f} readings/s", f"{health.answers:.0f} estimates/s"]
-    if answer is not None and np.isfinite(late := answer.made - answer.reading.received):
-        told.append(f"{1e3 * late:.1f} ms from reading to estimate")
-    return ", ".join(told).replace("nan", "–")
+def _rates(update: EstimateUpdate | None, health: RunHealth) -> str:
+    text = [f"{health.rate:.0f} readings/s", f"{health.estimate_rate:.0f} estimates/s"]
+    if update is not None and np.isfinite(latency := update.computed - update.reading.received):
+        text.append(f"{1e3 * latency:.1f} ms from reading to estimate")
+    return ", ".join(text).replace("nan", "–")
 
 
-def _loss_line(counts: Mapping[str, int], taken: int) -> Said:
+def _loss_line(counts: Mapping[str, int], n_readings: int) -> StatusLine:
     lost = {name: count for name in ("lost", "late", "dropped", "faults") if (count := counts.get(name, 0))}
-    told = ", ".join(f"{count} {name}" for name, count in lost.items())
-    return Said("loss", f"{told or 'none known'} of {taken} readings", "fair" if lost else "plain")
+    text = ", ".join(f"{count} {name}" for name, count in lost.items())
+    return StatusLine("loss", f"{text or 'none known'} of {n_readings} readings", "fair" if lost else "plain")
 
 
 def _stds(cov: Array) -> Array:

@@ -1,11 +1,14 @@
-"""Words as HTML for the page. Whatever comes from outside is escaped."""
+"""Renders the status of a snapshot as HTML for the page and as a table in the terminal.
+
+All text from outside is escaped.
+"""
 
 import math
 from html import escape
 from typing import TYPE_CHECKING
 
-from probedesign.live.view.snapshot import Moment, Mood, Place
-from probedesign.live.view.state import Counts, Keeper
+from probedesign.live.view.snapshot import ContactMarker, Level, Snapshot
+from probedesign.live.view.state import Counts, ViewState
 from probedesign.units import MM
 
 if TYPE_CHECKING:
@@ -13,26 +16,26 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-COLOURS: dict[Mood, str] = {"good": "#1b7f4b", "fair": "#a86400", "bad": "#b3261e", "plain": "#46525e"}
+COLOURS: dict[Level, str] = {"good": "#1b7f4b", "fair": "#a86400", "bad": "#b3261e", "plain": "#46525e"}
 TABLE = (
     "width:100%;border-collapse:collapse;font-size:13px;line-height:1.45;font-variant-numeric:tabular-nums"
 )
-SHOWN = 8
-"""Events and touches on the page, the last ones."""
+MAX_SHOWN = 8
+"""Maximum number of events and touches on the page: the last ones."""
 
 
-def words_html(moment: Moment) -> str:
-    """The result on a ground of its colour, then everything else in two columns."""
-    if not moment.words:
+def status_html(snapshot: Snapshot) -> str:
+    """Return the result on a coloured background and the other lines in two columns."""
+    if not snapshot.status:
         return ""
-    first, *rest = moment.words
+    first, *rest = snapshot.status
     rows = "".join(
-        f'<tr><td style="color:#75808b;padding-right:10px;vertical-align:top">{escape(said.name)}</td>'
-        f'<td style="color:{COLOURS[said.mood] if said.mood != "plain" else "inherit"}">{escape(said.text)}</td></tr>'
-        for said in rest
+        f'<tr><td style="color:#75808b;padding-right:10px;vertical-align:top">{escape(line.name)}</td>'
+        f'<td style="color:{COLOURS[line.level] if line.level != "plain" else "inherit"}">{escape(line.text)}</td></tr>'
+        for line in rest
     )
     ground = (
-        f"background:{COLOURS[first.mood]};color:white;border-radius:6px;padding:7px 10px;margin-bottom:8px"
+        f"background:{COLOURS[first.level]};color:white;border-radius:6px;padding:7px 10px;margin-bottom:8px"
     )
     return (
         f'<div style="padding:4px 12px"><div style="{ground};font-size:14px;font-weight:600">{escape(first.text)}</div>'
@@ -40,77 +43,77 @@ def words_html(moment: Moment) -> str:
     )
 
 
-def events_html(moment: Moment) -> str:
-    """What was told last, the newest on top."""
+def events_html(snapshot: Snapshot) -> str:
+    """Return the last events, newest first."""
     lines = "".join(
-        f'<tr><td style="color:#75808b;padding-right:8px;vertical-align:top;white-space:nowrap">{_when(time)}</td>'
+        f'<tr><td style="color:#75808b;padding-right:8px;vertical-align:top;white-space:nowrap">{_time_text(time)}</td>'
         f"<td>{escape(line)}</td></tr>"
-        for time, line in reversed(moment.events[-SHOWN:])
+        for time, line in reversed(snapshot.events[-MAX_SHOWN:])
     )
     return f'<div style="padding:2px 12px"><table style="{TABLE};font-size:12px">{lines}</table></div>'
 
 
-def touches_html(touches: tuple[Place, ...]) -> str:
-    """Earlier touches, the newest on top."""
+def touches_html(touches: tuple[ContactMarker, ...]) -> str:
+    """Return the earlier touches, newest first."""
     if not touches:
-        return '<div style="padding:2px 12px;font-size:12px;color:#75808b">none yet; each is kept when it ends</div>'
-    rows = "".join(_touch(place) for place in reversed(touches[-SHOWN:]))
+        return '<div style="padding:2px 12px;font-size:12px;color:#75808b">none yet; added when a touch ends</div>'
+    rows = "".join(_touch(marker) for marker in reversed(touches[-MAX_SHOWN:]))
     head = (
         "<tr style='color:#75808b'><td>no.</td><td>s ± std [mm]</td><td>x, y, z [mm]</td><td>frame</td></tr>"
     )
     return f'<div style="padding:2px 12px"><table style="{TABLE};font-size:12px">{head}{rows}</table></div>'
 
 
-def _touch(place: Place) -> str:
-    x, y, z = (f"{float(value) / MM:z.1f}" for value in place.p_surface)
-    frame = "world" if place.in_world else "base"
-    s = f"{place.s / MM:.1f} ± {place.std_s / MM:.1f}"
-    return f"<tr><td>{place.number}</td><td>{s}</td><td>{x}, {y}, {z}</td><td>{frame}</td></tr>"
+def _touch(marker: ContactMarker) -> str:
+    x, y, z = (f"{float(value) / MM:z.1f}" for value in marker.p_surface)
+    frame = "world" if marker.in_world else "base"
+    s = f"{marker.s / MM:.1f} ± {marker.std_s / MM:.1f}"
+    return f"<tr><td>{marker.number}</td><td>{s}</td><td>{x}, {y}, {z}</td><td>{frame}</td></tr>"
 
 
-def _when(time: float) -> str:
+def _time_text(time: float) -> str:
     return f"{time:.1f} s" if math.isfinite(time) else ""
 
 
-A_SECOND = 8
-STYLES: dict[Mood, str] = {"good": "bold green", "fair": "yellow", "bad": "bold red", "plain": ""}
+REFRESH_RATE = 8
+STYLES: dict[Level, str] = {"good": "bold green", "fair": "yellow", "bad": "bold red", "plain": ""}
 
 
-class Terminal(Keeper):
-    """A sink that draws what it is given at the bottom of a terminal until it is closed."""
+class TerminalView(ViewState):
+    """Sink that shows a live table at the bottom of a terminal until it is closed."""
 
     def __init__(self, title: str, counts: Counts = dict, console: "Console | None" = None) -> None:
-        """Begin to draw.
+        """Start the table.
 
         Args:
-            title: of the table.
-            counts: gives what the source counts: lost, dropped.
-            console: where; standard output if None.
+            title: title of the table.
+            counts: returns the counters of the source: lost, dropped.
+            console: console to use; standard output if None.
         """
         from rich.live import Live
 
         super().__init__(counts)
         self._title = title
-        self._live = Live(console=console, get_renderable=self._table, refresh_per_second=A_SECOND)
+        self._live = Live(console=console, get_renderable=self._table, refresh_per_second=REFRESH_RATE)
         self._live.start()
 
     def close(self) -> None:
-        """Leave the last words standing, and the cursor as it was."""
+        """Stop updating; the last table remains and the cursor is restored."""
         self._live.stop()
 
     def _table(self) -> "Table":
-        return table_of(self._title, self.moment(shaped=False))
+        return table_of(self._title, self.snapshot(shaped=False))
 
 
-def table_of(title: str, moment: Moment) -> "Table":
-    """The words of a moment in two columns, and the touches so far."""
+def table_of(title: str, snapshot: Snapshot) -> "Table":
+    """Return the status lines in two columns, and the touches so far."""
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=f"{title}, {moment.since:.1f} s", title_justify="left", show_header=False, box=None)
-    for said in moment.words:
-        table.add_row(Text(said.name, style="dim"), Text(said.text, style=STYLES[said.mood]))
-    for place in moment.touches[-3:]:
-        told = f"s {1e3 * place.s:.1f} ± {1e3 * place.std_s:.1f} mm"
-        table.add_row(Text(f"touch {place.number}", style="dim"), Text(told))
+    table = Table(title=f"{title}, {snapshot.since:.1f} s", title_justify="left", show_header=False, box=None)
+    for line in snapshot.status:
+        table.add_row(Text(line.name, style="dim"), Text(line.text, style=STYLES[line.level]))
+    for marker in snapshot.touches[-3:]:
+        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
+        table.add_row(Text(f"touch {marker.number}", style="dim"), Text(text))
     return table

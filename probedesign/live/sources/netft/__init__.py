@@ -1,1 +1,1 @@
-"""The Net F/T box as its clients see it: the wire, its own configuration, and `netft://` over both."""
+"""The ATI Net F/T box: wire protocol, configuration, and the source `netft://`."""

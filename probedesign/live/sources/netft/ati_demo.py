@@ -1,6 +1,6 @@
-"""Recordings of ATI's own demonstration program for the Net F/T box: seven lines, a header, quoted fields.
+"""Reads recordings of ATI's demonstration program for the Net F/T box: seven lines, a header, quoted fields.
 
-Source: the format is what ATI's Java demo, version 1.1.1, writes; a row may hold counts or units.
+Source: the format is that of ATI's Java demo, version 1.1.1; a row contains counts or units.
 """
 
 import csv
@@ -11,116 +11,113 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
-from probedesign.live.recordings.csv import Recording, check_values, gaps_in
+from probedesign.live.recordings.csv import Recording, check_wrenches, gaps_in
 from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS
 from probedesign.live.sources.netft.wire import SAMPLES_PER_SECOND, fault_of
 from probedesign.tables.text_table import read_text, shown
 
-BEGIN = "Start Time"
+FIRST_WORDS = "Start Time"
 HEADER = ("status(hex)", "rdtsequence", "f/tsequence", "fx", "fy", "fz", "tx", "ty", "tz", "time")
 WRAP = 1 << 32
 
 
 def is_ati_demo(path: Path) -> bool:
-    """Whether a file begins like one."""
+    """Return whether a file begins like such a recording."""
     try:
         with path.open("rb") as file:
-            return file.read(len(BEGIN) + 4).lstrip(b'\xef\xbb\xbf"').startswith(BEGIN.encode())
+            return file.read(len(FIRST_WORDS) + 4).lstrip(b'\xef\xbb\xbf"').startswith(FIRST_WORDS.encode())
     except (OSError, ValueError):
         return False
 
 
 def read_ati_demo(path: Path) -> Recording:
-    """Read such a recording; its time is the sensor's, from the first sample on.
+    """Read such a recording; its time is the sensor's, from the first sample.
 
     Raises:
-        InputError: it cannot be read or says something wrong; one line with the line of the file.
+        InputError: the file cannot be read or is invalid; the message names the line.
     """
     lines = read_text(path, "recording").splitlines()
     factors, start = _head(path, lines)
     rows = [(number, fields) for number, fields in enumerate(csv.reader(lines[start:]), start + 1) if fields]
     notes = []
     if rows and len(rows[-1][1]) < len(HEADER):
-        notes.append(f"line {rows[-1][0]} is half a line at the end: dropped")
+        notes.append(f"line {rows[-1][0]} is incomplete at the end: dropped")
         rows.pop()
     dropped = len(notes)
     values = np.array([_numbers(path, number, fields) for number, fields in rows]).reshape(-1, 8)
     if not len(values):
-        raise InputError(f"{path}: holds no samples, only a header")
+        raise InputError(f"{path}: no samples, only a header")
     time = _time(path, values[:, 1], [number for number, _ in rows])
-    counts = bool(
-        (values[:, 2:] == np.rint(values[:, 2:])).all()
-    )  # a millionth of a newton is no whole number
+    counts = bool((values[:, 2:] == np.rint(values[:, 2:])).all())  # counts are integers, newtons are not
     wrench = values[:, 2:] * factors[0] / (factors[1] if counts else 1.0)
     good = np.array([not fault_of(int(status)) for status in values[:, 0]])
     if not good.all():
-        notes.append(f"{int((~good).sum())} samples with a fault are left out")
+        notes.append(f"{int((~good).sum())} samples with a fault are omitted")
     gaps, missing = gaps_in(time[good])
     if gaps:
         notes.append(f"{missing} samples are missing in {gaps} gaps")
-    recording = Recording(time[good], wrench[good], "sensor", None, gaps, missing, dropped, tuple(notes))
-    check_values(path, recording)
-    return recording
+    check_wrenches(path, time[good], wrench[good])
+    return Recording(time[good], wrench[good], "sensor", None, gaps, missing, dropped, tuple(notes))
 
 
 def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
-    """Units to SI and counts in a unit, (6,) each, and how many lines stand before the first row."""
-    said: dict[str, str] = {}
+    """Return units in SI and counts per unit, (6,) each, and the number of lines before the first row."""
+    head: dict[str, str] = {}
     for number, line in enumerate(lines[:20], 1):
         if re.sub(r"[\s\"]", "", line).lower().split(",") == list(HEADER):
             force, torque = (
-                _unit(path, said, f"{what} Units", units)
+                _unit(path, head, f"{what} Units", units)
                 for what, units in (("Force", FORCE_UNITS), ("Torque", TORQUE_UNITS))
             )
-            counts = [_counts(path, said, f"Counts per Unit {what}") for what in ("Force", "Torque")]
+            counts = [_counts(path, head, f"Counts per Unit {what}") for what in ("Force", "Torque")]
             return (np.repeat([force, torque], 3), np.repeat(counts, 3)), number
         name, _, value = line.strip().strip('"').partition(":")
-        said[name.strip()] = value.strip()
+        head[name.strip()] = value.strip()
     raise InputError(
-        f"{path}: begins like a recording of ATI's demo, but has no header: Status (hex), ..., Time"
+        f"{path}: looks like a recording of ATI's demo, but has no header: Status (hex), ..., Time"
     )
 
 
-def _unit(path: Path, said: dict[str, str], name: str, units: dict[str, float]) -> float:
-    letters = re.sub(r"[^a-z]", "", said.get(name, "").lower())
+def _unit(path: Path, head: dict[str, str], name: str, units: dict[str, float]) -> float:
+    letters = re.sub(r"[^a-z]", "", head.get(name, "").lower())
     if letters not in units:
         raise InputError(
-            f"{path}: {name} {shown(said.get(name, ''))} is not known; there are {', '.join(units)}"
+            f"{path}: {name} {shown(head.get(name, ''))} is unknown; available are {', '.join(units)}"
         )
     return units[letters]
 
 
-def _counts(path: Path, said: dict[str, str], name: str) -> float:
+def _counts(path: Path, head: dict[str, str], name: str) -> float:
     try:
-        counts = float(said[name])
+        counts = float(head[name])
     except (KeyError, ValueError):
         counts = 0.0
     if not 0.0 < counts < np.inf:
-        raise InputError(f"{path}: {name} {shown(said.get(name, ''))} must be a positive number")
+        raise InputError(f"{path}: {name} {shown(head.get(name, ''))} must be a positive number")
     return counts
 
 
 def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
-    """Status, sequence of the sensor and six channels."""
+    """Return status, sequence number of the sensor and six channels."""
     try:
         if len(fields) != len(HEADER):
             raise ValueError
         numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
     except ValueError:
-        told = shown(",".join(fields))
+        text = shown(",".join(fields))
         raise InputError(
-            f"{path}:{number}: {told} is no row of {len(HEADER)} fields as ATI's demo writes"
+            f"{path}:{number}: {text} is not a row of {len(HEADER)} fields of ATI's demo"
         ) from None
     if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
-        raise InputError(f"{path}:{number}: {shown(','.join(fields))} holds a number that no box sends")
+        raise InputError(f"{path}:{number}: {shown(','.join(fields))} contains a number that no box sends")
     return numbers
 
 
 def _time(path: Path, sequence: Array, numbers: list[int]) -> Array:
-    """By the sensor's own count, past the end of its 32 bits [s], (n,)."""
+    """Return the time by the sensor's own counter, across its 32-bit overflow [s], (n,)."""
     ticks = np.diff(sequence) % WRAP
     back = np.flatnonzero(ticks > WRAP / 2)
     if len(back):
         number = numbers[int(back[0]) + 1]
-        raise InputError(f"{path}:{number}: F/T Sequence runs backward; sort the rows or split the recording")
+        raise InputError(f"{path}:{number}: F/T Sequence decreases; sort the rows or split the recording")
     return np.concatenate([[0.0], np.cumsum(ticks)]) / SAMPLES_PER_SECOND

@@ -1,4 +1,7 @@
-"""pynetft, driven: its queue emptied in one go, asked anew where it refuses all that comes."""
+"""Session with a box through pynetft: reads its queue in one pass, renews the client if it rejects all records.
+
+Also the sensor's clock: time from a 32-bit counter that overflows, stops or restarts.
+"""
 
 import sys
 from collections import Counter
@@ -19,31 +22,31 @@ if TYPE_CHECKING:
 
 
 QUEUE_SIZE = 1 << 16
-"""Records that wait for us at most: nine seconds."""
+"""Maximum number of queued records: 9 s."""
 MAX_RECORDS_AT_ONCE = 700
-"""Records that are taken at once at most: a tenth of a second."""
-PAUSE = 0.001
-"""Records gather for so long if there is time [s]: waking for one costs more than reading it."""
-STALE = 0.040
-"""Without a record for so long, what was last estimated is old [s]; told within 50 ms of the last record."""
-RENEWED = 0.5
-"""Records that come and are all refused, as after a restart, get a new client after so long [s]."""
-ASKED = 0.010
-"""After a session that ended, as pynetft's do with every sample of a faulty status, it asks again so soon [s]."""
-SWITCH = 1e-4
-"""Another thread of Python that computes keeps us from each record for so long at most [s]: each read lets go of the
-interpreter, and Python's usual 5 ms would be more than the record's turn."""
+"""Maximum number of records read at once: 0.1 s."""
+GATHER_TIME = 0.001
+"""Time in which records are gathered, if there is time [s]: waking up for a record costs more than reading it."""
+STALE_TIME = 0.040
+"""Time without a record after which the last estimate is stale [s]; reported within 50 ms of the last record."""
+RENEW_AFTER = 0.5
+"""Time after which a client that rejects all records, as after a restart of the box, is replaced [s]."""
+RECONNECT_DELAY = 0.010
+"""Delay before a new request after the end of a session [s]; pynetft ends it with every sample of a faulty status."""
+SWITCH_INTERVAL = 1e-4
+"""Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
+thread would hold it for Python's usual 5 ms, longer than the interval between records."""
 
 
 @dataclass(frozen=True)
-class Records:
-    """n records of the box, in the order in which they came.
+class RdtRecords:
+    """n records of the box, in the order of arrival.
 
     Attributes:
-        ft_sequence: which of the sensor's samples they are, (n,).
-        status: their words, (n,).
-        received: by `time.monotonic` [s], (n,).
-        counts: of the six channels, (n, 6).
+        ft_sequence: sequence numbers of the sensor's samples, (n,).
+        status: status words, (n,).
+        received: arrival by `time.monotonic` [s], (n,).
+        counts: counts of the six channels, (n, 6).
     """
 
     ft_sequence: NDArray[np.int64]
@@ -54,62 +57,62 @@ class Records:
     def __len__(self) -> int:
         return len(self.ft_sequence)
 
-    def __getitem__(self, part: slice | NDArray[np.bool_]) -> "Records":
-        """Some of them."""
-        return Records(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
+    def __getitem__(self, part: slice | NDArray[np.bool_]) -> "RdtRecords":
+        """Return some of the records."""
+        return RdtRecords(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
 
 
-class Session:
-    """What pynetft reads from one box.
+class RdtSession:
+    """Reads the records of one box with pynetft.
 
     Attributes:
-        counts: records so far: received, lost, late, doubled, malformed, dropped by the queue.
+        counts: number of records received, lost, late, doubled, malformed, dropped by the queue.
     """
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        """Nothing streams yet.
+        """Prepare; nothing streams yet.
 
         Args:
-            name: of the box, for messages.
-            host: of the box.
-            port: of RDT.
+            name: name of the box, for messages.
+            host: address of the box.
+            port: RDT port.
 
         Raises:
             MissingDependencyError: pynetft is not installed.
         """
         self.counts: Counter[str] = Counter()
         self._name, self._host, self._port = name, host, port
-        self._client, self._closed = self._made(), Counter[str]()
+        self._client, self._closed = self._new_client(), Counter[str]()
 
-    def records(self) -> Generator[Records, None, None]:
-        """Records as they come; none after each `STALE` without one.
+    def records(self) -> Generator[RdtRecords, None, None]:
+        """Yield records as they arrive; none after each `STALE_TIME` without one.
 
         Raises:
-            InputError: pynetft has given up.
+            InputError: pynetft has stopped.
         """
         received, renewed, usual = 0, monotonic(), sys.getswitchinterval()
-        sys.setswitchinterval(min(usual, SWITCH))
+        sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
         self._client.start()
         try:
             while True:
-                began = monotonic()
-                found = drained(self._client)
-                yield found
-                if len(found):
-                    sleep(max(0.0, began + PAUSE - monotonic()))
+                started = monotonic()
+                records = drain(self._client)
+                yield records
+                if len(records):
+                    sleep(max(0.0, started + GATHER_TIME - monotonic()))
                     continue
-                heard = self._heard()
-                if heard > received and monotonic() - renewed > RENEWED:
+                received_now = self._received_count()
+                if received_now > received and monotonic() - renewed > RENEW_AFTER:
                     self._renew()
-                    renewed, heard = monotonic(), 0
-                received = heard
+                    renewed, received_now = monotonic(), 0
+                received = received_now
         finally:
             sys.setswitchinterval(usual)
             self._client.stop()
             self.count()
 
     def count(self) -> None:
-        """Bring the counts up to date."""
+        """Update the counts."""
         health = self._client.health()
         self.counts = self._closed + Counter(
             received=health.received_count,
@@ -120,22 +123,22 @@ class Session:
             dropped=health.python_queue_dropped_count,
         )
 
-    def _heard(self) -> int:
-        """How many records pynetft has received, whether it gave them to us or not."""
+    def _received_count(self) -> int:
+        """Return the number of records that pynetft has received, delivered or not."""
         health = self._client.health()
         if health.state.value == "faulted":
-            raise InputError(f"{self._name}: pynetft has ended: {health.last_error}")
+            raise InputError(f"{self._name}: pynetft has stopped: {health.last_error}")
         return health.received_count
 
     def _renew(self) -> None:
         self._client.stop()
         self.count()
         self._closed = self.counts
-        self._client = self._made()
+        self._client = self._new_client()
         self._client.start()
 
-    def _made(self) -> "Client":
-        """A client that knows no units: the counts are ours to convert, since it knows no tool transform."""
+    def _new_client(self) -> "Client":
+        """Return a client that delivers counts: pynetft does not know tool transforms, so counts are converted here."""
         try:
             from pynetft import Calibration, Client, Config, ForceUnit, TorqueUnit
         except ImportError:
@@ -143,8 +146,8 @@ class Session:
         config = Config(
             sensor_host=self._host,
             rdt_port=self._port,
-            receive_timeout=2.0 * STALE,
-            reconnect_initial_delay=ASKED,
+            receive_timeout=2.0 * STALE_TIME,
+            reconnect_initial_delay=RECONNECT_DELAY,
             reconnect_max_delay=0.5,
             deliver_samples_with_error_status=True,
             calibration_override=Calibration(1.0, 1.0, ForceUnit.NEWTON, TorqueUnit.NEWTON_METER),
@@ -152,35 +155,35 @@ class Session:
         return Client(config, queue_size=QUEUE_SIZE)
 
 
-def drained(client: "Client") -> Records:
-    """What waits in the client's queue; if nothing does, what comes within `STALE`.
+def drain(client: "Client") -> RdtRecords:
+    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`.
 
-    By its native reader: `Client.samples` makes an object of enumerations and floats of each record, which takes
-    three times as long as reading it. That reader is not promised by pynetft: the project pins its version.
+    It uses pynetft's native reader: `Client.samples` creates an object of enumerations and floats for each record,
+    which takes three times as long as reading it. This reader is not public API; the version of pynetft is pinned.
     """
     read = client._native.read
     rows: list[tuple[int, ...]] = []
-    sample = read(STALE).sample
+    sample = read(STALE_TIME).sample
     while sample is not None:
         rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
         sample = read(0.0).sample if len(rows) < MAX_RECORDS_AT_ONCE else None
     table = np.array(rows, dtype=np.int64).reshape(-1, 9)
-    return Records(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
+    return RdtRecords(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
 
 
 WRAP = 1 << 32
-AHEAD = 10.0
-"""A counter that runs this far ahead of the host's clock is another counter [s]: buffers hold less, suspended
-programs find no old records."""
+MAX_LEAD = 10.0
+"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers hold less, and a
+suspended program finds no old records."""
 
 
-class Times(NamedTuple):
-    """What the clock says of n records.
+class RecordTimes(NamedTuple):
+    """Times of n records.
 
     Attributes:
-        new: which of them are not the sample before once more, (n,).
-        time: of the k that are new [s], (k,).
-        restarted: before which of the new the counter started again, (k,).
+        new: whether each record is a new sample, not a repeated one, (n,).
+        time: times of the k new samples [s], (k,).
+        restarted: whether the counter restarted before each new sample, (k,).
     """
 
     new: NDArray[np.bool_]
@@ -189,33 +192,35 @@ class Times(NamedTuple):
 
 
 def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
-    """From each value to the next, the first from the one before, (n,): as `np.diff`, which takes four times as long
-    for the few values that come at once."""
-    found = np.empty_like(values)
-    found[:1] = values[:1] - before
-    np.subtract(values[1:], values[:-1], out=found[1:])
-    return found
+    """Return the difference of each value to the one before, the first to `before`, (n,).
+
+    As `np.diff`, which takes four times as long for few values.
+    """
+    records = np.empty_like(values)
+    records[:1] = values[:1] - before
+    np.subtract(values[1:], values[:-1], out=records[1:])
+    return records
 
 
 class SensorClock:
-    """Seconds since the first record by `ft_sequence`, never backward.
+    """Time since the first record by `ft_sequence` [s], never decreasing.
 
     Attributes:
-        restarts: how often the counter started again; the host's clock bridges the time between.
+        restarts: number of restarts of the counter; the host's clock covers the gaps.
     """
 
     def __init__(self) -> None:
-        """A clock that has seen nothing."""
+        """Start before the first record."""
         self.restarts = 0
         self._last: tuple[int, float] | None = None
         self._ticks = 0
 
-    def times(self, ft_sequence: NDArray[np.int64], received: Array) -> Times:
-        """Time of records that came one after the other.
+    def times(self, ft_sequence: NDArray[np.int64], received: Array) -> RecordTimes:
+        """Return the times of consecutive records.
 
         Args:
-            ft_sequence: of each, (n,).
-            received: when, by the host's clock [s], (n,).
+            ft_sequence: sequence numbers, (n,).
+            received: arrival by the host's clock [s], (n,).
         """
         new = np.ones(len(ft_sequence), dtype=bool)
         new[1:] = np.diff(ft_sequence) != 0
@@ -223,13 +228,13 @@ class SensorClock:
             new[0] = ft_sequence[0] != self._last[0]
         ft, received = ft_sequence[new], received[new]
         if not len(ft):
-            return Times(new, np.empty(0), np.empty(0, dtype=bool))
+            return RecordTimes(new, np.empty(0), np.empty(0, dtype=bool))
         before = self._last or (int(ft[0]), float(received[0]))
         ticks = steps(ft, before[0]) % WRAP
         elapsed = np.maximum(steps(received, before[1]), 0.0)
-        restarted = ticks / SAMPLES_PER_SECOND > elapsed + AHEAD
+        restarted = ticks / SAMPLES_PER_SECOND > elapsed + MAX_LEAD
         bridged = np.maximum(np.rint(elapsed * SAMPLES_PER_SECOND), 1.0).astype(np.int64)
         counted = self._ticks + np.cumsum(np.where(restarted, bridged, ticks))
         self.restarts += int(restarted.sum())
         self._last, self._ticks = (int(ft[-1]), float(received[-1])), int(counted[-1])
-        return Times(new, counted / SAMPLES_PER_SECOND, restarted)
+        return RecordTimes(new, counted / SAMPLES_PER_SECOND, restarted)

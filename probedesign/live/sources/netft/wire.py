@@ -1,6 +1,7 @@
-"""RDT: what goes over UDP between the box and its client. Big-endian.
+"""RDT protocol between the box and its client over UDP (big-endian), and the status word of its records.
 
-Source: ATI, Net F/T Sensor System, installation and operation manual 9620-05-NET FT, the chapter on RDT.
+Source: ATI, Net F/T Sensor System, installation and operation manual 9620-05-NET FT, the chapter on RDT and the table
+of the system status code. Axia sensors use another table.
 """
 
 import struct
@@ -13,38 +14,39 @@ HTTP_PORT = 80
 PAGE = "/netftapi2.xml"
 
 SAMPLES_PER_SECOND = 7000
-"""Of the box itself, whatever it sends; `ft_sequence` counts them. The rate of records is this over a whole number."""
-MOST_RECORDS = 40
-"""In one packet of buffered streaming."""
+"""Sampling rate of the box, independent of the record rate, counted by `ft_sequence`. The record rate is an integer
+fraction of it."""
+MAX_RECORDS = 40
+"""Maximum number of records in a packet of buffered streaming."""
 
 STOP, REALTIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042
-"""Commands that the box hears."""
+"""Commands to the box."""
 
 HEADER = 0x1234
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
 RECORDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
-"""The same record, for many at once."""
+"""The record as an array type."""
 
 
 class Request(NamedTuple):
-    """What a client asks for.
+    """Request of a client.
 
     Attributes:
-        command: one of the above.
-        records: how many; 0 for no end.
+        command: one of the commands above.
+        records: number of records; 0 is unlimited.
     """
 
     command: int
     records: int = 0
 
     def packed(self) -> bytes:
-        """Its eight bytes."""
+        """Return the request as eight bytes."""
         return REQUEST.pack(HEADER, self.command, self.records)
 
 
 def parse_request(datagram: bytes) -> Request | None:
-    """The request that a datagram holds; None if it holds none."""
+    """Return the request in a datagram; None if it is not a request."""
     if len(datagram) != REQUEST.size:
         return None
     header, command, count = REQUEST.unpack(datagram)
@@ -52,12 +54,12 @@ def parse_request(datagram: bytes) -> Request | None:
 
 
 HEALTHY = (0x00000000, 0x80010000)
-"""The second: a monitor condition has been latched, which is no fault of the sample."""
+"""The second value: a monitor condition has been latched, which is not a fault of the sample."""
 
 SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
 HARMLESS = (*HEALTHY, LATCHED)
 
-FAULTS = {
+FAULT_TEXTS = {
     30: "processor or memory error",
     29: "digital board error",
     28: "analogue board error",
@@ -87,12 +89,12 @@ FAULTS = {
     2: "temperature",
     1: "HTTP failure",
 }
-"""By bit; 31 sums up and 16 is no fault."""
+"""Texts by bit; bit 31 is the summary and bit 16 is not a fault."""
 
 
 def fault_of(status: int) -> str:
-    """What is wrong with a record of that status; nothing if it is healthy."""
+    """Return the fault of a status word; empty if there is none."""
     if status in HARMLESS:
         return ""
-    told = [words for bit, words in FAULTS.items() if status >> bit & 1]
-    return f"{', '.join(told) or 'unknown fault'} (status 0x{status:08x})"
+    texts = [text for bit, text in FAULT_TEXTS.items() if status >> bit & 1]
+    return f"{', '.join(texts) or 'unknown fault'} (status 0x{status:08x})"

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from probedesign.errors import InputError
-from probedesign.live.recordings.csv import HEADER, Recording, read_recording, write_recording
+from probedesign.live.recordings.csv import CSV_HEADER, Recording, read_recording, write_recording
 
 ROW = "0.5,-0.25,0.125,0.001,0.002,-0.003"
 EXACT = 1e-15
@@ -39,7 +39,7 @@ def rows(*times: float) -> str:
 
 
 def test_an_ordinary_recording(path):
-    recording = read(path, f"{HEADER}\n{rows(0.0, 0.01, 0.02)}")
+    recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.01, 0.02)}")
     assert recording.time.tolist() == [0.0, 0.01, 0.02]
     assert recording.wrench.tolist() == [[0.5, -0.25, 0.125, 0.001, 0.002, -0.003]] * 3
     assert (recording.frame, recording.gravity_base, recording.notes) == ("sensor", None, ())
@@ -47,7 +47,7 @@ def test_an_ordinary_recording(path):
 
 
 def test_one_row_is_a_recording(path):
-    assert read(path, f"{HEADER}\n{rows(3.0)}").wrench.shape == (1, 6)
+    assert read(path, f"{CSV_HEADER}\n{rows(3.0)}").wrench.shape == (1, 6)
 
 
 @pytest.mark.parametrize(
@@ -75,20 +75,22 @@ def test_columns_in_any_order_beside_others(path):
 
 
 def test_comments_blank_lines_and_line_ends(path):
-    text = f"\ufeff# made by hand\r\n# Frame: BASE\r\n\r\n{HEADER}\r\n{rows(0.0)}\r\n# pause\r\n{rows(1.0)}"
+    text = (
+        f"\ufeff# made by hand\r\n# Frame: BASE\r\n\r\n{CSV_HEADER}\r\n{rows(0.0)}\r\n# pause\r\n{rows(1.0)}"
+    )
     recording = read(path, text)
     assert (recording.frame, len(recording.time)) == ("base", 2)
 
 
 def test_gravity_comes_along(path):
-    recording = read(path, f"{HEADER},gx_m_s2,gy_m_s2,gz_m_s2\n0,{ROW},9.81,0,-1\n")
+    recording = read(path, f"{CSV_HEADER},gx_m_s2,gy_m_s2,gz_m_s2\n0,{ROW},9.81,0,-1\n")
     assert recording.gravity_base is not None
     assert recording.gravity_base.tolist() == [[9.81, 0.0, -1.0]]
 
 
 def test_seconds_since_1970_keep_their_microseconds(path):
     """Doubles near 1.7e9 are 2.4e-7 s apart."""
-    recording = read(path, f"{HEADER}\n{rows(1700000000.000001, 1700000000.000101)}")
+    recording = read(path, f"{CSV_HEADER}\n{rows(1700000000.000001, 1700000000.000101)}")
     assert np.diff(recording.time)[0] == pytest.approx(1e-4, abs=2.4e-7)
 
 
@@ -97,28 +99,28 @@ def test_seconds_since_1970_keep_their_microseconds(path):
 
 @pytest.mark.parametrize("half", ["0.0", "0.02,0.5,-0.2", "0.02,0.5,-0.25,0.125,0.001,0.002,-", "x"])
 def test_half_a_line_at_the_end_is_dropped(path, half):
-    recording = read(path, f"{HEADER}\n{rows(0.0, 0.01)}{half}")
+    recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.01)}{half}")
     assert len(recording.time) == 2
     assert recording.dropped_lines == 1
-    assert "line 4 is half a line at the end: dropped" in recording.notes
+    assert "line 4 is incomplete at the end: dropped" in recording.notes
 
 
 def test_a_last_line_that_only_lacks_its_newline_is_kept(path):
-    recording = read(path, f"{HEADER}\n{rows(0.0, 0.01)}".rstrip("\n"))
+    recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.01)}".rstrip("\n"))
     assert (len(recording.time), recording.dropped_lines) == (2, 0)
     assert "line 3 does not end in a newline" in recording.notes[0]
 
 
 def test_gaps_are_counted(path):
     """At 100 Hz: one sample missing after 0.02 s, three after 0.05 s; 14 ms of jitter is no gap."""
-    recording = read(path, f"{HEADER}\n{rows(0.0, 0.01, 0.02, 0.04, 0.05, 0.09, 0.1, 0.114, 0.12)}")
+    recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.01, 0.02, 0.04, 0.05, 0.09, 0.1, 0.114, 0.12)}")
     assert (recording.gaps, recording.missing_samples) == (2, 4)
     assert recording.notes == ("4 samples are missing in 2 gaps",)
 
 
 def test_a_coarse_clock_has_no_gaps(path):
     """Several samples to a millisecond tick: most steps are zero, and no rate can be told."""
-    recording = read(path, f"{HEADER}\n{rows(0.0, 0.0, 0.0, 0.0, 0.001, 0.001, 0.001)}")
+    recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.0, 0.0, 0.0, 0.001, 0.001, 0.001)}")
     assert recording.gaps == 0
 
 
@@ -130,36 +132,36 @@ def test_a_coarse_clock_has_no_gaps(path):
     [
         ("", "is empty"),
         ("# frame: base\n\n", "is empty"),
-        (f"{HEADER}\n", "holds no samples"),
-        (f"{HEADER}\n0.0,1", "holds no samples"),
-        (HEADER, "holds no samples"),
+        (f"{CSV_HEADER}\n", "no samples"),
+        (f"{CSV_HEADER}\n0.0,1", "no samples"),
+        (CSV_HEADER, "no samples"),
         (rows(0.0), ":1: numbers without a header"),
         ("time_s,Fx_N,Fy_N,Fz_N\n0,1,2,3\n", ":1: columns are missing: Mx_Nm, My_Nm, Mz_Nm"),
         ("a,b\n1,2\n", "columns are missing: time_s, Fx_N"),
-        (f"{HEADER},Tx_Nmm\n0,{ROW},1\n", "columns 'Mx_Nm' and 'Tx_Nmm' are the same"),
-        (f"{HEADER},gx_m_s2\n0,{ROW},1\n", "columns are missing: gy_m_s2, gz_m_s2"),
-        (HEADER.replace("Fx_N", "Fx") + f"\n{rows(0.0)}", "names no unit; end its name in one of _N, _mN"),
-        (HEADER.replace("Fx_N", "Fx (lbf)") + f"\n{rows(0.0)}", "column 'Fx (lbf)': unit 'lbf' is not known"),
-        (HEADER.replace("time_s", "time") + f"\n{rows(0.0)}", "column 'time': names no unit"),
-        (HEADER.replace("Fx_N", "Fx_lbf") + f"\n{rows(0.0)}", "unit 'lbf' is not known"),
-        (HEADER.replace("Mx_Nm", "Mx_N") + f"\n{rows(0.0)}", "unit 'N' is not known; end its name in"),
-        (f"# frame: world\n{HEADER}\n{rows(0.0)}", ":1: frame 'world' is not known"),
-        (f"# frame: base\n# frame: sensor\n{HEADER}\n{rows(0.0)}", "names two frames"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1,2,x,4,5,6\n", ":3: Fz_N = 'x' is not a finite number"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1,nan,3,4,5,6\n", ":3: Fy_N = 'nan'"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1,2,3,4,5,nan", ":3: Mz_Nm = 'nan'"),
-        (f"{HEADER}\n{rows(0.0)}inf,1,2,3,4,5,6\n", ":3: time_s = 'inf'"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1e999,2,3,4,5,6\n", ":3: Fx_N = '1e999'"),
-        (f"{HEADER}\n{rows(0.0)}0.01,,2,3,4,5,6\n", ":3: Fx_N = ''"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1_0,2,3,4,5,6\n", ":3: Fx_N = '1_0'"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1,2\n{rows(0.02)}", ":3: 3 fields where the header names 7"),
-        (f"{HEADER}\n{rows(0.0)}0.01,{ROW},9\n{rows(0.02)}", ":3: 8 fields where the header names 7"),
-        (f"{HEADER}\n0;1;2;3;4;5;6\n", ":2: 1 fields"),
-        (f"{HEADER}\n{rows(0.0)}{HEADER}\n{rows(0.0)}", ":3: time_s = 'time_s'"),
-        (f"{HEADER}\n# a\n{rows(0.0, 0.02, 0.01)}", ":5: time runs backward, from 0.02 s to 0.01 s"),
-        (f"{HEADER}\n{rows(0.0)}0.01,1,2,-1000001,4,5,6\n", ":3: Fz_N = -1e+06 is more than"),
-        (f"{HEADER}\n0.01,1,2,3,51,5,6\n", "Mx_Nm = 51 is more than any sensor reads"),
-        (f"{HEADER}\n{rows(1700000000000.0)}", "time_s = 1.7e+12 is more"),
+        (f"{CSV_HEADER},Tx_Nmm\n0,{ROW},1\n", "columns 'Mx_Nm' and 'Tx_Nmm' are the same"),
+        (f"{CSV_HEADER},gx_m_s2\n0,{ROW},1\n", "columns are missing: gy_m_s2, gz_m_s2"),
+        (CSV_HEADER.replace("Fx_N", "Fx") + f"\n{rows(0.0)}", "names no unit; end its name in one of _N, _mN"),
+        (CSV_HEADER.replace("Fx_N", "Fx (lbf)") + f"\n{rows(0.0)}", "column 'Fx (lbf)': unit 'lbf' is not known"),
+        (CSV_HEADER.replace("time_s", "time") + f"\n{rows(0.0)}", "column 'time': names no unit"),
+        (CSV_HEADER.replace("Fx_N", "Fx_lbf") + f"\n{rows(0.0)}", "unit 'lbf' is not known"),
+        (CSV_HEADER.replace("Mx_Nm", "Mx_N") + f"\n{rows(0.0)}", "unit 'N' is not known; end its name in"),
+        (f"# frame: world\n{CSV_HEADER}\n{rows(0.0)}", ":1: frame 'world' is not known"),
+        (f"# frame: base\n# frame: sensor\n{CSV_HEADER}\n{rows(0.0)}", "names two frames"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1,2,x,4,5,6\n", ":3: Fz_N = 'x' is not a finite number"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1,nan,3,4,5,6\n", ":3: Fy_N = 'nan'"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1,2,3,4,5,nan", ":3: Mz_Nm = 'nan'"),
+        (f"{CSV_HEADER}\n{rows(0.0)}inf,1,2,3,4,5,6\n", ":3: time_s = 'inf'"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1e999,2,3,4,5,6\n", ":3: Fx_N = '1e999'"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,,2,3,4,5,6\n", ":3: Fx_N = ''"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1_0,2,3,4,5,6\n", ":3: Fx_N = '1_0'"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1,2\n{rows(0.02)}", ":3: 3 fields where the header names 7"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,{ROW},9\n{rows(0.02)}", ":3: 8 fields where the header names 7"),
+        (f"{CSV_HEADER}\n0;1;2;3;4;5;6\n", ":2: 1 fields"),
+        (f"{CSV_HEADER}\n{rows(0.0)}{CSV_HEADER}\n{rows(0.0)}", ":3: time_s = 'time_s'"),
+        (f"{CSV_HEADER}\n# a\n{rows(0.0, 0.02, 0.01)}", ":5: time decreases, from 0.02 s to 0.01 s"),
+        (f"{CSV_HEADER}\n{rows(0.0)}0.01,1,2,-1000001,4,5,6\n", ":3: Fz_N = -1e+06 exceeds"),
+        (f"{CSV_HEADER}\n0.01,1,2,3,51,5,6\n", "Mx_Nm = 51 exceeds the range of any sensor"),
+        (f"{CSV_HEADER}\n{rows(1700000000000.0)}", "time_s = 1.7e+12 exceeds"),
     ],
 )  # fmt: skip
 def test_what_is_no_recording(path, text, told):
@@ -182,7 +184,7 @@ def test_any_bytes(path, junk):
 
 @given(st.data())
 def test_any_mutation_of_a_recording(path, data):
-    text = f"# frame: base\n{HEADER}\n{rows(0.0, 0.01, 0.02)}".encode()
+    text = f"# frame: base\n{CSV_HEADER}\n{rows(0.0, 0.01, 0.02)}".encode()
     tokens = st.sampled_from(
         [b",", b"\n", b"\r", b"nan", b"1e400", b"-", b"#", b'"', b" ", b"_", b"\x0b", b"\xc2\x85"]
     )

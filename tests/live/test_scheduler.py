@@ -5,21 +5,21 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.live.processing import scheduler as due
-from probedesign.live.processing.blocks import Reading
-from probedesign.live.processing.scheduler import MAX_AGE, MAX_SKIPPED_SHARE, REPORT_PERIOD, Due
+from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.processing.scheduler import MAX_AGE, MAX_SKIPPED_SHARE, REPORT_PERIOD, EstimateScheduler
 
-READING = Reading(0.0, np.zeros(6), np.zeros(3))
+READING = WrenchReading(0.0, np.zeros(6), np.zeros(3))
 
 
 def wanted(at, times, received, monkeypatch):
     """Whether each reading is wanted, taken in when the clock shows `received` and as much more as `at` says."""
     said: list[str] = []
-    kept = Due(100.0, said.append)
+    kept = EstimateScheduler(100.0, said.append)
     found = []
     for time, late in zip(times, at, strict=True):
         monkeypatch.setattr(due, "monotonic", lambda late=late: 7.0 + late)
-        found.append(kept.wants(replace(READING, time=time, received=received)))
-    kept.ended()
+        found.append(kept.is_due(replace(READING, time=time, received=received)))
+    kept.finish()
     return found, said
 
 
@@ -33,7 +33,7 @@ def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
     found, said = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
     assert found == [True, False, True, False, True]
     assert said == [
-        "2 of 5 estimates were left out: each came more than 12 ms late, with newer readings behind it"
+        "2 of 5 estimates were skipped: each was more than 12 ms late, with newer readings queued"
     ]
 
 
@@ -43,14 +43,14 @@ def test_many_left_out_are_told_at_once_and_when_it_is_over(monkeypatch):
     at = np.zeros(3 * n + 10)
     at[n : 2 * n : round(0.5 / MAX_SKIPPED_SHARE)] = 2.0 * MAX_AGE
     _, said = wanted(at, 0.01 * np.arange(len(at)), 7.0, monkeypatch)
-    assert len(said) == 3 and "lower --rate-hz" in said[0] and "in time again" in said[1]
+    assert len(said) == 3 and "reduce --rate-hz" in said[0] and "on time again" in said[1]
 
 
 def test_a_reading_that_waited_for_its_pose_is_as_old_as_that(monkeypatch):
-    kept = Due(100.0, print)
+    kept = EstimateScheduler(100.0, print)
     monkeypatch.setattr(due, "monotonic", lambda: 8.0)
-    assert kept.wants(replace(READING, received=7.0), ready=8.0 - 0.5 * MAX_AGE)
-    assert not kept.wants(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * MAX_AGE)
+    assert kept.is_due(replace(READING, received=7.0), ready=8.0 - 0.5 * MAX_AGE)
+    assert not kept.is_due(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * MAX_AGE)
 
 
 def test_a_replay_is_never_late(monkeypatch):
@@ -60,6 +60,6 @@ def test_a_replay_is_never_late(monkeypatch):
 
 def test_where_nobody_waits_for_estimates_no_reading_is_late(monkeypatch):
     """`explore` makes points of whole touches, and wants every reading."""
-    kept = Due(100.0, print, np.inf)
+    kept = EstimateScheduler(100.0, print, np.inf)
     monkeypatch.setattr(due, "monotonic", lambda: 1e6)
-    assert kept.wants(replace(READING, received=0.0)) and kept.left_out == 0
+    assert kept.is_due(replace(READING, received=0.0)) and kept.n_skipped == 0

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.processing.blocks import Reading, averaged, readings_in
+from probedesign.live.processing.blocks import WrenchReading, averaged, iter_readings
 from probedesign.live.processing.estimates import locate
-from probedesign.live.sources.sim import Simulation
+from probedesign.live.sources.sim import SimulatedSource
 
 FAST = "speed=max&rate_hz=10"
 
 
 def read(model, query):
-    return readings_in(Simulation(model, query))
+    return iter_readings(SimulatedSource(model, query))
 
 
-def errors(estimator, readings: list[Reading]) -> list[tuple[float, float]]:
+def errors(estimator, readings: list[WrenchReading]) -> list[tuple[float, float]]:
     """Error of s_contact and its standard deviation [m], for each reading with an answer."""
     answers = [(reading, locate(estimator, reading)) for reading in readings]
     return [(e.s_contact - r.truth.s_contact, e.std_s) for r, e in answers if e.ok]
@@ -62,8 +62,8 @@ def test_a_run_repeats_and_another_seed_does_not(estimator):
 
 
 def test_means_of_readings_lie_at_their_mean(estimator):
-    blocks = list(Simulation(estimator.model, FAST + "&seconds=1"))
-    readings, means = list(readings_in(blocks)), list(averaged(blocks, 4))
+    blocks = list(SimulatedSource(estimator.model, FAST + "&seconds=1"))
+    readings, means = list(iter_readings(blocks)), list(averaged(blocks, 4))
     assert len(means) == 2  # of ten; two fill no block
     assert means[0].time == pytest.approx(0.15, rel=1e-15)  # one rounding
     wrench = np.mean([reading.wrench_sensor for reading in readings[4:8]], axis=0)
@@ -71,5 +71,5 @@ def test_means_of_readings_lie_at_their_mean(estimator):
 
 
 def test_a_force_that_the_probe_does_not_bear_is_refused_before_the_first_reading(estimator):
-    with pytest.raises(InputError, match=r"does not bear 1000 mN at s = .* mm .*smaller force_mN"):
-        next(iter(Simulation(estimator.model, "force_mN=1000")))
+    with pytest.raises(InputError, match=r"no equilibrium under 1000 mN at s = .* mm .*reduce force_mN"):
+        next(iter(SimulatedSource(estimator.model, "force_mN=1000")))

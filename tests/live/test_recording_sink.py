@@ -8,13 +8,13 @@ from contextlib import closing
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.outputs.recording import Behind, Recordings
-from probedesign.live.processing.scheduler import Plan
+from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink
+from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.recordings import append_file as pieces
 from probedesign.live.recordings.csv import read_recording
-from probedesign.live.recordings.mcap_write import McapFile
+from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.sim import Simulation
+from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import block, joined, read, same
 
 SIM = "speed=max&rate_hz=60&seconds=4"
@@ -57,24 +57,26 @@ def full_after(monkeypatch, size: int) -> None:
 def test_a_slow_disk_costs_readings_and_says_so(model, tmp_path):
     """Room for 40 readings: the first block is being written, four of nine wait, the rest is left out."""
     said, path = [], tmp_path / "slow.mcap"
-    held = Held(McapFile(path, model))
-    behind = Behind(held, "slow.mcap", said.append, most=40)
+    held = Held(McapRecorder(path, model))
+    behind = BackgroundWriter(held, "slow.mcap", said.append, max_queued=40)
     written = [block(i * 10, 10) for i in range(10)]
     for each in written:
-        behind.read(each)
-    assert said == ["slow.mcap: the disk does not keep up; readings are left out"]
+        behind.on_samples(each)
+    assert said == ["slow.mcap: the disk is too slow; readings are dropped"]
     held.go.set()
     behind.close()
-    assert behind.lost + behind.readings == 100 and behind.lost >= 50
-    assert said[1] == f"slow.mcap: the disk was too slow: {behind.lost} readings left out, and marked there"
+    assert behind.dropped + behind.readings == 100 and behind.dropped >= 50
+    assert (
+        said[1] == f"slow.mcap: the disk was too slow: {behind.dropped} readings dropped, marked in the file"
+    )
     _, blocks = read(path, model)
     assert joined(blocks) == joined(written[: behind.readings // 10])
 
 
 def test_a_disk_that_is_full_at_the_very_end_is_told_as_that(model, tmp_path, monkeypatch):
     """And not, after a long wait, as one that does not answer."""
-    said, file = [], McapFile(tmp_path / "end.mcap", model)
-    behind = Behind(file, "end.mcap", said.append)
+    said, file = [], McapRecorder(tmp_path / "end.mcap", model)
+    behind = BackgroundWriter(file, "end.mcap", said.append)
 
     def full():
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -85,16 +87,16 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_as_that(model, tmp_path, mo
 
 
 def test_nothing_is_averaged_over_what_was_left_out(model, tmp_path):
-    file = McapFile(tmp_path / "gap.mcap", model)
+    file = McapRecorder(tmp_path / "gap.mcap", model)
     for each in (block(0, 5), block(5, 5)):
-        file.read(each)
+        file.on_samples(each)
         file.flush()
-    file.left_out(7, 0)
-    file.read(block(17, 5))
+    file.on_dropped(7, 0)
+    file.on_samples(block(17, 5))
     file.close()
     recorded, blocks = read(tmp_path / "gap.mcap", model)
     assert len({each.stretch for each in blocks}) == 2 and blocks[0].stretch == blocks[1].stretch
-    assert recorded.lacking() == ("7 readings were left out by the recorder, whose disk was too slow",)
+    assert recorded.missing() == ("7 readings were dropped by the recorder because the disk was too slow",)
 
 
 @pytest.mark.parametrize("kind", ["mcap", "csv"])
@@ -103,17 +105,19 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
     """240 readings take 40 kB of CSV and 25 of MCAP, where what stands before them is written already; 64 come at
     once."""
     path, said = tmp_path / f"full.{kind}", []
-    recordings = Recordings(path, estimator.model, said.append)
+    recordings = RecordingSink(path, estimator.model, said.append)
     recordings.start()
-    recordings._now[1]._every = 0.0
+    recordings._current[1]._flush_period = 0.0
     full_after(monkeypatch, room)
     answers = list(
-        estimate_stream(estimator, Simulation(estimator.model, SIM), Plan(), said.append, recordings)
+        estimate_stream(
+            estimator, SimulatedSource(estimator.model, SIM), ProcessingOptions(), said.append, recordings
+        )
     )
     recordings.close()
     assert len(answers) == 240
     (line,) = [line for line in said if "recording ended" in line]
-    assert "No space left on device" in line and "the run goes on" in line
+    assert "No space left on device" in line and "the run continues" in line
     if kind == "csv":
         assert room == 0 or read_recording(path).dropped_lines == 0
     else:
@@ -125,7 +129,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
 
 def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
     full_after(monkeypatch, 10)
-    recordings = Recordings(tmp_path / "full.mcap", model, lambda line: None)
+    recordings = RecordingSink(tmp_path / "full.mcap", model, lambda line: None)
     with pytest.raises(InputError, match="cannot be written: No space left on device"):
         recordings.start()
     assert not list(tmp_path.iterdir())
@@ -133,45 +137,45 @@ def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
 
 def test_each_start_is_a_new_file(model, tmp_path):
     said, path = [], tmp_path / "r.mcap"
-    with closing(Recordings(path, model, said.append)) as recordings:
-        recordings.read(block(0, 3))  # before the start: recorded nowhere
+    with closing(RecordingSink(path, model, said.append)) as recordings:
+        recordings.on_samples(block(0, 3))  # before the start: recorded nowhere
         for i in range(1, 4):
-            recordings.asked_to_start()
-            recordings.read(block(3 * i, 3))
+            recordings.try_start()
+            recordings.on_samples(block(3 * i, 3))
             recordings.stop()
         recordings.stop()
-        recordings.asked_to_start()
-        recordings.asked_to_start()
+        recordings.try_start()
+        recordings.try_start()
     names = ["r.mcap", "r-2.mcap", "r-3.mcap", "r-4.mcap"]
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
     for i, name in enumerate(names[:3], 1):
         (only,) = read(tmp_path / name, model)[1]
         assert same(only, block(3 * i, 3))
     assert said[:2] == [f"recording to {path}", f"recorded 3 readings to {path}"]
-    assert said[6:8] == ["nothing is being recorded", f"recording to {tmp_path / 'r-4.mcap'}"]
-    assert said[8] == f"recording to {tmp_path / 'r-4.mcap'} already"
+    assert said[6:8] == ["no recording is active", f"recording to {tmp_path / 'r-4.mcap'}"]
+    assert said[8] == f"recording to {tmp_path / 'r-4.mcap'} is already active"
 
 
 def test_no_file_is_replaced_unasked(model, tmp_path):
     said, path = [], tmp_path / "r.mcap"
     path.write_text("mine")
-    recordings = Recordings(path, model, said.append)
-    recordings.asked_to_start()
-    assert said == [f"nothing is recorded: {path}: exists; say --force to replace it, or name another file"]
+    recordings = RecordingSink(path, model, said.append)
+    recordings.try_start()
+    assert said == [f"cannot start recording: {path}: already exists; use --force or choose another file"]
     assert path.read_text() == "mine"
-    with closing(Recordings(path, model, said.append, force=True)) as recordings:
+    with closing(RecordingSink(path, model, said.append, force=True)) as recordings:
         recordings.start()
         assert recordings.path == path
     assert read(path, model)[1] == []
 
 
 def test_a_name_says_its_kind(model, tmp_path):
-    with pytest.raises(InputError, match=r"end its name in \.mcap .* or \.csv"):
-        Recordings(tmp_path / "r.bag", model, print).start()
+    with pytest.raises(InputError, match=r"use the suffix \.mcap .* or \.csv"):
+        RecordingSink(tmp_path / "r.bag", model, print).start()
 
 
 def test_without_a_name_it_is_called_by_probe_and_date(model, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with closing(Recordings(None, model, lambda line: None)) as recordings:
+    with closing(RecordingSink(None, model, lambda line: None)) as recordings:
         recordings.start()
         assert recordings.path.match("recordings/large-????????-??????.mcap")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.frames import pose
-from probedesign.live.processing.touches import SPAN, STANDS, Phases, Steadiness
+from probedesign.live.processing.touches import MAX_TRAVEL, SPAN, PhaseTracker, StationarityTest
 
 RATE = 200.0
 COUNT = int(SPAN * RATE)
@@ -20,10 +20,10 @@ def noise(model, n, seed=0):
 
 
 def seen(model, readings, poses=None):
-    steadiness, said = Steadiness(model, RATE), []
+    steadiness, said = StationarityTest(model, RATE), []
     for i, reading in enumerate(readings):
-        steadiness.see(reading, None if poses is None else poses[i])
-        said.append((steadiness.full, steadiness.steady, steadiness.moves))
+        steadiness.update(reading, None if poses is None else poses[i])
+        said.append((steadiness.full, steadiness.stationary, steadiness.moving))
     return said
 
 
@@ -47,9 +47,9 @@ def test_a_change_of_a_few_deviations_is_not_steady(kind, model):
 
 
 def test_a_base_stands_within_the_scatter_of_its_poses_and_moves_beyond(model):
-    still = [pose(p=(0.2 * STANDS * (-1) ** i, 0.0, 0.0)) for i in range(COUNT)]
-    gone = [pose(p=(2.0 * STANDS * i / COUNT, 0.0, 0.0)) for i in range(COUNT)]
-    a = 2.0 * STANDS / 0.1  # rotations count over a tenth of a metre
+    still = [pose(p=(0.2 * MAX_TRAVEL * (-1) ** i, 0.0, 0.0)) for i in range(COUNT)]
+    gone = [pose(p=(2.0 * MAX_TRAVEL * i / COUNT, 0.0, 0.0)) for i in range(COUNT)]
+    a = 2.0 * MAX_TRAVEL / 0.1  # rotations count over a tenth of a metre
     spun = [pose(np.array([[np.cos(x), -np.sin(x), 0], [np.sin(x), np.cos(x), 0], [0, 0, 1]]))
             for x in np.linspace(0.0, a, COUNT)]  # fmt: skip
     for poses, moves in ((still, False), (gone, True), (spun, True)):
@@ -60,14 +60,14 @@ def test_a_base_stands_within_the_scatter_of_its_poses_and_moves_beyond(model):
 def test_a_settled_touch_needs_a_still_base(model):
     """Readings that do not change while the base glides along an edge are not settled."""
     for speed, phase in ((0.0, "settled"), (0.01, "touching")):
-        phases = Phases(model, RATE)
+        phases = PhaseTracker(model, RATE)
         for i, reading in enumerate(noise(model, 2 * COUNT)):
             said = phases.next("contact", reading, pose(p=(0.0, speed * i / RATE, 0.0)))
         assert said == phase
 
 
 def test_a_released_probe_is_free_after_a_span(model):
-    phases = Phases(model, RATE)
+    phases = PhaseTracker(model, RATE)
     touching = ["contact"] * 10 + ["lost"] + ["free"] * (COUNT + 5)
     said = [phases.next(t, r, pose()) for t, r in zip(touching, noise(model, len(touching)), strict=True)]
     assert said[10 : 10 + COUNT - 1] == ["released"] * (COUNT - 1)

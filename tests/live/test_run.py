@@ -9,10 +9,10 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from probedesign.deployment import load_estimator
 from probedesign.estimation.tracker import Tracker
-from probedesign.live.processing.scheduler import Plan
+from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.sim import Simulation
-from probedesign.live.run import _touches
+from probedesign.live.sources.sim import SimulatedSource
+from probedesign.live.run import _warm_up_touches
 from probedesign.live.run import warm_up
 
 def kernels():
@@ -25,13 +25,14 @@ def kernels():
 estimator = load_estimator(sys.argv[1])
 warm_up(estimator, print, fusing=True)
 before = kernels()
-answers = list(estimate_stream(estimator, Simulation(estimator.model, "speed=max&rate_hz=5"), Plan(), print))
+source = SimulatedSource(estimator.model, "speed=max&rate_hz=5")
+answers = list(estimate_stream(estimator, source, ProcessingOptions(), print))
 for answer in answers:
     estimator.estimate(answer.wrench_base, near=answer.estimate)
 assert {"ok", "no_contact"} <= {answer.estimate.result for answer in answers}
 tracker = Tracker(estimator, gravity_world=estimator.model.gravity_base)
 noise = np.random.default_rng(1).standard_normal((100, 6)) * np.sqrt(np.diag(estimator.model.noise.covariance()))
-touches = [touch for touch in _touches(estimator) for _ in range(5)]
+touches = [touch for touch in _warm_up_touches(estimator) for _ in range(5)]
 said = {tracker.update(wrench + noise[i], T, i / 7000).result for i, (wrench, T) in enumerate(touches)}
 assert "ok" in said
 print(sorted(kernels().items() - before.items()))

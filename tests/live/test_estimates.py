@@ -7,11 +7,11 @@ import pytest
 
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.fused import FusedEstimate
-from probedesign.live.processing.blocks import FREE, Reading, Truth
+from probedesign.live.processing.blocks import NO_CONTACT, TrueContact, WrenchReading
 from probedesign.live.processing.estimates import (
     COLUMNS,
     WORLD_COLUMNS,
-    Answer,
+    EstimateUpdate,
     csv_line,
     estimate_row,
     json_line,
@@ -30,7 +30,9 @@ COV_SURFACE = 2.0 * COV
 FOUND = Estimate(
     "ok", 0.08, 0.0025, P, SURFACE, FORCE, COV, COV_SURFACE, 0.4, 0.3, 0.75, detection_chi2=123.0
 )
-TRUE = Reading(1700000000.000001, np.zeros(6), np.zeros(3), Truth(0.0801, 2.0 * P, FORCE, 3.0 * P))
+TRUE = WrenchReading(
+    1700000000.000001, np.zeros(6), np.zeros(3), TrueContact(0.0801, 2.0 * P, FORCE, 3.0 * P)
+)
 
 
 def test_every_number_in_its_unit():
@@ -52,7 +54,7 @@ def test_csv_holds_its_columns_and_the_time_to_the_last_bit():
 
 
 def test_what_is_not_told_is_empty_or_null():
-    reading = Reading(1.0, np.zeros(6), np.zeros(3), FREE)
+    reading = WrenchReading(1.0, np.zeros(6), np.zeros(3), NO_CONTACT)
     answer = estimate_row(reading, Estimate("no_contact", detection_chi2=4.0))
     assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4" + 9 * "," + "\n"
     document = json.loads(json_line(answer))
@@ -80,7 +82,7 @@ def test_the_readable_line():
 def test_the_world_in_its_units():
     fused = FusedEstimate("ok", SURFACE, COV_SURFACE, 2.0 * P, COV, rms=1e-3)
     contacts = (Contact(7, 1.0),)
-    told = world_row(Answer(TRUE, FOUND, "settled", fused, contacts=contacts))
+    told = world_row(EstimateUpdate(TRUE, FOUND, "settled", fused, contacts=contacts))
     assert tuple(told) == WORLD_COLUMNS
     values = list(told.values())
     assert values[:2] == ["settled", "ok"] and values[14:16] == [7, ""]
@@ -90,7 +92,7 @@ def test_the_world_in_its_units():
 
 
 def test_without_a_pose_the_world_is_empty():
-    answer = Answer(
+    answer = EstimateUpdate(
         TRUE, FOUND, "", FusedEstimate("out_of_range"), stale="pose", contacts=(Contact(1, 0.0, end=0.5),)
     )
     told = json.loads(json_line(world_row(answer)))

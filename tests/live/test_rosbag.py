@@ -5,11 +5,11 @@ import pytest
 
 from probedesign.errors import InputError
 from probedesign.live.offline import estimate_recording
-from probedesign.live.processing.blocks import readings_in
+from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.estimates import json_line
 from probedesign.live.recordings.csv import write_recording
-from probedesign.live.sources.replay import Choice, Replay
-from probedesign.live.sources.sim import Simulation
+from probedesign.live.sources.replay import RecordingOptions, ReplaySource
+from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import bag, read
 
 WRENCH = [0.1, -0.2, 0.3, 0.001, -0.002, 0.003]
@@ -42,8 +42,8 @@ def test_a_bag_is_read_whatever_keeps_it(model, tmp_path, how):
     time = np.concatenate([block.time for block in blocks])
     assert time == pytest.approx([time for time, _ in ROWS], abs=2.4e-7, rel=0)
     assert np.concatenate([b.wrench_sensor for b in blocks]).tolist() == [wrench for _, wrench in ROWS]
-    assert recorded.notes == ("topic /ft, frame 'ft', taken for the sensor's",)
-    assert recorded.lacking() == ()
+    assert recorded.notes == ("topic /ft, frame 'ft', interpreted as the sensor frame",)
+    assert recorded.missing() == ()
 
 
 def test_a_single_file_of_a_bag_is_read_too(model, tmp_path):
@@ -56,7 +56,7 @@ def test_a_single_file_of_a_bag_is_read_too(model, tmp_path):
 
 def test_a_bag_gives_the_estimates_of_its_csv(estimator, tmp_path):
     """Contacts of the rod itself, at whole seconds, published by somebody and written down by hand."""
-    readings = list(readings_in(Simulation(estimator.model, "speed=max&rate_hz=1&seconds=6")))
+    readings = list(iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=1&seconds=6")))
     times, wrenches = [r.time for r in readings], [r.wrench_sensor.tolist() for r in readings]
     folder = bag(tmp_path / "b", {"/ft": list(zip(times, wrenches, strict=True))})
     write_recording(tmp_path / "b.csv", times, wrenches)
@@ -77,20 +77,20 @@ def test_the_topic_is_chosen_or_named(model, tmp_path):
     with pytest.raises(InputError, match="several topics of WrenchStamped: '/left', '/right'"):
         read(folder, model)
     with pytest.raises(InputError, match="no topic '/rihgt'; did you mean /right"):
-        read(folder, model, Choice("/rihgt"))
-    assert sum(map(len, read(folder, model, Choice("/right"))[1])) == 3
-    assert "topic=/left" not in Replay(model, folder, "topic=/left").title
+        read(folder, model, RecordingOptions("/rihgt"))
+    assert sum(map(len, read(folder, model, RecordingOptions("/right"))[1])) == 3
+    assert "topic=/left" not in ReplaySource(model, folder, "topic=/left").title
 
 
 def test_a_topic_without_messages_or_of_another_kind(model, tmp_path):
-    with pytest.raises(InputError, match="topic /ft holds no messages"):
+    with pytest.raises(InputError, match="topic /ft has no messages"):
         read(bag(tmp_path / "empty", {"/ft": []}), model)
-    with pytest.raises(InputError, match="holds no topic of WrenchStamped"):
+    with pytest.raises(InputError, match="has no topic of WrenchStamped"):
         read(bag(tmp_path / "poses", {"/pose": []}, kind="geometry_msgs/msg/PoseStamped"), model)
     with pytest.raises(
-        InputError, match="topic /pose holds 'geometry_msgs/msg/PoseStamped', not WrenchStamped"
+        InputError, match="topic /pose has type 'geometry_msgs/msg/PoseStamped', not WrenchStamped"
     ):
-        read(tmp_path / "poses", model, Choice("/pose"))
+        read(tmp_path / "poses", model, RecordingOptions("/pose"))
 
 
 def test_headers_without_a_time_take_that_of_the_recording(model, tmp_path):
@@ -98,14 +98,14 @@ def test_headers_without_a_time_take_that_of_the_recording(model, tmp_path):
         bag(tmp_path / "b", {"/ft": [(5.0, WRENCH), (6.0, WRENCH)]}, stamped=False), model
     )
     assert blocks[0].time.tolist() == [5.0, 6.0]
-    assert "its headers hold no time: the time of recording counts" in recorded.notes
+    assert "its headers have no time stamp: the time of recording is used" in recorded.notes
 
 
 def test_a_wrench_in_the_base_frame(model, tmp_path):
     folder = bag(tmp_path / "b", {"/ft": [(0.5, WRENCH)]}, frame="base")
     asked = bag(tmp_path / "c", {"/ft": [(0.5, WRENCH)]}, frame="ft")
     sensed = model.to_sensor(np.array(WRENCH), model.gravity_base)
-    for path, choice in ((folder, None), (asked, Choice(frame="base"))):
+    for path, choice in ((folder, None), (asked, RecordingOptions(frame="base"))):
         recorded, blocks = read(path, model, choice)
         assert recorded.frame == "base"
         assert blocks[0].wrench_sensor[0] == pytest.approx(sensed, rel=1e-12)  # one product of matrices
@@ -116,7 +116,7 @@ def test_newton_millimetres_are_noticed_and_can_be_said(model, tmp_path):
     rows = [(0.5, [0.1, 0.0, 0.0, 0.0, 3.0, 0.0])]
     folder = bag(tmp_path / "b", {"/ft": rows})
     assert "moments of 3 N·m are beyond the sensor's 0.12 N·m" in read(folder, model)[0].notes[1]
-    recorded, blocks = read(folder, model, Choice(moment_unit="Nmm"))
+    recorded, blocks = read(folder, model, RecordingOptions(moment_unit="Nmm"))
     assert len(recorded.notes) == 1 and blocks[0].wrench_sensor[0, 4] == pytest.approx(0.003, rel=1e-15)
 
 
@@ -124,8 +124,8 @@ def test_newton_millimetres_are_noticed_and_can_be_said(model, tmp_path):
 @pytest.mark.parametrize(
     ("rows", "told"),
     [
-        ([(1.0, WRENCH), (2.0, [np.nan] * 6)], "Fx = nan N at 2 s is no reading"),
-        ([(1.0, [1e5] * 6)], "Fx = 100000 N at 1 s is no reading; raw counts"),
+        ([(1.0, WRENCH), (2.0, [np.nan] * 6)], "Fx = nan N at 2 s exceeds the range"),
+        ([(1.0, [1e5] * 6)], "Fx = 100000 N at 1 s exceeds the range of any sensor; raw counts"),
     ],
 )
 def test_what_is_no_reading_is_refused(model, tmp_path, storage, rows, told):
@@ -136,7 +136,7 @@ def test_what_is_no_reading_is_refused(model, tmp_path, storage, rows, told):
 def test_time_that_runs_backward_is_refused(model, tmp_path):
     """As bags by file order have it; a database gives its messages in order of their recording."""
     path = mcap_of(bag(tmp_path / "b", {"/ft": [(2.0, WRENCH), (1.0, WRENCH)]}, storage="mcap"))
-    with pytest.raises(InputError, match="time runs backward, from 2 s to 1 s"):
+    with pytest.raises(InputError, match="time decreases, from 2 s to 1 s"):
         read(path, model)
 
 
@@ -166,12 +166,12 @@ def test_what_is_not_there_is_one_line(model, tmp_path):
     [
         ("frame=world", "frame = 'world' must be sensor or base"),
         ("moment_unit=lbf", "must be Nm or Nmm"),
-        ("topic=/a&topic=/b", "topic is said twice"),
+        ("topic=/a&topic=/b", "topic is given twice"),
         ("topci=/a", "has no parameter 'topci'"),
-        ("topic=/a", "has no topic '/a': it is no ROS 2 bag"),
+        ("topic=/a", "has no topic '/a': it is not a ROS 2 bag"),
     ],
 )
 def test_parameters_of_a_replay(model, tmp_path, query, told):
     write_recording(tmp_path / "r.csv", [0.0, 1.0], [WRENCH, WRENCH])
     with pytest.raises(InputError, match=told):
-        Replay(model, tmp_path / "r.csv", query)
+        ReplaySource(model, tmp_path / "r.csv", query)
