@@ -106,6 +106,27 @@ def test_a_matrix_and_back():
 # what poses are told by
 
 
+@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
+def test_time_and_position_may_be_in_other_units(tmp_path, suffix):
+    names = ("time_ms", "x_m", "y_um", "z_mm", "qx", "qy", "qz", "qw")
+    rows = [(250.0, 0.1, 2000.0, 3.0, 0.0, 0.0, 0.0, 1.0), (260.0, 0.2, 4000.0, 6.0, 0.0, 0.0, 0.0, 1.0)]
+    lines = [json.dumps(dict(zip(names, row, strict=True))) for row in rows]
+    if suffix == "csv":
+        lines = [",".join(names), *(",".join(map(str, row)) for row in rows)]
+    path = tmp_path / f"poses.{suffix}"
+    path.write_text("\n".join(lines) + "\n")
+    first, second = read_pose_file(path)
+    assert (first.time, second.time) == pytest.approx((0.25, 0.26), rel=1e-15)
+    assert first.p == pytest.approx((0.1, 0.002, 0.003), rel=1e-15)
+
+
+def test_a_quantity_in_two_units_is_refused(tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text("time_s,time_ms,x_mm,y_mm,z_mm,qx,qy,qz,qw\n0,0,1,2,3,0,0,0,1\n")
+    with pytest.raises(InputError, match=":2: has time_s and time_ms; keep one"):
+        read_pose_file(path)
+
+
 BAD = {
     "nan": {"x_mm": float("nan")},
     "inf": {"time_s": float("inf")},

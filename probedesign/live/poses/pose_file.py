@@ -9,7 +9,7 @@ from typing import Any
 
 from probedesign.errors import InputError
 from probedesign.live.poses.track import TimedPose, timed_pose
-from probedesign.units import MM
+from probedesign.tables.columns import UNITS
 
 POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 """Names of the fields of a pose, in CSV, JSON lines and UDP packets."""
@@ -18,14 +18,34 @@ POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 def parse_pose(values: Mapping[str, Any]) -> TimedPose:
     """Return the pose with the fields `POSE_COLUMNS`; other fields are ignored.
 
+    Time and position may be in other units, named by the end of the field: `time_ms`, `x_m`.
+
     Raises:
-        InputError: a field is missing, is not a number, or the numbers are not a pose.
+        InputError: a field is missing, duplicated, is not a number, or the numbers are not a pose.
     """
-    missing = [name for name in POSE_COLUMNS if name not in values]
-    if missing:
+    fields = [_field(values, name) for name in POSE_COLUMNS]
+    if missing := [name for name, field in zip(POSE_COLUMNS, fields, strict=True) if field is None]:
         raise InputError(f"has no {', '.join(missing)}; a pose needs {', '.join(POSE_COLUMNS)}")
-    time, x, y, z, *q = (_number(name, values[name]) for name in POSE_COLUMNS)
-    return timed_pose(time, [x * MM, y * MM, z * MM], q)
+    time, *numbers = (factor * _number(name, values[name]) for name, factor in filter(None, fields))
+    return timed_pose(time, numbers[:3], numbers[3:])
+
+
+def _field(values: Mapping[str, Any], name: str) -> tuple[str, float] | None:
+    """Return the field that contains a quantity and its factor to SI units; None if there is none.
+
+    Raises:
+        InputError: the quantity is given in two units.
+    """
+    quantity, has_unit, _ = name.partition("_")
+    if not has_unit:
+        return (name, 1.0) if name in values else None
+    units = UNITS["time" if quantity == "time" else "length"]
+    found = [
+        (f"{quantity}_{unit}", factor) for unit, factor in units.items() if f"{quantity}_{unit}" in values
+    ]
+    if len(found) > 1:
+        raise InputError(f"has {found[0][0]} and {found[1][0]}; keep one")
+    return found[0] if found else None
 
 
 def parse_pose_json(text: str | bytes) -> tuple[TimedPose, str]:
