@@ -3,6 +3,7 @@
 import json
 import re
 import socket
+from collections import namedtuple
 from dataclasses import replace
 from itertools import islice, pairwise
 
@@ -14,6 +15,7 @@ from probedesign.errors import InputError
 from probedesign.live.netft_box.box import NATIVE, SimulatedNetFT, parse_faults
 from probedesign.live.netft_box.transducer import OFFSET, SimulatedTransducer
 from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft.session import drain
 from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
 from probedesign.live.sources.source import open_source
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
@@ -301,3 +303,24 @@ def test_simulate_refuses(bundle, capsys, options, told):
     assert run(["simulate", str(bundle), "--seconds", "0.1", *options]) == 2
     out, err = capsys.readouterr()
     assert told in err and err.count("\n") == 1 and out == ""
+
+
+class PublicClient:
+    """A client of pynetft without its private reader."""
+
+    def __init__(self, samples):
+        self.waiting = list(samples)
+
+    def samples(self, timeout):
+        if not self.waiting:
+            raise TimeoutError
+        yield self.waiting.pop(0)
+
+
+def test_records_are_read_without_the_private_reader_of_pynetft():
+    sample = namedtuple("sample", "ft_sequence status received_at_ns raw_wrench")
+    client = PublicClient(sample(7 + i, 0, 10**9 * (1 + i), (i, 0, 0, 0, 0, -i)) for i in range(3))
+    records = drain(client)
+    assert records.ft_sequence.tolist() == [7, 8, 9] and records.received.tolist() == [1.0, 2.0, 3.0]
+    assert records.counts[:, 5].tolist() == [0, -1, -2]
+    assert len(drain(client)) == 0

@@ -5,7 +5,7 @@ Also the sensor's clock: time from a 32-bit counter that overflows, stops or res
 
 import sys
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -156,19 +156,36 @@ class RdtSession:
 
 
 def drain(client: "Client") -> RdtRecords:
-    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`.
-
-    It uses pynetft's native reader: `Client.samples` creates an object of enumerations and floats for each record,
-    which takes three times as long as reading it. This reader is not public API; the version of pynetft is pinned.
-    """
-    read = client._native.read
+    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`."""
+    read = _reader(client)
     rows: list[tuple[int, ...]] = []
-    sample = read(STALE_TIME).sample
+    sample = read(STALE_TIME)
     while sample is not None:
         rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
-        sample = read(0.0).sample if len(rows) < MAX_RECORDS_AT_ONCE else None
+        sample = read(0.0) if len(rows) < MAX_RECORDS_AT_ONCE else None
     table = np.array(rows, dtype=np.int64).reshape(-1, 9)
     return RdtRecords(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
+
+
+def _reader(client: "Client") -> Callable[[float], Any]:
+    """Return the function that reads one sample within a timeout [s]; None if there is none.
+
+    `Client.samples` creates an object of enumerations and floats for each sample, which takes three times as long as
+    reading it. pynetft's native reader, where the client has one, is used instead; it is not public API.
+    """
+    native = getattr(getattr(client, "_native", None), "read", None)
+    if native is not None:
+        return lambda timeout: native(timeout).sample
+
+    def read(timeout: float) -> Any:
+        from pynetft import NetFTError
+
+        try:
+            return next(client.samples(timeout), None)
+        except (TimeoutError, NetFTError):  # a fault is reported by the client's health
+            return None
+
+    return read
 
 
 WRAP = 1 << 32
