@@ -1,7 +1,9 @@
 """A recording in MCAP: exact, readable by others, and as good as it can be after whatever happens to it."""
 
 import json
+import re
 import struct
+import tomllib
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -340,3 +342,14 @@ def test_without_the_package_one_line_says_what_to_install(whole, model, tmp_pat
         with pytest.raises(MissingDependencyError, match=r'pip install "probedesign\[live\]"'):
             attempt()
     assert not (tmp_path / "new.mcap").exists()
+
+
+def test_the_live_extra_declares_every_package_of_the_recordings():
+    root = Path(__file__).parents[2]
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    declared = {re.split(r"[^\w-]", requirement)[0] for requirement in extras["live"]}
+    sources = [path.read_text() for path in (root / "probedesign/live/recordings").glob("*.py")]
+    imported = {
+        m for text in sources for m in re.findall(r"^\s*(?:import|from) (mcap|zstandard|lz4)\b", text, re.M)
+    }
+    assert imported == {"mcap", "zstandard", "lz4"} and imported <= declared
