@@ -49,7 +49,7 @@ class RecordingEstimates:
     @property
     def counts(self) -> dict[str, int]:
         """Number of rows with each result."""
-        return count_results(str(estimate_row["result"]) for estimate_row in self.rows)
+        return count_results(str(row["result"]) for row in self.rows)
 
     def csv(self) -> str:
         """Return the rows as CSV with a header."""

@@ -96,9 +96,9 @@ def _run_commands(chain: Chain, log: Log, commands: CommandQueue | None) -> bool
     return False
 
 
-def count_results(updates: Iterable[str]) -> dict[str, int]:
+def count_results(results: Iterable[str]) -> dict[str, int]:
     """Return the number of estimates with each result, in the order of `RESULTS`, without zeros."""
-    counted = Counter(updates)
+    counted = Counter(results)
     return {result: counted[result] for result in RESULTS if counted[result]}
 
 

@@ -45,7 +45,7 @@ def test_units_or_counts_in_si_by_the_sensors_clock(told, values):
     assert all(r.wrench_sensor == pytest.approx(SI, rel=ROUNDED) for r in readings)
 
 
-def test_faults_are_left_out_and_gaps_told(told):
+def test_faults_are_omitted_and_gaps_reported(told):
     rows = [
         row(1, 0),
         row(2, 7),

@@ -223,7 +223,7 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
     ]  # fmt: skip
 
 
-def test_a_tare_is_taken_when_asked_while_free_and_refused_while_touching(estimator, motion):
+def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimator, motion):
     stream = (b for b in touch(motion) if b.time[-1] < 8.5)
     _, lines, chain = run(estimator, stream, told_poses(motion), ask=[2.5, 2.7, 7.9])
     told = [line for line in lines if line.startswith("tare")]
@@ -247,7 +247,7 @@ def test_a_tare_that_is_touched_meanwhile_is_refused(estimator, motion):
     assert chain.tare.window == TareWindow(0.0, 2.0)
 
 
-def test_the_first_tare_may_be_asked_for(estimator, motion):
+def test_the_first_tare_may_be_requested(estimator, motion):
     """Before it the bias looks like a touch, and does not stand in its way."""
     stream = (b for b in touch(motion) if b.time[-1] < 4.0)
     answers, _, chain = run(estimator, stream, None, ProcessingOptions(samples=SAMPLES, rate=1.0), ask=[1.0])
@@ -279,7 +279,7 @@ def test_a_bias_that_walks_is_no_touch(seed, estimator, motion):
     assert len(chain.contacts) == 1 and chain.contacts[0].settled
 
 
-def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion):
+def test_a_filtered_estimate_has_the_time_of_its_signal(estimator, motion):
     """During the press the force grows evenly: filtered and dated back it is what is read then, within five
     deviations of the noise that both have."""
     plan = ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
@@ -296,7 +296,7 @@ def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion
         assert (np.abs(a.wrench_base - expected) < 5.0 * std).all()
 
 
-def test_the_robot_of_the_simulated_box_is_heard_in_an_upright_world(motion):
+def test_poses_of_the_simulated_robot_are_received_in_an_upright_world(motion):
     """What it sends, read as a robot's: gravity is down there, and the way is the base's."""
     model = motion.model
     told = [
@@ -340,7 +340,7 @@ class Heard(PoseListener):
         pass
 
 
-def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(
+def test_a_recording_contains_the_received_poses_and_replays_exactly(
     estimator, motion, tmp_path, monkeypatch
 ):
     """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""

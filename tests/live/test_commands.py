@@ -91,7 +91,7 @@ def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
     assert out.read_text() == call("estimate", bundle, recording)[1]
 
 
-def test_estimate_replaces_no_file_unasked(call, bundle, recording, tmp_path):
+def test_estimate_does_not_overwrite_files(call, bundle, recording, tmp_path):
     out = tmp_path / "estimates.csv"
     out.write_text("mine")
     assert "--force" in refused(call("estimate", bundle, recording, "--out", out))
@@ -106,7 +106,7 @@ def test_estimate_never_replaces_the_recording(call, bundle, recording):
     assert recording.read_bytes() == before
 
 
-def test_estimate_tells_its_tare(call, bundle, estimator, tmp_path):
+def test_estimate_reports_its_tare(call, bundle, estimator, tmp_path):
     path = tmp_path / "biased.csv"
     readings = iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=4"))
     write_readings(path, readings, np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
@@ -117,7 +117,7 @@ def test_estimate_tells_its_tare(call, bundle, estimator, tmp_path):
     assert json.loads(out)["estimates"][0]["result"] == "no_contact"
 
 
-def test_what_the_recording_lacks_is_refused_or_mended_and_told(call, bundle, recording, tmp_path):
+def test_an_incomplete_recording_is_refused_or_accepted_with_a_note(call, bundle, recording, tmp_path):
     cut = tmp_path / "cut.csv"
     lines = recording.read_text().splitlines(keepends=True)
     cut.write_text("".join(lines[:10] + lines[13:20]) + "6.0,0.1")
@@ -168,7 +168,7 @@ def test_live_prints_lines_of_json(call, bundle):
     assert_positions_only_with_ok(rows, None)
 
 
-def test_live_with_poses_tells_the_world(call, bundle, tmp_path):
+def test_live_with_poses_reports_world_coordinates(call, bundle, tmp_path):
     """The base stands at one pose, x and z exchanged, told twice, 20 s apart."""
     path = tmp_path / "poses.csv"
     names, pose = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", "100,0,0,0,0.7071,0,0.7071"
@@ -183,7 +183,7 @@ def test_live_with_poses_tells_the_world(call, bundle, tmp_path):
     assert "touching" in {row["phase"] for row in rows}
 
 
-def test_live_stops_where_it_is_told(call, bundle):
+def test_live_stops_at_count_and_seconds(call, bundle):
     assert len(call("live", bundle, "--source", SIM, "--count", 3)[1].splitlines()) == 3
     assert len(call("live", bundle, "--source", SIM, "--seconds", 2)[1].splitlines()) == 6
     assert len(call("live", bundle, "--source", SIM, "--seconds", 3.5, "--rate-hz", 1)[1].splitlines()) == 4
@@ -197,7 +197,7 @@ def test_live_records_what_it_read(call, bundle, recording, tmp_path):
     assert path.read_bytes() == recording.read_bytes()
 
 
-def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
+def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
     path = tmp_path / "record.csv"
     path.write_text("mine")
     status, out, err = call("live", bundle, "--source", SIM, "--record", path)

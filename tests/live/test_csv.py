@@ -105,7 +105,7 @@ def test_half_a_line_at_the_end_is_dropped(path, half):
     assert "line 4 is incomplete at the end: dropped" in recording.notes
 
 
-def test_a_last_line_that_only_lacks_its_newline_is_kept(path):
+def test_a_last_line_without_newline_is_accepted(path):
     recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.01)}".rstrip("\n"))
     assert (len(recording.time), recording.dropped_lines) == (2, 0)
     assert "line 3 does not end in a newline" in recording.notes[0]
@@ -168,7 +168,7 @@ def test_what_is_no_recording(path, text, told):
     assert told in problem(path, text)
 
 
-def test_junk_is_told_as_what_it_is(path):
+def test_invalid_messages_are_reported(path):
     assert "UTF-8" in problem(path, b"\x89PNG\r\n\x1a\n\xff\xfe")
     assert "binary" in problem(path, b"time_s\0Fx_N")
     with pytest.raises(InputError, match="no such recording"):

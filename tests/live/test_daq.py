@@ -82,7 +82,7 @@ def test_all_that_waits_is_taken_at_once_but_not_without_end(estimator, cal, dri
     assert len(blocks(opened(estimator, cal), 1)[0]) == 700  # a tenth of a second
 
 
-def test_the_gauges_zero_is_taken_off_where_it_is_said(estimator, cal, driver):
+def test_the_zero_of_the_gauges_is_subtracted_if_given(estimator, cal, driver):
     zero = "&zero_V=" + ",".join(str(v) for v in VOLTS)
     readings = iter_readings(blocks(opened(estimator, cal, zero), 2))
     assert all(np.abs(r.wrench_sensor).max() < 1e-12 for r in readings)
@@ -109,7 +109,7 @@ def test_beyond_the_calibration_is_a_fault(estimator, cal, driver):
     assert locate(estimator, first).result == "out_of_range"
 
 
-def test_an_acquisition_that_never_keeps_up_ends(estimator, cal, driver):
+def test_an_acquisition_that_always_overruns_ends(estimator, cal, driver):
     driver.script = dict.fromkeys(range(2, 100), -200279)
     with pytest.raises(InputError, match="What NI says"):
         blocks(opened(estimator, cal), 5)
@@ -128,7 +128,7 @@ def test_a_clock_that_stops_is_stale_until_it_runs_again(estimator, cal, driver)
 
 
 @pytest.mark.parametrize("code", [-200279, -200222, -200361])
-def test_samples_that_were_overwritten_are_told_and_begun_anew(estimator, cal, driver, code):
+def test_overwritten_samples_are_reported_and_the_acquisition_restarts(estimator, cal, driver, code):
     driver.script = {4: code}
     said = []
     found = blocks(opened(estimator, cal, said=said), 8)
@@ -189,7 +189,7 @@ def test_what_is_no_card(estimator, cal, driver, spec, told):
     assert not driver.tasks
 
 
-def test_six_inputs_may_stand_one_by_one(estimator, cal, driver):
+def test_six_inputs_may_be_listed_individually(estimator, cal, driver):
     channels = "Dev1/ai0:2,Dev1/ai8:10"
     blocks(opened(estimator, cal, channels=channels), 1)
     assert driver.asked["channel"] == channels

@@ -83,7 +83,7 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
 
 
 @pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP"])
-def test_whoever_ends_it_the_recording_is_whole(bundle, estimator, stream, tmp_path, how):
+def test_the_recording_is_complete_however_the_run_ends(bundle, estimator, stream, tmp_path, how):
     path = tmp_path / "ended.mcap"
     with started(bundle, stream, path) as process:
         seen = list(islice(process.stdout, 5))
@@ -110,7 +110,7 @@ def test_a_reader_that_goes_away_leaves_a_whole_recording(bundle, estimator, str
 # recover, as its user meets it
 
 
-def test_recover_tells_what_it_saved(estimator, tmp_path, capsys):
+def test_recover_reports_what_it_saved(estimator, tmp_path, capsys):
     path = write(tmp_path / "cut.mcap", estimator.model, [block(0, 3), block(3, 3)], closed=False)
     assert run(["recover", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)

@@ -53,7 +53,7 @@ def test_csv_holds_its_columns_and_the_time_to_the_last_bit():
     assert fields[1:5] == ["ok", "80", "2.5", "1"]
 
 
-def test_what_is_not_told_is_empty_or_null():
+def test_unknown_values_are_empty_or_null():
     reading = WrenchReading(1.0, np.zeros(6), np.zeros(3), NO_CONTACT)
     answer = estimate_row(reading, Estimate("no_contact", detection_chi2=4.0))
     assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4" + 9 * "," + "\n"

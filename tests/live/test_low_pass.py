@@ -45,6 +45,6 @@ def test_pieces_make_the_whole():
 
 
 @pytest.mark.parametrize("cutoff", [0.0, -1.0, 3500.0, float("nan")])
-def test_a_cut_off_that_is_none(cutoff):
+def test_an_invalid_cut_off_is_refused(cutoff):
     with pytest.raises(InputError, match="--filter-hz"):
         LowPass(cutoff, RATE)

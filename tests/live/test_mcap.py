@@ -167,7 +167,7 @@ def test_no_position_without_ok(model, tmp_path):
 # Whose it is
 
 
-def test_another_probe_is_refused_unless_it_is_asked_for(whole, model):
+def test_another_probe_is_refused_unless_allowed(whole, model):
     other = replace(model, fingerprint="0123456789ab")
     with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; use its own frozen probe"):
         read(whole, other)
@@ -176,7 +176,7 @@ def test_another_probe_is_refused_unless_it_is_asked_for(whole, model):
     assert ReplaySource(other, whole, "other_probe=1").notes == recorded.notes
 
 
-def test_another_freezing_of_the_probe_is_noted(whole, model):
+def test_another_frozen_version_of_the_probe_is_noted(whole, model):
     assert "another frozen version" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
 
 
@@ -196,7 +196,7 @@ def test_a_file_that_was_never_closed_is_read_and_recovered(model, tmp_path):
         assert sum(1 for _ in reader.messages()) == 64
 
 
-def test_a_cut_recording_is_refused_or_mended_and_told(estimator, tmp_path):
+def test_a_truncated_recording_is_refused_or_accepted_with_a_note(estimator, tmp_path):
     cut = write(tmp_path / "cut.mcap", estimator.model, BLOCKS, closed=False)
     with pytest.raises(InputError, match="cut off; use --mend"):
         estimate_recording(estimator, cut)
@@ -307,7 +307,7 @@ def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
         ("{}", "block after 0 readings"),
     ],
 )
-def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
+def test_an_inconsistent_block_is_refused(model, tmp_path, said, told):
     file = McapRecorder(tmp_path / "lie.mcap", model)
     honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
     text = said if isinstance(said, str) else json.dumps(honest | said)
@@ -327,7 +327,7 @@ def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
         ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s exceeds the range"),
     ],
 )
-def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_path, change, told):
+def test_values_out_of_range_are_refused_unless_marked_as_faults(model, tmp_path, change, told):
     path = write(tmp_path / "odd.mcap", model, [replace(block(0, 2, rate=1.0), **change)])
     with pytest.raises(InputError, match=told):
         read(path, model)
@@ -336,7 +336,7 @@ def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_pat
         assert same(read(write(tmp_path / "faulty.mcap", model, [faulty]), model)[1][0], faulty)
 
 
-def test_without_the_package_one_line_says_what_to_install(whole, model, tmp_path, monkeypatch):
+def test_without_the_package_one_line_names_what_to_install(whole, model, tmp_path, monkeypatch):
     monkeypatch.setattr("probedesign.live.recordings.find_spec", lambda name: None)
     for attempt in (lambda: read(whole, model), lambda: McapRecorder(tmp_path / "new.mcap", model)):
         with pytest.raises(MissingDependencyError, match=r'pip install "probedesign\[live\]"'):

@@ -36,7 +36,7 @@ pynetft = pytest.importorskip("pynetft")
         {"tool": (0.5, 0.0, 1.0, 0.5, 0.0, 0.0), "length_unit": "in", "angle_unit": "radians"},
     ],
 )
-def test_the_box_is_read_in_si_and_in_the_sensor_frame_whatever_it_counts_in(estimator, settings):
+def test_the_box_is_read_in_si_and_in_the_sensor_frame_for_any_units(estimator, settings):
     with box(estimator, replace(NATIVE, **settings)) as peer:
         readings, source = taken(peer, estimator, 700)
     off = np.abs(mean_of(readings) - LOAD - OFFSET)
@@ -147,7 +147,7 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
         (b"x" * 100_000, "too long"),
     ],
 )
-def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
+def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
     monkeypatch.setattr("probedesign.live.netft_box.box.configuration_page", lambda configuration: page)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
@@ -197,7 +197,7 @@ def test_an_address_without_a_box_is_refused(estimator, spec, told):
     assert told in str(error.value)
 
 
-def test_a_port_in_use_is_told(estimator):
+def test_a_port_in_use_is_reported(estimator):
     with box(estimator) as peer:
         with pytest.raises(InputError, match="Address already in use; use another --port"):
             box(estimator, port=peer.address[1])

@@ -95,7 +95,7 @@ def test_a_restart_soon_after_power_up_is_survived(estimator):
         reader.more()
 
 
-def test_the_tare_is_kept_over_a_restart(estimator):
+def test_the_tare_survives_a_restart(estimator):
     """The offset of the transducer is 600 times the noise: without its tare the free probe would be a contact."""
     gravity = estimator.model.gravity_base
     free = estimator.model.to_sensor(estimator.free(gravity).wrench_base, gravity)
@@ -132,7 +132,7 @@ def test_a_box_that_goes_away_is_stale_for_as_long(estimator):
     assert reader.error is None
 
 
-def test_a_stolen_stream_is_asked_for_again_and_told(estimator):
+def test_a_stolen_stream_is_requested_again_and_reported(estimator):
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         for _ in range(4):
             peer.drop_client()

@@ -79,7 +79,7 @@ def test_only_the_page_itself_may_talk_to_its_server(view):
         connect(ours, origin=Origin("http://example.org"), subprotocols=[protocol])
 
 
-def test_a_port_in_use_is_passed_over_and_a_network_is_told(estimator, tmp_path, view):
+def test_the_next_free_port_is_used_and_network_access_is_reported(estimator, tmp_path, view):
     port = int(view.url.rpartition(":")[2])
     said = []
     second = BrowserView(estimator, tmp_path, CommandQueue(), said.append, host="0.0.0.0", port=port)
@@ -104,13 +104,13 @@ def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, tol
     assert told in str(error.value) and str(error.value).isprintable()
 
 
-def test_without_viser_the_remedy_is_told(estimator, tmp_path, monkeypatch):
+def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
     monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"install probedesign\[view\]"):
         BrowserView(estimator, tmp_path, CommandQueue(), print)
 
 
-def test_what_people_ask_reaches_the_run_and_nothing_else_does(view):
+def test_commands_reach_the_run_and_nothing_else_does(view):
     lines = [
         {"command": "tare"},
         {"command": "mark", "text": "x" * 999},

@@ -55,14 +55,14 @@ def test_between_poses_as_scipy_has_it():
         assert T[:3, 3] == pytest.approx([np.interp(t, track.times, p[:, k]) for k in range(3)], abs=1e-14)
 
 
-def test_the_same_rotation_told_with_the_other_sign_is_no_turn():
+def test_the_negative_quaternion_is_the_same_rotation():
     track = PoseTrack.of(
         [TimedPose(0.0, (0, 0, 0), (0.6, 0, 0, 0.8)), TimedPose(0.01, (0, 0, 0), (-0.6, 0, 0, -0.8))]
     )
     assert track.at(0.005) == pytest.approx(track.at(0.0), abs=1e-15)
 
 
-def test_at_a_pose_it_is_that_pose_and_beyond_the_last_there_is_none():
+def test_a_pose_is_exact_at_its_time_and_never_extrapolated():
     poses, *_ = random_poses(3)
     track = PoseTrack.of(poses)
     assert track.at(0.02) is not None and np.array_equal(track.at(0.02)[:3, 3], poses[2].p)
@@ -80,7 +80,7 @@ def test_a_gap_is_not_bridged():
     assert "0.1 s apart, more than 0.05 s" in track.reason(2.0 * MAX_GAP)
 
 
-def test_a_track_keeps_its_bounds():
+def test_a_track_has_a_maximum_length():
     track = PoseTrack(max_poses=10)
     for i in range(1000):
         track.add(TimedPose(float(i), (0, 0, 0), (0, 0, 0, 1)))
@@ -142,7 +142,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("wrong", BAD.values(), ids=BAD.keys())
-def test_a_pose_that_is_none_is_refused_with_its_line(wrong, tmp_path):
+def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
     path = tmp_path / "poses.jsonl"
     path.write_text(
         json.dumps(GOOD) + "\n# a comment\n\n" + json.dumps(GOOD | {"time_s": 2.0} | wrong) + "\n"
@@ -175,7 +175,7 @@ def test_a_file_of_no_poses(text, told, tmp_path):
     assert told in str(error.value)
 
 
-def test_csv_and_json_lines_tell_the_same(tmp_path):
+def test_csv_and_json_lines_give_the_same_poses(tmp_path):
     poses, *_ = random_poses(5)
     rows = [(p.time, *(1e3 * x for x in p.p), *p.q) for p in poses]
     table, lines = tmp_path / "poses.csv", tmp_path / "poses.jsonl"
@@ -232,7 +232,7 @@ def heard(listener, counted, seconds=10.0):
         time.sleep(0.005)
 
 
-def test_hostile_datagrams_are_left_out_and_counted(listener, robot):
+def test_hostile_datagrams_are_rejected_and_counted(listener, robot):
     robot.send(json.dumps(GOOD).encode())
     heard(listener, 1)
     hostile = [

@@ -54,7 +54,7 @@ def full_after(monkeypatch, size: int) -> None:
     monkeypatch.setattr(pieces.os, "write", write)
 
 
-def test_a_slow_disk_costs_readings_and_says_so(model, tmp_path):
+def test_a_slow_disk_drops_readings_and_reports_it(model, tmp_path):
     """Room for 40 readings: the first block is being written, four of nine wait, the rest is left out."""
     said, path = [], tmp_path / "slow.mcap"
     held = Held(McapRecorder(path, model))
@@ -73,7 +73,7 @@ def test_a_slow_disk_costs_readings_and_says_so(model, tmp_path):
     assert joined(blocks) == joined(written[: behind.readings // 10])
 
 
-def test_a_disk_that_is_full_at_the_very_end_is_told_as_that(model, tmp_path, monkeypatch):
+def test_a_disk_that_is_full_at_the_end_is_reported(model, tmp_path, monkeypatch):
     """And not, after a long wait, as one that does not answer."""
     said, file = [], McapRecorder(tmp_path / "end.mcap", model)
     behind = BackgroundWriter(file, "end.mcap", said.append)
@@ -86,7 +86,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_as_that(model, tmp_path, mo
     assert len(said) == 1 and "recording ended: No space left on device" in said[0]
 
 
-def test_nothing_is_averaged_over_what_was_left_out(model, tmp_path):
+def test_averages_do_not_span_dropped_readings(model, tmp_path):
     file = McapRecorder(tmp_path / "gap.mcap", model)
     for each in (block(0, 5), block(5, 5)):
         file.on_samples(each)
@@ -156,7 +156,7 @@ def test_each_start_is_a_new_file(model, tmp_path):
     assert said[8] == f"recording to {tmp_path / 'r-4.mcap'} is already active"
 
 
-def test_no_file_is_replaced_unasked(model, tmp_path):
+def test_no_file_is_overwritten_unasked(model, tmp_path):
     said, path = [], tmp_path / "r.mcap"
     path.write_text("mine")
     recordings = RecordingSink(path, model, said.append)
@@ -169,7 +169,7 @@ def test_no_file_is_replaced_unasked(model, tmp_path):
     assert read(path, model)[1] == []
 
 
-def test_a_name_says_its_kind(model, tmp_path):
+def test_an_unknown_suffix_is_refused(model, tmp_path):
     with pytest.raises(InputError, match=r"use the suffix \.mcap .* or \.csv"):
         RecordingSink(tmp_path / "r.bag", model, print).start()
 

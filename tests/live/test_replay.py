@@ -51,7 +51,7 @@ def test_estimate_and_live_agree_to_the_bit(estimator, recorded):
     ]
 
 
-def test_a_recording_told_in_the_base_frame(estimator, recorded, tmp_path):
+def test_a_recording_in_the_base_frame(estimator, recorded, tmp_path):
     """The same wrench, the hanging parts' weight taken off by hand. Two maps there and back round at 1e-16
     of 0.12 N in a reading whose noise is 0.5 mN."""
     path, before = recorded

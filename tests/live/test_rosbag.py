@@ -35,7 +35,7 @@ def mcap_of(folder):
         {"compression": "MESSAGE"},
     ],
 )
-def test_a_bag_is_read_whatever_keeps_it(model, tmp_path, how):
+def test_a_bag_is_read_in_every_storage_format(model, tmp_path, how):
     """The stamp counts nanoseconds and a double near 1.7e9 s steps by 2.4e-7 s; the wrench is exact."""
     folder = bag(tmp_path / "b", {"/ft": ROWS}, **how)
     recorded, blocks = read(folder, model)
@@ -111,7 +111,7 @@ def test_a_wrench_in_the_base_frame(model, tmp_path):
         assert blocks[0].wrench_sensor[0] == pytest.approx(sensed, rel=1e-12)  # one product of matrices
 
 
-def test_newton_millimetres_are_noticed_and_can_be_said(model, tmp_path):
+def test_newton_millimetres_are_detected_and_can_be_selected(model, tmp_path):
     """A moment of 3 N·mm is told as 3; the sensor's range is 0.12 N·m."""
     rows = [(0.5, [0.1, 0.0, 0.0, 0.0, 3.0, 0.0])]
     folder = bag(tmp_path / "b", {"/ft": rows})

@@ -23,12 +23,12 @@ def wanted(at, times, received, monkeypatch):
     return found, said
 
 
-def test_estimates_keep_the_rate_that_was_asked_for(monkeypatch):
+def test_estimates_have_the_requested_rate(monkeypatch):
     found, said = wanted([0.0] * 100, 1e-3 * np.arange(100), 7.0, monkeypatch)
     assert sum(found) == 10 and not said
 
 
-def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
+def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
     at = [0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE]
     found, said = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
     assert found == [True, False, True, False, True]
@@ -37,7 +37,7 @@ def test_a_reading_that_waited_too_long_is_left_out_and_counted(monkeypatch):
     ]
 
 
-def test_many_left_out_are_told_at_once_and_when_it_is_over(monkeypatch):
+def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatch):
     """A span with none left out, one with twice as many as are borne in silence, one with none."""
     n = round(REPORT_PERIOD * 100.0)
     at = np.zeros(3 * n + 10)
@@ -58,7 +58,7 @@ def test_a_replay_is_never_late(monkeypatch):
     assert found == [True] * 3 and not said
 
 
-def test_where_nobody_waits_for_estimates_no_reading_is_late(monkeypatch):
+def test_without_a_maximum_age_no_reading_is_late(monkeypatch):
     """`explore` makes points of whole touches, and wants every reading."""
     kept = EstimateScheduler(100.0, print, np.inf)
     monkeypatch.setattr(due, "monotonic", lambda: 1e6)

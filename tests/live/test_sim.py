@@ -21,7 +21,7 @@ def errors(estimator, readings: list[WrenchReading]) -> list[tuple[float, float]
     return [(e.s_contact - r.truth.s_contact, e.std_s) for r, e in answers if e.ok]
 
 
-def test_the_truth_lies_within_what_the_estimate_claims(estimator):
+def test_the_truth_lies_within_the_estimated_interval(estimator):
     """Of a Gaussian 99.994 % lies within 4 standard deviations; a percent is left for the first order of the
     covariance."""
     found = errors(estimator, list(read(estimator.model, FAST + "&seed=1")))
@@ -70,6 +70,6 @@ def test_means_of_readings_lie_at_their_mean(estimator):
     assert np.array_equal(means[1].wrench_sensor, wrench)
 
 
-def test_a_force_that_the_probe_does_not_bear_is_refused_before_the_first_reading(estimator):
+def test_a_force_without_equilibrium_is_refused_before_the_first_reading(estimator):
     with pytest.raises(InputError, match=r"no equilibrium under 1000 mN at s = .* mm .*reduce force_mN"):
         next(iter(SimulatedSource(estimator.model, "force_mN=1000")))

@@ -69,7 +69,7 @@ def test_a_sink_that_fails_is_dropped_with_one_line_and_the_others_go_on(estimat
     assert len(failures) == 1 and "No space left on device" in failures[0]
 
 
-def test_what_is_said_has_the_time_of_the_last_reading(estimator):
+def test_a_message_has_the_time_of_the_last_reading(estimator):
     kept = Kept()
     sinks = SinkGroup(kept)
     list(
@@ -165,7 +165,7 @@ def test_when_it_came_and_went_is_stamped_by_both_clocks(estimator, receiver):
     assert message["sent_unix_s"] - message["received_unix_s"] == pytest.approx(late, abs=1e-6)
 
 
-def test_what_was_not_received_has_no_latency_and_events_are_told(estimator, receiver):
+def test_readings_without_arrival_time_have_no_latency_and_events_are_sent(estimator, receiver):
     publisher = UdpPublisher(address(receiver), print)
     publisher.on_estimate(answer_of(estimator))
     publisher.on_event(3.5, "stale")
@@ -174,13 +174,13 @@ def test_what_was_not_received_has_no_latency_and_events_are_told(estimator, rec
     assert (event["kind"], event["time_s"], event["event"]) == ("event", 3.5, "stale")
 
 
-def test_nobody_listens_and_the_run_goes_on(bundle, capsys):
+def test_a_run_without_receiver_continues(bundle, capsys):
     nobody = f"udp://127.0.0.1:{free_port()}"
     assert run(["live", str(bundle), "--source", SIM, "--publish", nobody]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 60
 
 
-def test_a_network_that_takes_nothing_is_told_once_and_counted(estimator):
+def test_a_network_that_accepts_nothing_is_reported_once_and_counted(estimator):
     said = []
     publisher = UdpPublisher("udp://255.255.255.255:9", said.append)  # broadcasting is not permitted unasked
     for _ in range(3):
@@ -207,7 +207,7 @@ def test_what_is_no_address(wrong):
         UdpPublisher(wrong, print)
 
 
-def test_an_unknown_host_is_told():
+def test_an_unknown_host_is_reported():
     with pytest.raises(InputError, match=r"--publish udp://no-such-host\.invalid:9"):
         UdpPublisher("udp://no-such-host.invalid:9", print)
 

@@ -108,7 +108,7 @@ def test_at_most_so_many_a_second(estimator):
     assert answered(estimator, times, 1000.0) == times
 
 
-def test_a_source_of_the_very_rate_loses_none(estimator):
+def test_a_source_at_exactly_the_requested_rate_loses_no_estimate(estimator):
     """i/20 and i times 1/20 differ in the last bit."""
     assert len(answered(estimator, [i / 20 for i in range(200)], 20.0)) == 200
 

@@ -47,7 +47,7 @@ def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
     assert (np.abs(tare.bias_sensor - BIAS) < 5.0 * std / np.sqrt(20.0)).all()
 
 
-def test_nothing_is_tared_unasked(estimator, biased):
+def test_no_tare_is_taken_unasked(estimator, biased):
     source = Fixed(biased[::10])  # a force of 1 N bends the probe far: few of these, they are slow
     results = {
         a.estimate.result for a in estimate_stream(estimator, source, ProcessingOptions(), lambda note: None)

@@ -46,7 +46,7 @@ def test_a_change_of_a_few_deviations_is_not_steady(kind, model):
     assert not seen(model, noise(model, len(time)) + change)[-1][1]
 
 
-def test_a_base_stands_within_the_scatter_of_its_poses_and_moves_beyond(model):
+def test_a_base_is_stationary_within_the_scatter_of_its_poses(model):
     still = [pose(p=(0.2 * MAX_TRAVEL * (-1) ** i, 0.0, 0.0)) for i in range(COUNT)]
     gone = [pose(p=(2.0 * MAX_TRAVEL * i / COUNT, 0.0, 0.0)) for i in range(COUNT)]
     a = 2.0 * MAX_TRAVEL / 0.1  # rotations count over a tenth of a metre

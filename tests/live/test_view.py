@@ -115,7 +115,7 @@ def folder(tmp_path, estimator):
     return tmp_path
 
 
-def test_exported_parts_stand_where_the_manifest_puts_them(estimator, folder):
+def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
     parts, note = rigid_parts(estimator.model, folder)
     found = {part.name: part.vertices for part in parts}
     face = -estimator.model.T_sensor_base[2, 3]  # of the sensor, in base axes
@@ -150,14 +150,14 @@ def test_exported_parts_stand_where_the_manifest_puts_them(estimator, folder):
         ),
     ],
 )
-def test_what_is_not_the_probes_is_not_drawn_and_that_is_said(estimator, folder, spoil, told):
+def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, folder, spoil, told):
     spoil(folder)
     parts, note = rigid_parts(estimator.model, folder)
     assert [part.name for part in parts] == ["sensor", "flange", "adapter"]
     assert told in note and "plain cylinders" in note and "\n" not in note
 
 
-def test_an_stl_that_ends_early_is_none(folder):
+def test_a_truncated_stl_is_refused(folder):
     path = folder / "clamp_ring.stl"
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(ValueError, match="not a binary STL"):
@@ -200,13 +200,13 @@ def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> Estimate
     )
 
 
-def test_nothing_is_said_before_anything_is_read():
+def test_the_status_before_the_first_reading():
     moment = ViewState().snapshot()
     assert of(moment)["result"].text == "no reading yet"
     assert moment.marker is None and moment.shape is None
 
 
-def test_a_contact_is_told_with_its_units_and_drawn(estimator):
+def test_a_contact_is_shown_with_its_units(estimator):
     moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot()
     words = of(moment)
     assert words["result"] == StatusLine("result", f"ok: {RESULTS['ok']}", "good")
@@ -242,7 +242,7 @@ def test_silence_is_stale_and_what_is_known_is_old(estimator):
     assert moment.stale and of(moment)["result"] == StatusLine("result", "stale: no reading for 2.4 s", "bad")
 
 
-def test_a_source_that_tells_its_silence_is_believed(estimator):
+def test_a_silent_source_is_shown_with_its_fault(estimator):
     keeper = ViewState()
     keeper.on_estimate(answer(estimator, Estimate("no_contact")))
     none = np.empty(0)
@@ -260,7 +260,7 @@ def test_readings_without_estimates_make_what_is_known_old(estimator):
     assert "old" in of(keeper.snapshot())["result"].text and keeper.snapshot().stale
 
 
-def test_loss_tare_and_recording_are_told(estimator):
+def test_loss_tare_and_recording_are_shown(estimator):
     keeper = ViewState(lambda: {"lost": 3, "received": 10})
     for line in ("tare from 100 readings", "recording to a.mcap", "mark: here"):
         keeper.on_event(1.0, line)
@@ -272,7 +272,7 @@ def test_loss_tare_and_recording_are_told(estimator):
     assert keeper.snapshot().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
 
 
-def test_each_touch_is_kept_once_at_its_surest(estimator):
+def test_each_touch_is_stored_once_with_its_best_contact(estimator):
     """Two touches of a run without phases: of each the place of the least standard deviation."""
     query = "speed=max&rate_hz=10&seconds=23&period_s=10"
     moment = kept(estimator, query, Clock()).snapshot()
@@ -285,7 +285,7 @@ def test_each_touch_is_kept_once_at_its_surest(estimator):
         assert place.std_s == min(estimate.std_s for estimate in here)
 
 
-def test_a_settled_place_is_kept_over_surer_ones_that_move(estimator):
+def test_a_settled_contact_is_preferred_to_more_precise_moving_ones(estimator):
     found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
     surer, keeper = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), ViewState()
     for estimate, phase in ((found, "settled"), (surer, "touching"), (Estimate("no_contact"), "released")):
@@ -334,7 +334,7 @@ def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
 # terminal
 
 
-def test_the_terminal_says_what_the_page_says(estimator):
+def test_terminal_and_page_show_the_same_status(estimator):
     moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot(shaped=False)
     console = Console(file=StringIO(), width=120)
     console.print(table_of("large", moment))

@@ -110,11 +110,11 @@ def estimate_row(reading: WrenchReading, estimate: Estimate) -> Row:
     values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
     values += [*_mm2(estimate.cov_contact_base), estimate.detection_chi2, *_mm2(estimate.cov_surface_base)]
     values += [estimate.force_normal, estimate.force_tangential, estimate.friction_ratio]
-    update: Row = dict(zip(COLUMNS, values, strict=True))
+    row: Row = dict(zip(COLUMNS, values, strict=True))
     if (truth := reading.truth) is not None:
         true = [truth.s_contact / MM, *_mm(truth.p_contact_base), *_mm(truth.p_surface_base)]
-        update |= dict(zip(TRUE_COLUMNS, true, strict=True))
-    return update
+        row |= dict(zip(TRUE_COLUMNS, true, strict=True))
+    return row
 
 
 def world_row(update: EstimateUpdate) -> Row:
@@ -136,9 +136,9 @@ def _mm(p: Array) -> list[float]:
     return [float(value) / MM for value in p]
 
 
-def csv_line(estimate_row: Row) -> str:
+def csv_line(row: Row) -> str:
     """Return the row's `COLUMNS` as a line of CSV: nine digits, the time exactly, empty fields for NaN."""
-    return ",".join(_csv_field(name, estimate_row[name]) for name in COLUMNS) + "\n"
+    return ",".join(_csv_field(name, row[name]) for name in COLUMNS) + "\n"
 
 
 def _csv_field(name: str, value: float | str) -> str:
@@ -149,9 +149,9 @@ def _csv_field(name: str, value: float | str) -> str:
     return repr(value) if name == "time_s" else f"{value:.9g}"
 
 
-def json_line(estimate_row: Row) -> str:
+def json_line(row: Row) -> str:
     """Return the row as one line of JSON, with null for non-finite numbers."""
-    return json.dumps({name: _finite_or_null(value) for name, value in estimate_row.items()}, allow_nan=False)
+    return json.dumps({name: _finite_or_null(value) for name, value in row.items()}, allow_nan=False)
 
 
 def _finite_or_null(value: float | str) -> float | str | None:

@@ -64,7 +64,7 @@ class BrowserView(ViewState):
         if importlib.util.find_spec("viser") is None:
             raise MissingDependencyError("--view needs viser; install probedesign[view]")
         _check_address(host, port)
-        self._requests, self._log = commands, log
+        self._commands, self._log = commands, log
         super().__init__(counts)
         self._ended = threading.Event()
         self._process = process = _start_process()
@@ -120,7 +120,7 @@ class BrowserView(ViewState):
             why = message.get("error", why)
             for name in get_args(CommandName):
                 if name == message.get("command"):
-                    self._requests.put(name, message.get("text", "")[:MAX_NOTE])
+                    self._commands.put(name, message.get("text", "")[:MAX_NOTE])
         if not self._ended.is_set():
             self._log(f"view: the page has closed: {why}; the run continues")
 
