@@ -8,10 +8,6 @@ from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block
-from probedesign.live.sources.daq import DaqSource
-from probedesign.live.sources.netft.source import NetFTSource
-from probedesign.live.sources.replay import ReplaySource
-from probedesign.live.sources.sim import SimulatedSource
 
 
 class Source(Protocol):
@@ -49,14 +45,22 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
     target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
     match scheme if colon else "":
         case "sim" if not target:
+            from probedesign.live.sources.sim import SimulatedSource
+
             return SimulatedSource(model, query)
         case "sim":
             raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {target!r}")
         case "replay":
+            from probedesign.live.sources.replay import ReplaySource
+
             return ReplaySource(model, Path(target), query, log)
         case "netft":
+            from probedesign.live.sources.netft.source import NetFTSource
+
             return NetFTSource(model, target, query, log)
         case "daq":
+            from probedesign.live.sources.daq import DaqSource
+
             return DaqSource(model, target, query, log)
         case _:
             raise InputError(f"source {spec!r} is unknown; available are {SOURCES}")
