@@ -21,23 +21,22 @@ from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
-from probedesign.live.box.box import OFF
-from probedesign.live.netft.source import NetFT
-from probedesign.live.recordings import Recordings
-from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.sinks import Sinks
-from probedesign.live.source import open_source
-from probedesign.live.tare import Window
-from probedesign.live.view.view import View
-from probedesign.live.warm_up import warm_up
+from probedesign.live.netft_box.box import FAULT_DURATION
+from probedesign.live.outputs.recording import RecordingSink
+from probedesign.live.outputs.sinks import SinkGroup
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
+from probedesign.live.run import estimate_stream, warm_up
+from probedesign.live.sources.netft.source import NetFTSource
+from probedesign.live.sources.source import open_source
+from probedesign.live.view.browser_view import BrowserView
 from probedesign.probe import build_probe
 
 MINUTES = 1.0 / 3.0
 AVERAGE = 36
-TARE = Window(0.0, 3.0)
+TARE = TareWindow(0.0, 3.0)
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
 PARTS = 10
 """Of the run, for what grows."""
@@ -74,7 +73,7 @@ class Watched:
         gaps: from the last reading before to the first after each [s].
     """
 
-    source: NetFT
+    source: NetFTSource
     silences: list[float] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
 
@@ -95,15 +94,15 @@ class Watched:
 
 def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: bool) -> None:
     source = open_source(spec, estimator.model, print)
-    assert isinstance(source, NetFT)
+    assert isinstance(source, NetFTSource)
     late, memory = [], []
     wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
-    plan = Plan(TARE, AVERAGE, seconds=seconds)
-    recordings = Recordings(folder / "record.mcap", estimator.model, print)
+    plan = ProcessingOptions(TARE, AVERAGE, seconds=seconds)
+    recordings = RecordingSink(folder / "record.mcap", estimator.model, print)
     recordings.start()
-    with closing(Sinks(recordings)) as sinks:
+    with closing(SinkGroup(recordings)) as sinks:
         if view:
-            sinks.add(View(estimator, folder, Requests(), print, counts=lambda: source.counts))
+            sinks.add(BrowserView(estimator, folder, CommandQueue(), print, counts=lambda: source.counts))
         for answer in estimate_stream(estimator, source, plan, print, sinks):
             late.append(1e3 * (answer.made - answer.reading.received))
             if len(late) % RARELY == 1:
@@ -136,12 +135,12 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
 def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     said: list[str] = []
     source = open_source(spec, estimator.model, said.append)
-    assert isinstance(source, NetFT)
+    assert isinstance(source, NetFTSource)
     watched = Watched(source)
-    answers: list[Answer] = list(
-        estimate_stream(estimator, watched, Plan(TARE, AVERAGE, seconds=seconds), print)
+    answers: list[EstimateUpdate] = list(
+        estimate_stream(estimator, watched, ProcessingOptions(TARE, AVERAGE, seconds=seconds), print)
     )
-    back = ", ".join(f"{max(gap - OFF, 0.0):.2f}" for gap in watched.gaps)
+    back = ", ".join(f"{max(gap - FAULT_DURATION, 0.0):.2f}" for gap in watched.gaps)
     after = Counter(a.estimate.result for a in answers if a.reading.stretch > 0)
     stretches = [a.reading.stretch for a in answers]
     rows = [
@@ -151,7 +150,9 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
         ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
         ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
     ]  # fmt: skip
-    print_table(f"the box restarts, then stalls, for {OFF:g} s each", ["", "measured", "target"], rows)
+    print_table(
+        f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows
+    )
 
 
 def _resident() -> float:

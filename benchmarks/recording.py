@@ -12,10 +12,9 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.design import load_design
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.behind import EVERY, File
-from probedesign.live.block import Block
-from probedesign.live.recorded import open_recording
-from probedesign.live.recordings import open_file
+from probedesign.live.outputs.recording import FLUSH_PERIOD, RecordingFile, open_recording_file
+from probedesign.live.processing.blocks import Block
+from probedesign.live.sources.replay import open_recording
 from probedesign.probe import build_probe
 
 RATE = 7000
@@ -33,7 +32,9 @@ def report() -> None:
         for kind in ("mcap", "csv"):
             for count in AT_ONCE:
                 path, blocks = Path(folder) / f"{count}.{kind}", _blocks(model, count)
-                written = _used(partial(_write, open_file(path, model, False, {}), blocks)) / SECONDS
+                written = (
+                    _used(partial(_write, open_recording_file(path, model, False, {}), blocks)) / SECONDS
+                )
                 read = _used(partial(_read, path, model)) / SECONDS / RATE
                 size = path.stat().st_size / SECONDS / 1e6
                 rows.append(
@@ -51,11 +52,11 @@ def _blocks(model: ProbeModel, count: int) -> list[Block]:
     return [Block(time, std * noise.standard_normal((count, 6)), model.gravity_base, time) for time in times]
 
 
-def _write(file: File, blocks: list[Block]) -> None:
+def _write(file: RecordingFile, blocks: list[Block]) -> None:
     """As the writing thread does."""
-    often = int(EVERY * RATE) // len(blocks[0])
+    often = int(FLUSH_PERIOD * RATE) // len(blocks[0])
     for i, block in enumerate(blocks):
-        file.read(block)
+        file.on_samples(block)
         if i % often == 0:
             file.flush()
     file.close()

@@ -19,12 +19,12 @@ import numpy as np
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.block import Block
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.view.keeper import Keeper
-from probedesign.live.view.view import setup_of
-from probedesign.live.warm_up import warm_up
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.run import estimate_stream, warm_up
+from probedesign.live.sources.sim import SimulatedSource
+from probedesign.live.view.browser_view import scene_setup
+from probedesign.live.view.state import ViewState
 from probedesign.probe import build_probe
 
 ROOT = Path(__file__).parents[1]
@@ -55,7 +55,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         until: when [s].
         picture: where it goes.
     """
-    from probedesign.live.view.page import Page
+    from probedesign.live.view.page import ViewerPage
 
     try:
         from playwright.sync_api import sync_playwright
@@ -64,15 +64,17 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         return
     browser_path = shutil.which("chromium") or shutil.which("google-chrome")
     now = 0.0
-    keeper = Keeper(clock=lambda: now)
-    source = Simulation(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
-    keeper.told(now, source.title)
-    for answer in estimate_stream(estimator, source, Plan(), print):
+    keeper = ViewState(clock=lambda: now)
+    source = SimulatedSource(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
+    keeper.on_event(now, source.title)
+    for answer in estimate_stream(estimator, source, ProcessingOptions(), print):
         now, one = answer.reading.time, np.array([answer.reading.time])
-        keeper.read(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
-        keeper.answered(answer)
-    page = Page(setup_of(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None)
-    page.show(keeper.moment())
+        keeper.on_samples(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
+        keeper.on_estimate(answer)
+    page = ViewerPage(
+        scene_setup(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None
+    )
+    page.show(keeper.snapshot())
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=browser_path, args=SOFTWARE)

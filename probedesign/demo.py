@@ -13,10 +13,10 @@ from probedesign.design_file import draft_design, render_design, write_design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
 from probedesign.files import write_atomically
-from probedesign.live.block import readings_in
 from probedesign.live.offline import estimate_recording
-from probedesign.live.recorder import write_recording
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.recordings.csv import write_recording
+from probedesign.live.sources.sim import SimulatedSource
 from probedesign.reports.png import SweepSeries, draw_sweep
 from probedesign.units import MM
 
@@ -143,7 +143,7 @@ def _pictured(sweep: SweepSeries, path: Path) -> dict[str, str]:
 
 def _touched(estimator: Estimator, recording: Path, contacts: Path) -> SweepSeries:
     """Simulate, record, estimate, and set the estimates beside the truth."""
-    readings = list(readings_in(Simulation(estimator.model, TOUCH)))
+    readings = list(iter_readings(SimulatedSource(estimator.model, TOUCH)))
     time = np.array([r.time for r in readings])
     write_recording(recording, time, np.array([r.wrench_sensor for r in readings]))
     estimates = estimate_recording(estimator, recording)

@@ -477,7 +477,9 @@ def test_geometries_have_fingerprints_of_their_own():
 # The wall towards the design side
 
 
-@pytest.mark.parametrize("module", ["probedesign.deployment", "probedesign.live.recording"])
+@pytest.mark.parametrize(
+    "module", ["probedesign.deployment", "probedesign.live.run", "probedesign.live.sources.source"]
+)
 def test_running_needs_nothing_of_the_design_side(module):
     code = f"import sys, {module}; print(*{{name.split('.')[0] for name in sys.modules}})"
     done = subprocess.run(

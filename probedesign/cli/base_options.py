@@ -9,7 +9,7 @@ from cyclopts import Parameter
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
     from probedesign.exploring.base import Base
-    from probedesign.live.pose.poses import Poses
+    from probedesign.live.poses.base_poses import BasePoses
 
 
 @Parameter(name="*")
@@ -44,12 +44,12 @@ class BaseOptions:
         said = {entry.name: getattr(self, entry.name) for entry in fields(Base)}
         return replace(Base.of(model), **{name: value for name, value in said.items() if value is not None})
 
-    def poses(self, say: Callable[[str], None]) -> "Poses | None":
+    def poses(self, say: Callable[[str], None]) -> "BasePoses | None":
         """The poses; None if there are to be none.
 
         Raises:
             InputError: they cannot be had.
         """
-        from probedesign.live.pose.spec import open_poses
+        from probedesign.live.poses.open_poses import open_poses
 
         return open_poses(self.pose, self.pose_latency_ms, self.gravity_world, say)

@@ -11,7 +11,7 @@ from probedesign.cli.output import print_json, working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.live.reading import Reading
+    from probedesign.live.processing.blocks import WrenchReading
 
 
 def estimate(
@@ -60,17 +60,16 @@ def estimate(
     from probedesign.cli.estimators import loaded_estimator
     from probedesign.files import write_atomically
     from probedesign.live.offline import estimate_recording
-    from probedesign.live.recorded import Choice
-    from probedesign.live.run import describe_counts
-    from probedesign.live.tare import parse_window
-    from probedesign.live.warm_up import warm_up
+    from probedesign.live.processing.tare import parse_window
+    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.sources.replay import RecordingOptions
 
     _check_free(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None
     estimator = loaded_estimator(bundle, manifest, exact_model, friction)
     with working("loading the rod kernels"):
         warm_up(estimator, _say)
-    choice = Choice(topic, moment_unit=moment_unit, other_probe=other_probe)
+    choice = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
     estimates = estimate_recording(estimator, recording, window, average, _progress, mend, choice, method)
     for note in estimates.notes:
         _say(note)
@@ -98,7 +97,7 @@ def _say(note: str) -> None:
     print(f"note: {note}", file=sys.stderr)
 
 
-def _progress(readings: "list[Reading]") -> "Iterable[Reading]":
+def _progress(readings: "list[WrenchReading]") -> "Iterable[WrenchReading]":
     """The readings, with a bar on a terminal."""
     if not sys.stderr.isatty():
         return readings

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
     from probedesign.exploring.explore import Exploration
     from probedesign.frames import Array
-    from probedesign.live.plan import Plan
-    from probedesign.live.pose.poses import Poses
-    from probedesign.live.source import Source
+    from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.live.processing.scheduler import ProcessingOptions
+    from probedesign.live.sources.source import Source
 
 
 def explore(
@@ -82,10 +82,10 @@ def explore(
 
 def _opened(
     estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions
-) -> "tuple[Source, Poses]":
+) -> "tuple[Source, BasePoses]":
     """Readings and poses, and everything compiled before the first is read."""
     from probedesign.exploring.explore import check_poses
-    from probedesign.live.warm_up import warm_up
+    from probedesign.live.run import warm_up
 
     poses = check_poses(base.poses(_say), None)
     with working("loading the rod kernels"):
@@ -93,7 +93,9 @@ def _opened(
         return reading.opened(recording, estimator.model, poses, _say), poses
 
 
-def _run(exploration: "Exploration", opened: "Source", plan: "Plan", poses: "Poses", tells: bool) -> None:
+def _run(
+    exploration: "Exploration", opened: "Source", plan: "ProcessingOptions", poses: "BasePoses", tells: bool
+) -> None:
     """Until the source ends or Ctrl-C; what was touched by then is told.
 
     Args:
@@ -117,9 +119,9 @@ def _truth(opened: "Source") -> "tuple[Array, ...]":
     """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
     from probedesign.exploring.card_house import true_outlines
     from probedesign.exploring.explore import Played
-    from probedesign.live.replay import Replay
+    from probedesign.live.sources.replay import ReplaySource
 
-    return true_outlines(opened.recorded_from) if isinstance(opened, Played | Replay) else ()
+    return true_outlines(opened.recorded_from) if isinstance(opened, Played | ReplaySource) else ()
 
 
 def _say(note: str) -> None:

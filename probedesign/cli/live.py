@@ -14,7 +14,7 @@ from probedesign.cli.ending import ending_well
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from probedesign.live.answer import Answer
+    from probedesign.live.processing.estimates import EstimateUpdate
 
 
 def live(
@@ -80,17 +80,16 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign.cli.estimators import loaded_estimator
-    from probedesign.live.outlets import Outlets
-    from probedesign.live.pose.spec import open_poses
-    from probedesign.live.requests import Requests
-    from probedesign.live.run import Plan, estimate_stream
-    from probedesign.live.sinks import Sinks, Spoken
-    from probedesign.live.source import open_source
-    from probedesign.live.tare import parse_window
-    from probedesign.live.warm_up import warm_up
+    from probedesign.live.outputs.options import OutputOptions
+    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
+    from probedesign.live.poses.open_poses import open_poses
+    from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+    from probedesign.live.processing.tare import parse_window
+    from probedesign.live.run import estimate_stream, warm_up
+    from probedesign.live.sources.source import open_source
 
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = Plan(window, average, rate_hz, count, seconds, filter_hz, method=method)
+    plan = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method)
     estimator = loaded_estimator(bundle, manifest, exact_model, friction)
     about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
              "exact_model": str(exact_model).lower(), "method": method,
@@ -98,33 +97,33 @@ def live(
              "pose": pose, "pose_latency_ms": f"{pose_latency_ms:g}", "gravity_world": gravity_world or ""}  # fmt: skip
     drawn = not (lines or as_json) and _on_terminal()
     page = (view_host, view_port) if view else None
-    outlets = Outlets(record, force, publish, page, drawn, bundle.parent, about)
+    outlets = OutputOptions(record, force, publish, page, drawn, bundle.parent, about)
     outlets.check(source)
-    with closing(Sinks(Spoken())) as sinks, ending_well():
-        opened = open_source(source, estimator.model, sinks.say)
-        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.say)
-        publisher = outlets.publisher(sinks.say)
-        warm_up(estimator, sinks.say, fusing=True)
-        sinks.say(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+    with closing(SinkGroup(StderrSink())) as sinks, ending_well():
+        opened = open_source(source, estimator.model, sinks.log)
+        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.log)
+        publisher = outlets.publisher(sinks.log)
+        warm_up(estimator, sinks.log, fusing=True)
+        sinks.log(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
-            sinks.say(note)
-        requests = Requests()
+            sinks.log(note)
+        requests = CommandQueue()
         outlets.connect(sinks, requests, estimator, opened, poses, publisher)
-        answers = estimate_stream(estimator, opened, plan, sinks.say, sinks, requests, poses)
-        by_itself = _print(answers, sinks.say, as_json, drawn)
+        answers = estimate_stream(estimator, opened, plan, sinks.log, sinks, requests, poses)
+        by_itself = _print(answers, sinks.log, as_json, drawn)
         if view and by_itself and _on_terminal():
-            _stay(sinks.say)
+            _stay(sinks.log)
 
 
 def _print(
-    answers: "Generator[Answer, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
+    answers: "Generator[EstimateUpdate, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
 ) -> bool:
     """A line for each estimate, if they are not drawn; at the end, Ctrl-C included, a summary.
 
     Returns:
         Whether it ended by itself.
     """
-    from probedesign.live.row import json_line, readable_line, row, world_row
+    from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
@@ -138,7 +137,7 @@ def _print(
                 results.append(estimate.result)
                 if as_json:
                     world = world_row(answer) if answer.fused is not None else {}
-                    print(json_line(row(reading, estimate) | world), flush=True)
+                    print(json_line(estimate_row(reading, estimate) | world), flush=True)
                 elif not drawn:
                     print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
         by_itself = True

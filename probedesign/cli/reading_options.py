@@ -11,9 +11,9 @@ from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.plan import Plan
-    from probedesign.live.pose.poses import Poses
-    from probedesign.live.source import Source
+    from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.live.processing.scheduler import ProcessingOptions
+    from probedesign.live.sources.source import Source
 
 
 @Parameter(name="*")
@@ -38,14 +38,14 @@ class ReadingOptions:
     other_probe: bool = False
     """Read a recording that was made with another probe."""
 
-    def plan(self, recording: Path | None) -> "Plan":
+    def plan(self, recording: Path | None) -> "ProcessingOptions":
         """What to do with the readings.
 
         Raises:
             InputError: it is not said what is read, or no tare; or a value makes no sense.
         """
-        from probedesign.live.plan import Plan
-        from probedesign.live.tare import parse_window
+        from probedesign.live.processing.scheduler import ProcessingOptions
+        from probedesign.live.processing.tare import parse_window
 
         if (recording is None) == (self.source is None):
             raise InputError("explore takes a recording, or --source for a run that is live: one of them")
@@ -53,10 +53,12 @@ class ReadingOptions:
             raise InputError(
                 "a touch is told from the sensor's bias by a tare: say --tare-s START:END, when the probe is free"
             )
-        return Plan(parse_window(self.tare_s), self.average, seconds=self.seconds, estimates=False)
+        return ProcessingOptions(
+            parse_window(self.tare_s), self.average, seconds=self.seconds, estimates=False
+        )
 
     def opened(
-        self, recording: Path | None, model: "ProbeModel", poses: "Poses", say: Callable[[str], None]
+        self, recording: Path | None, model: "ProbeModel", poses: "BasePoses", say: Callable[[str], None]
     ) -> "Source":
         """The recording or the source, and that its time is that of the poses.
 
@@ -64,12 +66,12 @@ class ReadingOptions:
             InputError: it is not.
         """
         from probedesign.exploring.explore import check_poses, play
-        from probedesign.live.recorded import Choice
-        from probedesign.live.source import open_source
+        from probedesign.live.sources.replay import RecordingOptions
+        from probedesign.live.sources.source import open_source
 
         if recording is None:
             return open_source(str(self.source), model, say)
-        choice = Choice(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
+        choice = RecordingOptions(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
         played = play(recording, model, self.mend, choice)
         check_poses(poses, played.span)
         return played

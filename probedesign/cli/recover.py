@@ -28,10 +28,10 @@ def recover(
         force: replace the file that --out names.
         as_json: print one JSON document.
     """
-    from probedesign.live.mcap import require
+    from probedesign.live.recordings import require
 
     require()
-    from probedesign.live.mcap.recover import recover as save
+    from probedesign.live.recordings.mcap_read import recover as save
 
     saved = save(recording, out or recording.with_name(f"{recording.stem}-recovered.mcap"), force)
     if as_json:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.box.scene import Pressed
-    from probedesign.live.netft.configuration import Configuration
+    from probedesign.live.netft_box.scene import PressedObject
+    from probedesign.live.sources.netft.configuration import NetFTConfiguration
 
 FOREVER = 1e8
 """Three years [s]."""
@@ -59,24 +59,25 @@ def simulate(
     from contextlib import ExitStack
 
     from probedesign.deployment import load_estimator
-    from probedesign.live.box.box import Box
-    from probedesign.live.box.faults import parse_faults
-    from probedesign.live.box.motion import Motion
-    from probedesign.live.box.robot import Robot
-    from probedesign.live.box.transducer import Transducer
+    from probedesign.live.netft_box.box import SimulatedNetFT, parse_faults
+    from probedesign.live.netft_box.robot import SimulatedRobot
+    from probedesign.live.netft_box.scene import BaseMotion
+    from probedesign.live.netft_box.transducer import SimulatedTransducer
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
     things = _pressed(model, scene, friction, friction_spread, seed)
-    motion = Motion(model, things)
-    transducer = Transducer(model, motion.wrench_sensor, seed)
+    motion = BaseMotion(model, things)
+    transducer = SimulatedTransducer(model, motion.wrench_sensor, seed)
     with ExitStack() as on:
         box = on.enter_context(
-            Box(transducer, configuration, host=host, port=port, http_port=http_port, faults=faults)
+            SimulatedNetFT(
+                transducer, configuration, host=host, port=port, http_port=http_port, faults=faults
+            )
         )
         if pose_to is not None:
-            on.enter_context(Robot(motion, lambda: box.gone, pose_to))
-        for line in (*(thing.line for thing in things), *_listening(host, box.source, bundle)):
+            on.enter_context(SimulatedRobot(motion, lambda: box.motion_time, pose_to))
+        for line in (*(thing.summary for thing in things), *_listening(host, box.source, bundle)):
             print(line, flush=True)
         with suppress(KeyboardInterrupt):
             time.sleep(seconds if seconds is not None else FOREVER)
@@ -84,21 +85,21 @@ def simulate(
 
 def _configuration(
     model: "ProbeModel", torque_unit: str, rate_hz: float, records: int, seconds: float | None
-) -> "Configuration":
+) -> "NetFTConfiguration":
     """Of the box, as the options say.
 
     Raises:
         InputError: one makes no sense.
     """
     from probedesign.errors import InputError
-    from probedesign.live.box.box import NATIVE
-    from probedesign.live.netft.wire import MOST_RECORDS, SAMPLES_PER_SECOND
+    from probedesign.live.netft_box.box import NATIVE
+    from probedesign.live.sources.netft.wire import MAX_RECORDS, SAMPLES_PER_SECOND
 
     parts = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0
     if not parts >= 1.0 or abs(parts - round(parts)) > 1e-3 * parts:
         raise InputError(f"--rate-hz {rate_hz:g} must be {SAMPLES_PER_SECOND} over a whole number")
-    if not 1 <= records <= MOST_RECORDS:
-        raise InputError(f"--records {records} must be 1 ... {MOST_RECORDS}")
+    if not 1 <= records <= MAX_RECORDS:
+        raise InputError(f"--records {records} must be 1 ... {MAX_RECORDS}")
     if seconds is not None and not seconds > 0.0:
         raise InputError(f"--seconds {seconds} must be positive")
     force, moment = model.wrench_range[0], model.wrench_range[3]
@@ -109,10 +110,10 @@ def _configuration(
 
 def _pressed(
     model: "ProbeModel", scene: str, friction: float, spread: float, seed: int
-) -> "tuple[Pressed, ...]":
+) -> "tuple[PressedObject, ...]":
     """The scene's objects, with what the probe reads of each; on a terminal whoever waits is told for what."""
     from probedesign.cli.output import working
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import press_scene
 
     with working(f"solving the presses of --scene {scene}"):
         return press_scene(model, scene, friction, spread, seed)

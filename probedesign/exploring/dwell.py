@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.live.answer import Answer
-from probedesign.live.phases import LEVER
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.touches import LEVER
 
 STANDS = 10e-6
 """Poses of a base that stands differ by no more [m], their rotations over `LEVER` likewise: a robot's own scatter
@@ -36,7 +36,7 @@ class Dwell:
     total: Array = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
-    def at(cls, answer: Answer) -> "Dwell":
+    def at(cls, answer: EstimateUpdate) -> "Dwell":
         """One that begins with this reading."""
         time = answer.reading.time
         dwell = cls(answer.T_world_base, answer.reading.gravity_base, time, time)
@@ -61,7 +61,7 @@ class Dwell:
         turned = float(np.linalg.norm(T_world_base[:3, :3] - self.T_world_base[:3, :3])) / np.sqrt(2.0)
         return bool(max(gone, LEVER * turned) <= STANDS)
 
-    def add(self, answer: Answer) -> None:
+    def add(self, answer: EstimateUpdate) -> None:
         """Take in a reading."""
         self.end = answer.reading.time
         self.readings += 1

@@ -13,14 +13,14 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.exploring.cloud import APART, Cloud, cloud_of
 from probedesign.exploring.series import Gathering, Series
 from probedesign.exploring.touched import Touched, touched
-from probedesign.live.block import Block
-from probedesign.live.plan import Plan
-from probedesign.live.pose.poses import Poses
-from probedesign.live.pose.spec import FIXED
-from probedesign.live.recorded import Choice, open_recording
+from probedesign.live.outputs.sinks import Sink
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.open_poses import FIXED
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream
-from probedesign.live.sink import Sink
-from probedesign.live.source import Source
+from probedesign.live.sources.replay import RecordingOptions, open_recording
+from probedesign.live.sources.source import Source
 
 Say = Callable[[str], None]
 
@@ -51,7 +51,7 @@ class Played:
         return float(times[0][0]), float(times[-1][-1])
 
 
-def play(path: Path, model: ProbeModel, mend: bool = False, choice: Choice | None = None) -> Played:
+def play(path: Path, model: ProbeModel, mend: bool = False, choice: RecordingOptions | None = None) -> Played:
     """The recording at a path.
 
     Args:
@@ -70,15 +70,15 @@ def play(path: Path, model: ProbeModel, mend: bool = False, choice: Choice | Non
             "sensor's frame"
         )
     held = tuple(block for block in recorded.blocks())
-    if (lacking := recorded.lacking()) and not mend:
+    if (lacking := recorded.missing()) and not mend:
         raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
     if not any(len(block) for block in held):
         raise InputError(f"{path}: holds no readings")
     notes = tuple(dict.fromkeys((*recorded.notes, *lacking)))
-    return Played(f"{path}, {recorded.what}", notes, held, recorded.source)
+    return Played(f"{path}, {recorded.description}", notes, held, recorded.source)
 
 
-def check_poses(poses: Poses | None, span: tuple[float, float] | None) -> Poses:
+def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> BasePoses:
     """The poses, that there must be, at the time of the readings.
 
     Args:
@@ -122,7 +122,7 @@ class Exploration:
     placeless: int = 0
 
     def run(
-        self, source: Source, plan: Plan, poses: Poses, say: Say, sink: Sink | None = None
+        self, source: Source, plan: ProcessingOptions, poses: BasePoses, say: Say, sink: Sink | None = None
     ) -> Iterator[Touched]:
         """Each touch when it is over, and the free probe after it has been read.
 
@@ -150,7 +150,7 @@ class Exploration:
     def _priors(self) -> Tolerances:
         return self.estimator.priors if self.priors is None else self.priors
 
-    def _touched(self, series: Series, poses: Poses) -> Touched:
+    def _touched(self, series: Series, poses: BasePoses) -> Touched:
         found = touched(series, self.estimator, self._priors, poses.gravity_world)
         self.touches.append(found)
         return found

@@ -10,9 +10,9 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.exploring.card_house import SOURCE
 from probedesign.exploring.rehearsal import Rehearsal
 from probedesign.files import write_atomically
-from probedesign.live.csv_file import CsvFile
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.pose.words import NAMES
+from probedesign.live.poses.pose_file import POSE_COLUMNS
+from probedesign.live.recordings.csv import CsvRecorder
+from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.units import MM
 
 FILES = ("house.mcap", "poses.csv", "truth.csv")
@@ -44,11 +44,15 @@ def write_rehearsal(
     for path in paths:
         if path.exists() and not force:
             raise InputError(f"{path}: exists; say --force to replace it, or name another folder")
-    kind = CsvFile if recording.endswith(".csv") else None
-    file = kind(paths[0], force) if kind is not None else McapFile(paths[0], model, force, {"source": SOURCE})
+    kind = CsvRecorder if recording.endswith(".csv") else None
+    file = (
+        kind(paths[0], force)
+        if kind is not None
+        else McapRecorder(paths[0], model, force, {"source": SOURCE})
+    )
     try:
         for block in rehearsal.way.blocks(model, rng):
-            file.read(block)
+            file.on_samples(block)
     finally:
         file.close()
     write_atomically(paths[1], _poses(rehearsal).encode())
@@ -57,7 +61,7 @@ def write_rehearsal(
 
 
 def _poses(rehearsal: Rehearsal) -> str:
-    lines = [",".join(NAMES)]
+    lines = [",".join(POSE_COLUMNS)]
     for pose in rehearsal.way.poses():
         numbers = (pose.time, *(value / MM for value in pose.p), *pose.q)
         lines.append(_cells(numbers))

@@ -8,8 +8,8 @@ import numpy as np
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array, pose
-from probedesign.live.block import Block
-from probedesign.live.pose.timed import TimedPose, of_matrix
+from probedesign.live.poses.track import TimedPose, pose_from_matrix
+from probedesign.live.processing.blocks import Block
 
 REST = 4.0
 """Free of everything at the start [s]: time for a tare."""
@@ -86,7 +86,7 @@ class Way:
         """As a robot tells them."""
         time = self._clock(POSES)
         at = np.stack([np.interp(time, self.times, [p[i] for p in self.told]) for i in range(3)], axis=1)
-        q = of_matrix(0.0, pose(self.R_world_base)).q
+        q = pose_from_matrix(0.0, pose(self.R_world_base)).q
         return [TimedPose(t, tuple(p), q) for t, p in zip(time.tolist(), at.tolist(), strict=True)]
 
     def _clock(self, rate: float) -> Array:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.exploring.dwell import Dwell
-from probedesign.live.answer import Answer
-from probedesign.live.contacts import Contact
-from probedesign.live.phases import SPAN
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.touches import SPAN, Contact
 
 FREE_SPAN = 2.0
 """How much of a free probe's readings next to a touch counts [s]: the bias walks on."""
@@ -51,11 +50,11 @@ class Gathering:
         self._dwells: list[Dwell] = []
         self._after: Dwell | None = None
 
-    def take(self, answer: Answer) -> Iterator[Series]:
+    def take(self, answer: EstimateUpdate) -> Iterator[Series]:
         """Take in an answer; the series that it completes, if one."""
         if answer.phase == "" or not np.isfinite(answer.wrench_base).all():
             return
-        present = answer.contacts[-1] if answer.contacts and answer.contacts[-1].lasts else None
+        present = answer.contacts[-1] if answer.contacts and answer.contacts[-1].ongoing else None
         if present is not None and present.number != self._told:
             if not self._goes_on(present):
                 yield from self.ended()
@@ -87,13 +86,13 @@ class Gathering:
         self._count, self._start = self._count + 1, present.start
         self._before = _longer(self._before, self._older)
 
-    def _settled(self, answer: Answer) -> None:
+    def _settled(self, answer: EstimateUpdate) -> None:
         if self._dwells and self._dwells[-1].holds(answer.T_world_base):
             self._dwells[-1].add(answer)
         else:
             self._dwells.append(Dwell.at(answer))
 
-    def _freely(self, answer: Answer) -> Iterator[Series]:
+    def _freely(self, answer: EstimateUpdate) -> Iterator[Series]:
         """A reading of the free probe, whose base stands: after a touch or before one."""
         if not self._told:
             self._waiting(answer)
@@ -107,7 +106,7 @@ class Gathering:
             yield from self.ended()
             self._waiting(answer)
 
-    def _waiting(self, answer: Answer) -> None:
+    def _waiting(self, answer: EstimateUpdate) -> None:
         """Keep the last one or two spans."""
         before = self._before
         if before is None or not before.holds(answer.T_world_base):

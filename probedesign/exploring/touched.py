@@ -15,7 +15,7 @@ from probedesign.exploring.dwell import Dwell
 from probedesign.exploring.located import Located
 from probedesign.exploring.series import Series
 from probedesign.frames import Array
-from probedesign.live.watch import BIAS_STEPS
+from probedesign.live.processing.touches import BIAS_STEPS
 
 OPEN_STEPS = 10.0
 """Of the bias, in steps of the sensor's resolution, where the free probe beside the touch ties it down: as good as not

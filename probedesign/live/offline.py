@@ -1,4 +1,4 @@
-"""A recording in, one estimate a row out."""
+"""Estimates contacts from a recording, one row per reading."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -10,36 +10,34 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator, Method
-from probedesign.live.batch import averaged
-from probedesign.live.locate import locate
-from probedesign.live.reading import Reading
-from probedesign.live.recorded import Choice, Recorded, open_recording
-from probedesign.live.recording import gaps_in
-from probedesign.live.row import COLUMNS, Row, csv_line, row
+from probedesign.live.processing.blocks import WrenchReading, averaged
+from probedesign.live.processing.estimates import COLUMNS, Row, csv_line, estimate_row, locate
+from probedesign.live.processing.tare import Tare, TareWindow, describe_tare, split_at_tare, take_tare
+from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.run import count_results
-from probedesign.live.tare import Tare, Window, describe_tare, split, take_tare
+from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 
-Progress = Callable[[list[Reading]], Iterable[Reading]]
+Progress = Callable[[list[WrenchReading]], Iterable[WrenchReading]]
 
 
 @dataclass(frozen=True)
-class Estimates:
-    """What `estimate` found in a recording.
+class RecordingEstimates:
+    """Estimates of a recording.
 
     Attributes:
-        estimator: that found it.
-        recorded: that it was found in.
-        readings: that it holds.
-        missing_samples: how many would have filled its gaps.
-        samples: how many readings were averaged to one.
-        tare: taken from every reading, if one was asked for.
-        rows: one for each reading or mean.
-        notes: what a user should know of all that, each one line.
-        method: by which the readings were located.
+        estimator: estimator used.
+        recorded: the recording.
+        readings: number of readings in it.
+        missing_samples: number of samples missing in its gaps.
+        samples: number of readings averaged to one.
+        tare: bias subtracted from every reading, if a tare was requested.
+        rows: one row per reading or mean.
+        notes: notes for the user, one line each.
+        method: method by which the readings were located.
     """
 
     estimator: Estimator
-    recorded: Recorded
+    recording: OpenRecording
     readings: int
     missing_samples: int
     samples: int
@@ -50,22 +48,22 @@ class Estimates:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many rows have each result."""
+        """Number of rows with each result."""
         return count_results(str(row["result"]) for row in self.rows)
 
     def csv(self) -> str:
-        """The rows as CSV with a header."""
+        """Return the rows as CSV with a header."""
         return ",".join(COLUMNS) + "\n" + "".join(map(csv_line, self.rows))
 
     def document(self) -> dict[str, Any]:
-        """Everything, for JSON."""
+        """Return everything as one JSON document."""
         model, tare = self.estimator.model, self.tare
         return {
             "probe": model.name,
             "fingerprint": model.fingerprint,
             "assumptions": model.assumptions,
-            "recording": self.recorded.path,
-            "frame": self.recorded.frame,
+            "recording": self.recording.path,
+            "frame": self.recording.frame,
             "readings": self.readings,
             "missing_samples": self.missing_samples,
             "average": self.samples,
@@ -90,52 +88,52 @@ class Estimates:
 def estimate_recording(
     estimator: Estimator,
     path: Path,
-    window: Window | None = None,
+    window: TareWindow | None = None,
     samples: int = 1,
     progress: Progress = iter,
-    mend: bool = False,
-    choice: Choice | None = None,
+    allow_incomplete: bool = False,
+    options: RecordingOptions | None = None,
     method: Method = "ml",
-) -> Estimates:
+) -> RecordingEstimates:
     """Locate the contacts of a recording.
 
     Args:
-        estimator: of the probe it was recorded with.
-        path: of the recording.
-        window: when the probe is free, for the tare; None takes none.
-        samples: how many readings are averaged to one.
-        progress: is handed the readings and hands them on one by one.
-        mend: go on with a recording that lacks something: lines of a CSV, the end of a file.
-        choice: what of a bag is read.
-        method: as in `Estimator.estimate`.
+        estimator: estimator of the recorded probe.
+        path: path of the recording.
+        window: window of the tare, in which the probe is free; None takes no tare.
+        samples: number of readings averaged to one.
+        progress: receives the readings and passes them on one by one.
+        allow_incomplete: accept an incomplete recording: dropped lines of CSV, a truncated file.
+        options: what to read of a bag.
+        method: see `Estimator.estimate`.
 
     Raises:
-        InputError: the recording or the tare's window is no good.
+        InputError: the recording or the tare window cannot be used.
     """
     if samples < 1:
         raise InputError(f"--average {samples} must be positive")
-    recorded = open_recording(path, estimator.model, choice)
-    blocks = list(recorded.blocks())
-    if (lacking := recorded.lacking()) and not mend:
-        raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
+    recording = open_recording(path, estimator.model, options)
+    blocks = list(recording.blocks())
+    if (missing := recording.missing()) and not allow_incomplete:
+        raise InputError(f"{path}: {'; '.join(missing)}; use --mend to continue without the missing data")
     time = np.concatenate([np.empty(0), *(block.time for block in blocks)])
     readings = list(averaged(blocks, samples))
     if not readings:
-        raise InputError(f"{path}: holds {len(time)} readings, fewer than --average {samples}")
-    tare = take_tare(split(readings, window)[0], window, estimator) if window is not None else None
-    rows = [row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
-    gaps, missing = gaps_in(time)
-    gap = (f"{missing} samples are missing in {gaps} gaps",) if gaps else ()
-    notes = (*dict.fromkeys((*recorded.notes, *lacking, *gap)), *_notes(len(time), samples, tare))
-    return Estimates(estimator, recorded, len(time), missing, samples, tare, rows, notes, method)
+        raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")
+    tare = take_tare(split_at_tare(readings, window)[0], window, estimator) if window is not None else None
+    rows = [estimate_row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
+    gaps, lost = gaps_in(time)
+    gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
+    notes = (*dict.fromkeys((*recording.notes, *missing, *gap)), *_notes(len(time), samples, tare))
+    return RecordingEstimates(estimator, recording, len(time), lost, samples, tare, rows, notes, method)
 
 
 def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:
-    """What averaging and tare did."""
+    """Return notes on averaging and tare."""
     notes = []
     if samples > 1:
-        left = f"; {readings % samples} readings at the end fill none" if readings % samples else ""
-        notes.append(f"each estimate is of the mean of {samples} readings{left}")
+        left = f"; {readings % samples} readings at the end are not used" if readings % samples else ""
+        notes.append(f"each estimate uses the mean of {samples} readings{left}")
     if tare is not None:
         notes.append(describe_tare(tare))
     return tuple(notes)

@@ -12,7 +12,7 @@ from probedesign.cli.main import run
 from probedesign.deployment import write_frozen
 from probedesign.exploring.cloud import WITHIN_95
 from probedesign.exploring.table import COLUMNS
-from probedesign.live.pose.words import NAMES
+from probedesign.live.poses.pose_file import POSE_COLUMNS
 from probedesign.units import MM
 
 
@@ -149,7 +149,7 @@ def test_a_recording_of_another_probe_is_refused(estimator, house, tmp_path, cap
 
 def test_clocks_that_do_not_overlap_are_told(probe, house, tmp_path, capsys):
     rows = [f"{1e6 + t},0,0,0,0,0,0,1" for t in (0.0, 0.01)]
-    (tmp_path / "late.csv").write_text("\n".join([",".join(NAMES), *rows]) + "\n")
+    (tmp_path / "late.csv").write_text("\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
     line = refused(capsys, [*arguments(probe, house[1])[:4], str(tmp_path / "late.csv"), "--tare-s", "0:3"])
     assert "the clocks do not overlap" in line
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.exploring.series import AGAIN, Gathering
-from probedesign.live.answer import Answer
-from probedesign.live.contacts import Contacts
-from probedesign.live.reading import Reading
+from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.touches import ContactHistory
 
 STEP = 0.01
 """From one answer to the next [s], about as 36 samples of 3500 a second are."""
@@ -15,16 +15,16 @@ STEP = 0.01
 
 def told(*stretches):
     """Series of a base that stands at the origin, from (phase, seconds) one after the other."""
-    contacts, gathering, series, time = Contacts(), Gathering(), [], 0.0
-    blank = Answer(
-        Reading(0.0, np.zeros(6), np.zeros(3)), None, T_world_base=np.eye(4), wrench_base=np.zeros(6)
+    contacts, gathering, series, time = ContactHistory(), Gathering(), [], 0.0
+    blank = EstimateUpdate(
+        WrenchReading(0.0, np.zeros(6), np.zeros(3)), None, T_world_base=np.eye(4), wrench_base=np.zeros(6)
     )
     for phase, seconds in stretches:
         for _ in range(round(seconds / STEP)):
             time += STEP
-            contacts.follow(time, phase, None)
+            contacts.update(time, phase, None)
             answer = replace(
-                blank, reading=replace(blank.reading, time=time), phase=phase, contacts=contacts.so_far
+                blank, reading=replace(blank.reading, time=time), phase=phase, contacts=contacts.contacts
             )
             series += gathering.take(answer)
     return [*series, *gathering.ended()]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from probedesign.live.block import Block
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.recorded import Choice, Recorded, open_recording
+from probedesign.live.processing.blocks import Block
+from probedesign.live.recordings.mcap_write import McapRecorder
+from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
 
@@ -20,9 +20,9 @@ def block(start: int, count: int, *, rate: float = 7000.0, fault: str = "", stre
 
 def write(path: Path, model, blocks: list[Block], chunk: int = 1, closed: bool = True) -> Path:
     """A recording of the blocks, a chunk for every so many."""
-    file = McapFile(path, model)
+    file = McapRecorder(path, model)
     for i, each in enumerate(blocks, 1):
-        file.read(each)
+        file.on_samples(each)
         if i % chunk == 0:
             file.flush()
     if closed:
@@ -30,7 +30,7 @@ def write(path: Path, model, blocks: list[Block], chunk: int = 1, closed: bool =
     return path
 
 
-def read(path: Path, model, choice: Choice | None = None) -> tuple[Recorded, list[Block]]:
+def read(path: Path, model, choice: RecordingOptions | None = None) -> tuple[OpenRecording, list[Block]]:
     """The recording and all its blocks."""
     recorded = open_recording(path, model, choice)
     return recorded, list(recorded.blocks())

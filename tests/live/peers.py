@@ -9,18 +9,20 @@ import time
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.live.box.box import NATIVE, Box
-from probedesign.live.box.transducer import Transducer
-from probedesign.live.source import open_source
+from probedesign.live.netft_box.box import NATIVE, SimulatedNetFT
+from probedesign.live.netft_box.transducer import SimulatedTransducer
+from probedesign.live.sources.source import open_source
 
 LOAD = np.array([0.05, -0.02, 0.1, 2e-3, 1e-3, -5e-4])
 
 
-def box(estimator, settings=NATIVE, load=LOAD, **options) -> Box:
+def box(estimator, settings=NATIVE, load=LOAD, **options) -> SimulatedNetFT:
     def constant(when):
         return np.tile(load, (len(when), 1))
 
-    return Box(Transducer(estimator.model, constant, seed=1, drift=0.0), settings, **options)
+    return SimulatedNetFT(
+        SimulatedTransducer(estimator.model, constant, seed=1, drift=0.0), settings, **options
+    )
 
 
 def until(happened, told=lambda: "", seconds=10.0):

@@ -45,7 +45,7 @@ def test_units_or_counts_in_si_by_the_sensors_clock(told, values):
     assert all(r.wrench_sensor == pytest.approx(SI, rel=ROUNDED) for r in readings)
 
 
-def test_faults_are_left_out_and_gaps_told(told):
+def test_faults_are_omitted_and_gaps_reported(told):
     rows = [
         row(1, 0),
         row(2, 7),
@@ -55,29 +55,29 @@ def test_faults_are_left_out_and_gaps_told(told):
     ]
     recorded, readings = told(HEAD + "".join(rows))
     assert len(readings) == 4  # a latched monitor condition is healthy
-    assert recorded.notes == ("1 samples with a fault are left out", "1 samples are missing in 1 gaps")
+    assert recorded.notes == ("1 samples with a fault are omitted", "1 samples are missing in 1 gaps")
 
 
 def test_half_a_line_at_the_end_is_dropped(told):
     recorded, readings = told(HEAD + row(1, 0) + row(2, 7)[:40])
-    assert len(readings) == 1 and recorded.lacking() == ("line 10 is half a line at the end: dropped",)
+    assert len(readings) == 1 and recorded.missing() == ("line 10 is incomplete at the end: dropped",)
 
 
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (HEAD, "holds no samples"),
-        (HEAD.replace("N-mm", "furlongs") + row(1, 0), "Torque Units 'furlongs' is not known"),
+        (HEAD, "no samples"),
+        (HEAD.replace("N-mm", "furlongs") + row(1, 0), "Torque Units 'furlongs' is unknown"),
         (
             HEAD.replace("Force: 1000000.0", "Force: 0") + row(1, 0),
             "Counts per Unit Force '0' must be a positive",
         ),
         (HEAD.replace("Status", "State") + row(1, 0), "has no header"),
-        (HEAD + row(1, 7) + row(2, 0), ":10: F/T Sequence runs backward"),
-        (HEAD + row(1, 0, ("x",) * 6) + row(2, 7), ":9: .* is no row of 10 fields"),
+        (HEAD + row(1, 7) + row(2, 0), ":10: F/T Sequence decreases"),
+        (HEAD + row(1, 0, ("x",) * 6) + row(2, 7), ":9: .* is not a row of 10 fields"),
         (HEAD + row(1, 0, ("nan",) * 6), "no box sends"),
         (HEAD + row(1, 2**40), "no box sends"),
-        (HEAD + row(1, 0, ("5000.5",) * 6), "Fx = 5000.5 N at 0 s is no reading"),
+        (HEAD + row(1, 0, ("5000.5",) * 6), "Fx = 5000.5 N at 0 s exceeds the range"),
     ],
 )
 def test_what_is_wrong_is_one_line(told, text, problem):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.calibration import clipped, read_calibration
+from probedesign.live.sources.calibration import clipped, read_calibration
 from tests.live.cal_file import U, text
 
 pytest.importorskip("defusedxml")
@@ -41,16 +41,16 @@ def test_a_gauge_beyond_the_amplifier_is_no_reading():
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("no xml", "no XML that can be trusted"),
-        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "no XML that can be trusted"),
-        ("<FTSensor/>", "is no calibration"),
-        (text("1.0", units="N-furlong"), "TorqueUnits = 'N-furlong' is no unit that is known"),
-        (text("1.0").replace("BasicTransform", "Other"), "where its origin lies is not known"),
+        ("no xml", "not valid or safe XML"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "not valid or safe XML"),
+        ("<FTSensor/>", "not an ATI calibration"),
+        (text("1.0", units="N-furlong"), "TorqueUnits = 'N-furlong' is not a known unit"),
+        (text("1.0").replace("BasicTransform", "Other"), "so its origin is unknown"),
         (text("1.0", 'Dx="1" Dy="0" Dz="6" Rx="0" Ry="0" Rz="0"'), "BasicTransform has Dx"),
         (text("1.0").replace('Name="Tz"', 'Name="Ty"'), "a calibration has Fx, Fy"),
         (text("1.0").replace('scale="1.5"', 'scale="0"'), "scale of Axis Tz = '0' must be 1 numbers"),
         (text("1.1").replace(" 0.1 -14.8 ", " 0.1 "), "values of UserAxis Tz"),
-        (text("1.1").replace("0.1 -14.8 -0.3 -14.3 1.0 -14.3", "0 0 0 0 0 0"), "none that a sensor can have"),
+        (text("1.1").replace("0.1 -14.8 -0.3 -14.3 1.0 -14.3", "0 0 0 0 0 0"), "its matrix is singular"),
     ],
 )
 def test_what_is_no_calibration(read, content, told):

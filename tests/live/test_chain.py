@@ -8,23 +8,23 @@ import pytest
 from probedesign.errors import InputError
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.frames import pose
-from probedesign.live.block import Block
-from probedesign.live.box import scene
-from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
-from probedesign.live.box.robot import Robot
-from probedesign.live.chain import Chain
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.phases import SPAN
-from probedesign.live.plan import Plan
-from probedesign.live.pose.listener import Listener
-from probedesign.live.pose.poses import Poses
-from probedesign.live.pose.spec import open_poses
-from probedesign.live.pose.timed import TimedPose, of_matrix
-from probedesign.live.pose.words import pose_of_json
-from probedesign.live.replay import Replay
-from probedesign.live.row import json_line, row, world_row
+from probedesign.live.netft_box import scene
+from probedesign.live.netft_box.robot import SimulatedRobot
+from probedesign.live.netft_box.scene import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.listener import PoseListener
+from probedesign.live.poses.open_poses import open_poses
+from probedesign.live.poses.pose_file import parse_pose_json
+from probedesign.live.poses.track import TimedPose, pose_from_matrix
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.chain import Chain
+from probedesign.live.processing.estimates import estimate_row, json_line, world_row
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
+from probedesign.live.processing.touches import SPAN
+from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
-from probedesign.live.tare import Window
+from probedesign.live.sources.replay import ReplaySource
 
 RATE, SAMPLES = 500.0, 5
 """Of single samples [Hz], and to a mean: a hundred means a second."""
@@ -36,8 +36,8 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 def motion(estimator):
     """Rest, onto one edge at 0.6 of the length, hold, off it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(scene.SCENES, "edge", (scene.Thing("edge", 0.6, 0.0),))
-        return Motion(estimator.model, scene.press_scene(estimator.model, "edge", friction=0.0))
+        patch.setitem(scene.SCENES, "edge", (scene.SceneObject("edge", 0.6, 0.0),))
+        return BaseMotion(estimator.model, scene.press_scene(estimator.model, "edge", friction=0.0))
 
 
 def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):
@@ -53,29 +53,31 @@ def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):
 
 def touch(motion, **options):
     """Blocks of the whole touch, and of a second of rest after it."""
-    time = np.arange(int((motion.round + 1.0) * RATE)) / RATE
+    time = np.arange(int((motion.cycle_time + 1.0) * RATE)) / RATE
     return blocks(motion.model, motion.wrench_sensor(time) + BIAS, time, **options)
 
 
 def told_poses(motion, late=0.0, latency=0.0):
     """As a robot tells them, 125 a second, each stamped so much late [s]."""
-    time = np.arange(-0.2, motion.round + 1.2, 1.0 / 125.0)
+    time = np.arange(-0.2, motion.cycle_time + 1.2, 1.0 / 125.0)
     p = motion.p_world_base(np.maximum(time, 0.0))
     told = [TimedPose(t + late, tuple(at), UPRIGHT) for t, at in zip(time.tolist(), p.tolist(), strict=True)]
-    return Poses("told", told, latency=latency, gravity_world=motion.model.gravity_base)
+    return BasePoses("told", told, latency=latency, gravity_world=motion.model.gravity_base)
 
 
 def run(estimator, stream, poses=None, plan=None, ask=()):
     """Answers, events and the chain; `ask` holds times at which a tare is asked for."""
     lines, asked = [], list(ask)
-    chain = Chain(estimator, plan or Plan(Window(0.0, 2.0), SAMPLES, 25.0), poses, lines.append)
+    chain = Chain(
+        estimator, plan or ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 25.0), poses, lines.append
+    )
     answers = []
     for block in stream:
-        answers += chain.take(block)
+        answers += chain.process(block)
         if asked and block.time[-1] >= asked[0]:
             asked.pop(0)
             chain.take_tare()
-    return [*answers, *chain.ended()], lines, chain
+    return [*answers, *chain.finish()], lines, chain
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +90,7 @@ def test_the_touched_point_lies_in_its_ellipsoid_of_the_world(motion, touched):
     _, _, chain = touched
     (contact,) = chain.contacts
     assert contact.settled and contact.fused.ok
-    off = contact.fused.p_surface_world - motion.things[0].point
+    off = contact.fused.p_surface_world - motion.objects[0].point
     assert off @ np.linalg.solve(contact.fused.cov_surface_world, off) < 16.3
     assert contact.fused.rms < 1e-3  # one reading alone knows this touch to 2 mm
 
@@ -98,12 +100,12 @@ def test_the_phases_are_those_of_figure_8(motion, touched):
     order = [a.phase for a, b in zip(answers[1:], answers, strict=False) if a.phase != b.phase]
     assert order == ["moving", "touching", "settled", "touching", "released", "moving", "free"]
     time = {phase: [a.reading.time for a in answers if a.phase == phase] for phase in set(order)}
-    pressed = REST + MOVE + PRESS  # where the base begins to hold
+    pressed = REST_TIME + MOVE_TIME + PRESS_TIME  # where the base begins to hold
     # The whole span must be still; a mean lies half its length, 5 ms, before its last sample.
     assert pressed + SPAN - 0.01 <= time["settled"][0] <= pressed + 1.5 * SPAN
-    assert time["settled"][-1] <= pressed + HOLD + SPAN
-    assert any(line.startswith("touch 1, ") and "mm in the world" in line for line in lines)
-    assert not chain.contacts[0].lasts
+    assert time["settled"][-1] <= pressed + HOLD_TIME + SPAN
+    assert any(line.startswith("touch 1, ") and "mm in world" in line for line in lines)
+    assert not chain.contacts[0].ongoing
 
 
 def test_without_poses_there_is_no_place_in_the_world(estimator, motion, touched):
@@ -120,7 +122,12 @@ def test_without_poses_there_is_no_place_in_the_world(estimator, motion, touched
 def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
     def short(size):
         stream = (b for b in touch(motion, size=size) if b.time[-1] < 3.0)
-        return run(estimator, stream, told_poses(motion), Plan(Window(0.0, 0.5), SAMPLES, filter_hz=20.0))[0]
+        return run(
+            estimator,
+            stream,
+            told_poses(motion),
+            ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES, filter_hz=20.0),
+        )[0]
 
     answers, like = short(size), short(25)
     fewest = min(len(answers), len(like))
@@ -133,11 +140,11 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
 
 def test_poses_that_come_later_than_stated_are_noticed(estimator, motion):
     """The base stops in the middle of 20 ms of readings' own time: told to a fifth of the 60 ms that it is off."""
-    stream = (b for b in touch(motion) if b.time[-1] < REST + MOVE + PRESS + 2.0 * SPAN)
+    stream = (b for b in touch(motion) if b.time[-1] < REST_TIME + MOVE_TIME + PRESS_TIME + 2.0 * SPAN)
     _, lines, _ = run(estimator, stream, told_poses(motion, late=0.060))
     (said,) = [line for line in lines if "--pose-latency-ms" in line]
-    assert "rather than 0?" in said
-    assert 48.0 <= float(said.split("is it --pose-latency-ms ")[1].split()[0]) <= 72.0
+    assert "instead of 0" in said
+    assert 48.0 <= float(said.split("try --pose-latency-ms ")[1].split()[0]) <= 72.0
 
 
 def test_poses_whose_latency_is_stated_are_taken_for_true(estimator, motion, touched):
@@ -156,8 +163,8 @@ def turning(model, seconds):
     gravities = [R.T @ model.gravity_base for R in turns]
     steps = {a: model.rod.solve(g).wrench_base for a, g in zip(share, gravities, strict=True)}
     wrench = [model.to_sensor(steps[a], g) for a, g in zip(share, gravities, strict=True)]
-    poses = [of_matrix(t, pose(R)) for t, R in zip(time[::4].tolist(), turns[::4], strict=True)]
-    return time, np.array(wrench), Poses("turning", poses, gravity_world=model.gravity_base)
+    poses = [pose_from_matrix(t, pose(R)) for t, R in zip(time[::4].tolist(), turns[::4], strict=True)]
+    return time, np.array(wrench), BasePoses("turning", poses, gravity_world=model.gravity_base)
 
 
 def _about_y(a):
@@ -178,7 +185,7 @@ def test_a_free_probe_feels_nothing_however_it_is_turned(estimator, turned):
     free readings is called a contact is 1e-3."""
     time, wrench, poses = turned
     stream = blocks(estimator.model, wrench, time)
-    answers, _, chain = run(estimator, stream, poses, Plan(Window(0.0, 0.9), SAMPLES))
+    answers, _, chain = run(estimator, stream, poses, ProcessingOptions(TareWindow(0.0, 0.9), SAMPLES))
     known = [a for a in answers if not a.stale]
     assert len(known) > 480 and {a.estimate.result for a in known} == {"no_contact"}
     assert "moving" in {a.phase for a in known} and chain.contacts == ()
@@ -187,7 +194,7 @@ def test_a_free_probe_feels_nothing_however_it_is_turned(estimator, turned):
 def test_a_turning_base_without_poses_feels_its_own_weight(estimator, turned):
     """That the test above can fail."""
     time, wrench, _ = turned
-    plan = Plan(Window(0.0, 0.9), SAMPLES, rate=1.0)
+    plan = ProcessingOptions(TareWindow(0.0, 0.9), SAMPLES, rate=1.0)
     answers, _, _ = run(estimator, blocks(estimator.model, wrench, time), None, plan)
     assert answers[-1].estimate.result != "no_contact"
 
@@ -201,8 +208,8 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
         if t < 1.0 or 1.4 < t < 1.8
     ]
     stream = (b for b in touch(motion) if b.time[-1] < 2.5)
-    poses = Poses("with a gap", told, gravity_world=motion.model.gravity_base)
-    answers, lines, _ = run(estimator, stream, poses, Plan(Window(0.0, 0.5), SAMPLES))
+    poses = BasePoses("with a gap", told, gravity_world=motion.model.gravity_base)
+    answers, lines, _ = run(estimator, stream, poses, ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES))
     for a in answers:
         lacks = 1.0 <= a.reading.time < 1.4 or a.reading.time >= 1.8
         edge = min(abs(a.reading.time - at) for at in (1.0, 1.4, 1.8)) < 0.01  # poses are 8 ms apart
@@ -212,20 +219,20 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
         assert a.fused.result == ("out_of_range" if lacks else "no_contact")
         assert np.isnan(a.wrench_base).all() == np.isnan(a.T_world_base).all() == lacks
     assert [line.split(":")[0].split(" at ")[0] for line in lines if "pose" in line] == [
-        "no pose of the base", "the base's pose is known again", "no pose of the base"
+        "no pose of the base", "the base pose is available again", "no pose of the base"
     ]  # fmt: skip
 
 
-def test_a_tare_is_taken_when_asked_while_free_and_refused_while_touching(estimator, motion):
+def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimator, motion):
     stream = (b for b in touch(motion) if b.time[-1] < 8.5)
     _, lines, chain = run(estimator, stream, told_poses(motion), ask=[2.5, 2.7, 7.9])
     told = [line for line in lines if line.startswith("tare")]
     assert told[0].startswith("tare from 200 readings in 0:2 s: Fx 30")
     assert told[1] == "tare: keep the probe free and still for 2 s"
-    assert told[2] == "tare: not now, one is being taken"
+    assert told[2] == "tare: a tare is already being taken"
     assert told[3].startswith("tare from 200 readings in 2.5")
     assert told[4] in {
-        f"tare refused: the probe is {p}; the tare from before is kept" for p in ("touching", "settled")
+        f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")
     }
     assert len(told) == 5
     noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
@@ -237,13 +244,13 @@ def test_a_tare_that_is_touched_meanwhile_is_refused(estimator, motion):
     _, lines, chain = run(estimator, stream, told_poses(motion), ask=[4.9])
     refused = [line for line in lines if line.startswith("tare refused: the probe is moving")]
     assert len(refused) == 1
-    assert chain.tare.window == Window(0.0, 2.0)
+    assert chain.tare.window == TareWindow(0.0, 2.0)
 
 
-def test_the_first_tare_may_be_asked_for(estimator, motion):
+def test_the_first_tare_may_be_requested(estimator, motion):
     """Before it the bias looks like a touch, and does not stand in its way."""
     stream = (b for b in touch(motion) if b.time[-1] < 4.0)
-    answers, _, chain = run(estimator, stream, None, Plan(samples=SAMPLES, rate=1.0), ask=[1.0])
+    answers, _, chain = run(estimator, stream, None, ProcessingOptions(samples=SAMPLES, rate=1.0), ask=[1.0])
     assert chain.tare is not None and answers[-1].estimate.result == "no_contact"
     assert answers[1].phase in ("touching", "settled") and answers[-1].phase == "free"
 
@@ -260,7 +267,7 @@ def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):
             if block.time[-1] > 1.0:
                 return
 
-    answers, _, _ = run(estimator, spoiled(), None, Plan(Window(0.0, 0.3), SAMPLES))
+    answers, _, _ = run(estimator, spoiled(), None, ProcessingOptions(TareWindow(0.0, 0.3), SAMPLES))
     bad = [a for a in answers if a.reading.fault]
     assert len(bad) == 1 and bad[0].estimate.result == "out_of_range" and bad[0].phase == ""
 
@@ -272,13 +279,15 @@ def test_a_bias_that_walks_is_no_touch(seed, estimator, motion):
     assert len(chain.contacts) == 1 and chain.contacts[0].settled
 
 
-def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion):
+def test_a_filtered_estimate_has_the_time_of_its_signal(estimator, motion):
     """During the press the force grows evenly: filtered and dated back it is what is read then, within five
     deviations of the noise that both have."""
-    plan = Plan(Window(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
+    plan = ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
     answers, lines, _ = run(estimator, touch(motion), None, plan)
-    assert any(line.startswith("low-pass 10 Hz: estimates tell of 18.6 ms before") for line in lines)
-    rising = [a for a in answers if REST + MOVE + 1.42 < a.reading.time < REST + MOVE + 1.48]
+    assert any(line.startswith("low-pass 10 Hz: estimates are delayed by 18.6 ms") for line in lines)
+    rising = [
+        a for a in answers if REST_TIME + MOVE_TIME + 1.42 < a.reading.time < REST_TIME + MOVE_TIME + 1.48
+    ]
     assert len(rising) > 3
     for a in rising:
         at = np.array([a.reading.time])
@@ -287,11 +296,14 @@ def test_a_filtered_estimate_tells_of_the_moment_that_it_is_of(estimator, motion
         assert (np.abs(a.wrench_base - expected) < 5.0 * std).all()
 
 
-def test_the_robot_of_the_simulated_box_is_heard_in_an_upright_world(motion):
+def test_poses_of_the_simulated_robot_are_received_in_an_upright_world(motion):
     """What it sends, read as a robot's: gravity is down there, and the way is the base's."""
     model = motion.model
-    told = [pose_of_json(Robot(motion, float, "127.0.0.1:1").datagram(t, t))[0] for t in (0.0, 7.0, 7.01)]
-    poses = Poses("robot", told)
+    told = [
+        parse_pose_json(SimulatedRobot(motion, float, "127.0.0.1:1").datagram(t, t))[0]
+        for t in (0.0, 7.0, 7.01)
+    ]
+    poses = BasePoses("robot", told)
     assert poses.gravity(poses.at(0.0)) == pytest.approx(model.gravity_base, abs=1e-9)
     way = poses.at(7.0)[:3, :3].T @ (poses.at(7.0) - poses.at(0.0))[:3, 3]
     assert way == pytest.approx(motion.p_world_base(np.array([7.0]))[0], abs=1e-12)
@@ -300,14 +312,14 @@ def test_the_robot_of_the_simulated_box_is_heard_in_an_upright_world(motion):
 @pytest.mark.parametrize("to", ["", "127.0.0.1", ":1", "127.0.0.1:0", "127.0.0.1:port"])
 def test_a_robot_needs_an_address(to, motion):
     with pytest.raises(InputError, match="--pose-to"):
-        Robot(motion, float, to)
+        SimulatedRobot(motion, float, to)
 
 
-class Heard(Listener):
+class Heard(PoseListener):
     """Poses as a robot tells them, 7 s ahead of the wrench's clock, each heard 4 ms after its stamp."""
 
     def __init__(self, motion):
-        told = np.arange(-0.2, motion.round + 1.2, 1.0 / 125.0)
+        told = np.arange(-0.2, motion.cycle_time + 1.2, 1.0 / 125.0)
         at = motion.p_world_base(np.maximum(told, 0.0))
         self._waiting = [
             TimedPose(t + 7.0, tuple(p), UPRIGHT) for t, p in zip(told, at.tolist(), strict=True)
@@ -316,10 +328,10 @@ class Heard(Listener):
 
     summary = "all"
 
-    def said(self):
+    def pop_messages(self):
         return []
 
-    def taken(self):
+    def pop_poses(self):
         while self._waiting and self._waiting[0].time - 7.0 + 0.004 <= self.now:
             pose = self._waiting.pop(0)
             yield pose.time - 7.0 + 0.004, pose, 0
@@ -328,16 +340,17 @@ class Heard(Listener):
         pass
 
 
-def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(
+def test_a_recording_contains_the_received_poses_and_replays_exactly(
     estimator, motion, tmp_path, monkeypatch
 ):
     """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""
     path, heard = tmp_path / "touch.mcap", Heard(motion)
-    monkeypatch.setattr("probedesign.live.due.monotonic", lambda: 0.0)  # whatever is received is in time
+    # every reading is in time
+    monkeypatch.setattr("probedesign.live.processing.scheduler.monotonic", lambda: 0.0)
     down = ",".join(map(repr, motion.model.gravity_base.tolist()))
-    poses = Poses("heard", heard, latency=0.004, gravity_world=motion.model.gravity_base)
-    file, plan = McapFile(path, estimator.model), Plan(Window(0.0, 2.0), SAMPLES, 25.0)
-    poses.tell = file.posed
+    poses = BasePoses("heard", heard, latency=0.004, gravity_world=motion.model.gravity_base)
+    file, plan = McapRecorder(path, estimator.model), ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 25.0)
+    poses.on_pose = file.on_pose
 
     def stream():
         for block in touch(motion):
@@ -346,10 +359,10 @@ def test_a_recording_tells_the_poses_that_were_heard_and_replays_to_the_bit(
 
     def told(source, poses, sink=None):
         answers = estimate_stream(estimator, source, plan, print, sink, None, poses)
-        return [json_line(row(a.reading, a.estimate) | world_row(a)) for a in answers]
+        return [json_line(estimate_row(a.reading, a.estimate) | world_row(a)) for a in answers]
 
     live = told(stream(), poses, file)
     file.close()
-    replay = Replay(estimator.model, path, "speed=max")
+    replay = ReplaySource(estimator.model, path, "speed=max")
     assert told(replay, open_poses(str(path), gravity_world=down)) == live
     assert sum('"fused_result": "ok"' in line for line in live) > 25

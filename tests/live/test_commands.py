@@ -12,23 +12,26 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.live.block import readings_in
-from probedesign.live.recorder import Recorder
-from probedesign.live.recording import read_recording
-from probedesign.live.row import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.processing.estimates import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
+from probedesign.live.recordings.csv import read_recording, write_recording
+from probedesign.live.sources.sim import SimulatedSource
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
 POSITION = [name for name in COLUMNS if name.startswith(("s_", "std_", "p_", "cov_"))]
 SIM = "sim:?speed=max&rate_hz=3"
 
 
+def write_readings(path, readings, bias=0.0) -> None:
+    rows = [(r.time, r.wrench_sensor + bias, r.gravity_base) for r in readings]
+    time, wrench, gravity = zip(*rows, strict=True)
+    write_recording(path, time, wrench, "sensor", gravity)
+
+
 @pytest.fixture(scope="module")
 def recording(estimator, tmp_path_factory):
     path = tmp_path_factory.mktemp("commands") / "sim.csv"
-    with Recorder(path) as recorder:
-        for reading in readings_in(Simulation(estimator.model, "speed=max&rate_hz=3")):
-            recorder.write(reading.time, reading.wrench_sensor, reading.gravity_base)
+    write_readings(path, iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=3")))
     return path
 
 
@@ -78,7 +81,7 @@ def test_estimate_prints_one_json_document(call, bundle, recording):
     assert document["tare"] is None
     assert sum(document["counts"].values()) == len(document["estimates"]) == 30
     assert_positions_only_with_ok(document["estimates"], None)
-    assert err == "note: each estimate is of the mean of 2 readings\n"
+    assert err == "note: each estimate uses the mean of 2 readings\n"
 
 
 def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
@@ -88,10 +91,10 @@ def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
     assert out.read_text() == call("estimate", bundle, recording)[1]
 
 
-def test_estimate_replaces_no_file_unasked(call, bundle, recording, tmp_path):
+def test_estimate_does_not_overwrite_files(call, bundle, recording, tmp_path):
     out = tmp_path / "estimates.csv"
     out.write_text("mine")
-    assert "say --force" in refused(call("estimate", bundle, recording, "--out", out))
+    assert "--force" in refused(call("estimate", bundle, recording, "--out", out))
     assert out.read_text() == "mine"
     assert call("estimate", bundle, recording, "--out", out, "--force")[0] == 0
     assert out.read_text().startswith("time_s,")
@@ -103,12 +106,10 @@ def test_estimate_never_replaces_the_recording(call, bundle, recording):
     assert recording.read_bytes() == before
 
 
-def test_estimate_tells_its_tare(call, bundle, estimator, tmp_path):
+def test_estimate_reports_its_tare(call, bundle, estimator, tmp_path):
     path = tmp_path / "biased.csv"
-    with Recorder(path) as recorder:
-        for reading in readings_in(Simulation(estimator.model, "speed=max&rate_hz=10&seconds=4")):
-            wrench = reading.wrench_sensor + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-            recorder.write(reading.time, wrench, reading.gravity_base)
+    readings = iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=4"))
+    write_readings(path, readings, np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     status, out, err = call("estimate", bundle, path, "--tare-s", "0:2", "--json")
     tare = json.loads(out)["tare"]
     assert status == 0 and err.startswith("note: tare from 20 readings in 0:2 s: Fx 1e+03 mN")
@@ -116,7 +117,7 @@ def test_estimate_tells_its_tare(call, bundle, estimator, tmp_path):
     assert json.loads(out)["estimates"][0]["result"] == "no_contact"
 
 
-def test_what_the_recording_lacks_is_refused_or_mended_and_told(call, bundle, recording, tmp_path):
+def test_an_incomplete_recording_is_refused_or_accepted_with_a_note(call, bundle, recording, tmp_path):
     cut = tmp_path / "cut.csv"
     lines = recording.read_text().splitlines(keepends=True)
     cut.write_text("".join(lines[:10] + lines[13:20]) + "6.0,0.1")
@@ -125,7 +126,7 @@ def test_what_the_recording_lacks_is_refused_or_mended_and_told(call, bundle, re
     assert "line 18" in err and "3 samples" in err and "--mend" in err
     _, out, err = call("estimate", bundle, cut, "--mend")
     assert err.splitlines() == [
-        "note: line 18 is half a line at the end: dropped",
+        "note: line 18 is incomplete at the end: dropped",
         "note: 3 samples are missing in 1 gaps",
     ]
     assert len(out.splitlines()) == 16
@@ -137,7 +138,7 @@ def test_what_the_recording_lacks_is_refused_or_mended_and_told(call, bundle, re
         (["--tare-s", "3:9"], "is not steady"),
         (["--tare-s", "5"], "START:END"),
         (["--average", "0"], "--average 0 must be positive"),
-        (["--average", "1000"], "holds 60 readings, fewer than --average 1000"),
+        (["--average", "1000"], "60 readings are fewer than --average 1000"),
         (["--manifest", "none.json"], "none.json: no such manifest"),
     ],
 )
@@ -167,7 +168,7 @@ def test_live_prints_lines_of_json(call, bundle):
     assert_positions_only_with_ok(rows, None)
 
 
-def test_live_with_poses_tells_the_world(call, bundle, tmp_path):
+def test_live_with_poses_reports_world_coordinates(call, bundle, tmp_path):
     """The base stands at one pose, x and z exchanged, told twice, 20 s apart."""
     path = tmp_path / "poses.csv"
     names, pose = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", "100,0,0,0,0.7071,0,0.7071"
@@ -182,7 +183,7 @@ def test_live_with_poses_tells_the_world(call, bundle, tmp_path):
     assert "touching" in {row["phase"] for row in rows}
 
 
-def test_live_stops_where_it_is_told(call, bundle):
+def test_live_stops_at_count_and_seconds(call, bundle):
     assert len(call("live", bundle, "--source", SIM, "--count", 3)[1].splitlines()) == 3
     assert len(call("live", bundle, "--source", SIM, "--seconds", 2)[1].splitlines()) == 6
     assert len(call("live", bundle, "--source", SIM, "--seconds", 3.5, "--rate-hz", 1)[1].splitlines()) == 4
@@ -196,7 +197,7 @@ def test_live_records_what_it_read(call, bundle, recording, tmp_path):
     assert path.read_bytes() == recording.read_bytes()
 
 
-def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
+def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
     path = tmp_path / "record.csv"
     path.write_text("mine")
     status, out, err = call("live", bundle, "--source", SIM, "--record", path)
@@ -218,7 +219,7 @@ def test_live_replaces_no_recording_unasked(call, bundle, tmp_path):
         (["--source", SIM, "--average", "-1"], "--average -1 must be positive"),
         (["--source", SIM, "--tare-s", "1"], "START:END"),
         (["--source", SIM, "--filter-hz", "0"], "--filter-hz 0.0 must be positive"),
-        (["--source", SIM, "--pose", "none.csv"], "none.csv: no such file of poses"),
+        (["--source", SIM, "--pose", "none.csv"], "none.csv: no such file"),
         (["--source", SIM, "--pose", "udp://:99999"], "write udp://:PORT"),
         ([], "--source"),
     ],

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError, MissingDependencyError, ProbeDesignError
-from probedesign.live.block import readings_in
-from probedesign.live.run import locate
-from probedesign.live.source import open_source
+from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.processing.estimates import locate
+from probedesign.live.sources.source import open_source
 from tests.live.cal_file import U, text
 
 nidaqmx = pytest.importorskip("nidaqmx")
@@ -54,19 +54,19 @@ def blocks(source, count):
 def test_volts_become_the_wrench_about_the_tool_face(estimator, cal, driver):
     """To a rounding of each product."""
     source = opened(estimator, cal)
-    readings = list(readings_in(blocks(source, 5)))
+    readings = list(iter_readings(blocks(source, 5)))
     assert np.allclose([r.wrench_sensor for r in readings], U @ VOLTS * SI, rtol=1e-12, atol=1e-14)
     assert not any(r.fault for r in readings)
     assert driver.asked["terminal"].name == "DIFF" and driver.asked["reach"] == (-10.0, 10.0)
     assert not driver.tasks  # closed
     assert "sensor FT1 SI-25-0.25" in source.title
-    assert any("not what the frozen probe's sensor does" in note for note in source.notes)
+    assert any("differs from that of the frozen probe's sensor" in note for note in source.notes)
 
 
 @pytest.mark.parametrize("asked", [7000.0, 3000.0])
 def test_time_is_the_cards_own(estimator, cal, driver, asked):
     """At the rate that the card's clock divides to, not the one that was asked for."""
-    readings = list(readings_in(blocks(opened(estimator, cal, f"&rate_hz={asked:g}"), 20)))
+    readings = list(iter_readings(blocks(opened(estimator, cal, f"&rate_hz={asked:g}"), 20)))
     rate = driver.asked["rate"]
     assert rate != asked
     times = np.array([r.time for r in readings])
@@ -82,9 +82,9 @@ def test_all_that_waits_is_taken_at_once_but_not_without_end(estimator, cal, dri
     assert len(blocks(opened(estimator, cal), 1)[0]) == 700  # a tenth of a second
 
 
-def test_the_gauges_zero_is_taken_off_where_it_is_said(estimator, cal, driver):
+def test_the_zero_of_the_gauges_is_subtracted_if_given(estimator, cal, driver):
     zero = "&zero_V=" + ",".join(str(v) for v in VOLTS)
-    readings = readings_in(blocks(opened(estimator, cal, zero), 2))
+    readings = iter_readings(blocks(opened(estimator, cal, zero), 2))
     assert all(np.abs(r.wrench_sensor).max() < 1e-12 for r in readings)
 
 
@@ -95,7 +95,7 @@ def test_a_clipped_gauge_is_a_fault_of_its_samples_alone(estimator, cal, driver)
         return volts
 
     driver.volts = clips
-    readings = list(readings_in(blocks(opened(estimator, cal), 6)))
+    readings = list(iter_readings(blocks(opened(estimator, cal), 6)))
     assert [i for i, r in enumerate(readings) if r.fault] == [5, 6, 7, 8]
     assert readings[5].fault == "transducer saturated: gauge 2 beyond 9.8 V"
     assert locate(estimator, readings[5]).result == "out_of_range"
@@ -104,12 +104,12 @@ def test_a_clipped_gauge_is_a_fault_of_its_samples_alone(estimator, cal, driver)
 def test_beyond_the_calibration_is_a_fault(estimator, cal, driver):
     """Fz = 3.7 N/V: 4 V at each of the three gauges that carry it is 45 N, its range is 35 N."""
     driver.volts = lambda index: np.tile([4.0, 0.0, 4.0, 0.0, 4.0, 0.0], (len(index), 1))
-    first = next(readings_in(blocks(opened(estimator, cal), 1)))
+    first = next(iter_readings(blocks(opened(estimator, cal), 1)))
     assert first.fault == "Fz beyond the calibrated range"
     assert locate(estimator, first).result == "out_of_range"
 
 
-def test_an_acquisition_that_never_keeps_up_ends(estimator, cal, driver):
+def test_an_acquisition_that_always_overruns_ends(estimator, cal, driver):
     driver.script = dict.fromkeys(range(2, 100), -200279)
     with pytest.raises(InputError, match="What NI says"):
         blocks(opened(estimator, cal), 5)
@@ -124,18 +124,18 @@ def test_a_clock_that_stops_is_stale_until_it_runs_again(estimator, cal, driver)
     assert [block.stretch for block in found] == [0, 0, 0, 0, 0, 1, 1, 1]
     assert sum("stale" in line for line in said) == 1
     assert any("the tare is kept" in line for line in said)
-    assert (np.diff([r.time for r in readings_in(found)]) > 0.0).all()
+    assert (np.diff([r.time for r in iter_readings(found)]) > 0.0).all()
 
 
 @pytest.mark.parametrize("code", [-200279, -200222, -200361])
-def test_samples_that_were_overwritten_are_told_and_begun_anew(estimator, cal, driver, code):
+def test_overwritten_samples_are_reported_and_the_acquisition_restarts(estimator, cal, driver, code):
     driver.script = {4: code}
     said = []
     found = blocks(opened(estimator, cal, said=said), 8)
     assert driver.starts == 2 and not driver.tasks
     assert [block.stretch for block in found] == [0] * 4 + [1] * 4
-    assert (np.diff([r.time for r in readings_in(found)]) > 0.0).all()
-    assert any("samples were lost because we lagged" in line for line in said)
+    assert (np.diff([r.time for r in iter_readings(found)]) > 0.0).all()
+    assert any("samples were lost because reading was too slow" in line for line in said)
 
 
 def test_what_the_driver_refuses_is_one_line(estimator, cal, driver):
@@ -170,12 +170,12 @@ def test_no_nidaqmx_is_one_line_with_its_remedy(estimator, cal, monkeypatch):
         ("daq://Dev1/ai0:5", "needs its sensor's calibration; write daq://Dev1/ai0:5?cal="),
         ("daq://Dev1/ai0:5?cal=", "needs its sensor's calibration"),
         ("daq://Dev1/ai0:5?cal=none.cal", "none.cal: cannot be read as a calibration"),
-        ("daq://Dev1/ai0:5?cal={cal}&cal={cal}", "cal is said twice"),
+        ("daq://Dev1/ai0:5?cal={cal}&cal={cal}", "cal is given twice"),
         ("daq://Dev1/ai0:4?cal={cal}", "name six inputs of one card"),
         ("daq://Dev1/ai0:2,Dev2/ai0:2?cal={cal}", "name six inputs of one card"),
         ("daq://Dev1/ao0:5?cal={cal}", "name six inputs of one card"),
         ("daq://?cal={cal}", "name six inputs of one card"),
-        ("daq://Dev7/ai0:5?cal={cal}", "no card Dev7; there are Dev1, Dev2"),
+        ("daq://Dev7/ai0:5?cal={cal}", "no card Dev7; available are Dev1, Dev2"),
         ("daq://Dev1/ai0:5?cal={cal}&rate=7", "did you mean rate_hz?"),
         ("daq://Dev1/ai0:5?cal={cal}&rate_hz=0", "rate_hz = '0' must be a number"),
         ("daq://Dev1/ai0:5?cal={cal}&zero_V=1,2,3", "must be 6 voltages within 9.8 V"),
@@ -189,7 +189,7 @@ def test_what_is_no_card(estimator, cal, driver, spec, told):
     assert not driver.tasks
 
 
-def test_six_inputs_may_stand_one_by_one(estimator, cal, driver):
+def test_six_inputs_may_be_listed_individually(estimator, cal, driver):
     channels = "Dev1/ai0:2,Dev1/ai8:10"
     blocks(opened(estimator, cal, channels=channels), 1)
     assert driver.asked["channel"] == channels

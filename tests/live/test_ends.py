@@ -12,8 +12,8 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.cli.main import run
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.mcap.recover import recover
-from probedesign.live.recorded import open_recording
+from probedesign.live.recordings.mcap_read import recover
+from probedesign.live.sources.replay import open_recording
 from tests.live.mcap_files import block, write
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
@@ -62,7 +62,7 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
         lines = list(islice(process.stdout, 40))
         process.kill()
     recorded, time, wrench = readings(path, estimator.model)
-    assert recorded.lacking() == ("not whole: it was cut off",)
+    assert recorded.missing() == ("incomplete: it was cut off",)
     assert time[-1] >= json.loads(lines[-1])["time_s"] - LAST_SECOND
     _, sent_time, sent = readings(stream, estimator.model)
     assert (
@@ -83,7 +83,7 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
 
 
 @pytest.mark.parametrize("how", ["SIGTERM", "SIGHUP"])
-def test_whoever_ends_it_the_recording_is_whole(bundle, estimator, stream, tmp_path, how):
+def test_the_recording_is_complete_however_the_run_ends(bundle, estimator, stream, tmp_path, how):
     path = tmp_path / "ended.mcap"
     with started(bundle, stream, path) as process:
         seen = list(islice(process.stdout, 5))
@@ -91,7 +91,7 @@ def test_whoever_ends_it_the_recording_is_whole(bundle, estimator, stream, tmp_p
         rest, err = process.communicate(timeout=60)
     assert process.returncode == 0 and "Traceback" not in err
     recorded, time, _ = readings(path, estimator.model)
-    assert recorded.lacking() == ()
+    assert recorded.missing() == ()
     assert f"recorded {len(time)} readings to {path}" in err.splitlines()
     assert time[-1] >= json.loads((seen + rest.splitlines())[-1])["time_s"]
     assert recover(path, tmp_path / "unneeded.mcap").path is None
@@ -104,13 +104,13 @@ def test_a_reader_that_goes_away_leaves_a_whole_recording(bundle, estimator, str
         process.stdout.close()
         err = process.stderr.read()
     assert process.returncode == 1 and "Traceback" not in err
-    assert readings(path, estimator.model)[0].lacking() == ()
+    assert readings(path, estimator.model)[0].missing() == ()
 
 
 # recover, as its user meets it
 
 
-def test_recover_tells_what_it_saved(estimator, tmp_path, capsys):
+def test_recover_reports_what_it_saved(estimator, tmp_path, capsys):
     path = write(tmp_path / "cut.mcap", estimator.model, [block(0, 3), block(3, 3)], closed=False)
     assert run(["recover", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -121,7 +121,7 @@ def test_recover_tells_what_it_saved(estimator, tmp_path, capsys):
     )
     assert said["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
     assert run(["recover", str(path)]) == 2
-    assert "say --force" in capsys.readouterr().err
+    assert "use --force" in capsys.readouterr().err
     assert run(["recover", str(path), "--force"]) == 0
 
 
@@ -139,5 +139,5 @@ def test_recover_refuses(tmp_path, capsys, monkeypatch, options):
     (tmp_path / "cut.mcap").write_bytes(b"junk")
     assert run(["recover", "cut.mcap", *options]) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and ("is no MCAP file" in err or "is the file itself" in err)
+    assert err.count("\n") == 1 and ("not an MCAP file" in err or "is the input file" in err)
     assert (tmp_path / "cut.mcap").read_bytes() == b"junk"

@@ -1,7 +1,9 @@
 """A recording in MCAP: exact, readable by others, and as good as it can be after whatever happens to it."""
 
 import json
+import re
 import struct
+import tomllib
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -16,20 +18,18 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
-from probedesign.live.mcap import messages, topics
-from probedesign.live.mcap.file import McapFile
-from probedesign.live.mcap.recover import recover
 from probedesign.live.offline import estimate_recording
-from probedesign.live.pose.timed import of_matrix
-from probedesign.live.reading import Reading
-from probedesign.live.recorded import Choice
-from probedesign.live.replay import Replay
-from probedesign.live.row import COLUMNS, json_line, row
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.tare import Window
+from probedesign.live.poses.track import pose_from_matrix
+from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.mcap_read import recover
+from probedesign.live.recordings.mcap_write import McapRecorder
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.replay import RecordingOptions, ReplaySource
+from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import GRAVITY, block, read, same, write
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -49,7 +49,9 @@ def whole(model, tmp_path_factory) -> Path:
 
 def rows(answers) -> list[str]:
     """What `--json` prints, without what only a simulation knows."""
-    return [json_line(row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers]
+    return [
+        json_line(estimate_row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers
+    ]
 
 
 # What is written is what was read
@@ -58,7 +60,7 @@ def rows(answers) -> list[str]:
 def test_blocks_come_back_to_the_last_bit(whole, model):
     recorded, blocks = read(whole, model)
     assert len(blocks) == len(BLOCKS) and all(map(same, blocks, BLOCKS))
-    assert (recorded.notes, recorded.lacking(), recorded.frame) == ((), (), "sensor")
+    assert (recorded.notes, recorded.missing(), recorded.frame) == ((), (), "sensor")
 
 
 @few
@@ -84,14 +86,14 @@ def test_silence_is_recorded_too(model, tmp_path):
 
 def test_a_replay_gives_the_same_rows_to_the_bit(estimator, tmp_path):
     """Tared and averaged; `estimate` gives them too."""
-    path, plan = tmp_path / "live.mcap", Plan(Window(0.0, 1.7), samples=3)
-    file = McapFile(path, estimator.model)
-    sim = Simulation(estimator.model, "speed=max&rate_hz=24&seconds=6")
+    path, plan = tmp_path / "live.mcap", ProcessingOptions(TareWindow(0.0, 1.7), samples=3)
+    file = McapRecorder(path, estimator.model)
+    sim = SimulatedSource(estimator.model, "speed=max&rate_hz=24&seconds=6")
     before = rows(estimate_stream(estimator, sim, plan, print, file))
     file.close()
-    replay = Replay(estimator.model, path, "speed=max")
+    replay = ReplaySource(estimator.model, path, "speed=max")
     assert rows(estimate_stream(estimator, replay, plan, print)) == before
-    offline = estimate_recording(estimator, path, Window(0.0, 1.7), 3).rows
+    offline = estimate_recording(estimator, path, TareWindow(0.0, 1.7), 3).rows
     assert [json_line(each) for each in offline][-len(before) :] == before
     assert sum('"ok"' in line for line in before) > 10
 
@@ -107,10 +109,12 @@ def test_the_tools_of_mcap_read_it(whole, model):
         by_name = {
             c.topic: (counts.get(i, 0), c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()
         }
-        assert (by_name[topics.RAW.name][0], by_name[topics.BLOCK.name][0]) == (60, 4)
+        assert (by_name[schemas.RAW.name][0], by_name[schemas.BLOCK.name][0]) == (60, 4)
         assert reader.get_header().profile == "ros2"
         assert {s.encoding for _, _, s in by_name.values()} == {"ros2msg"}
-        assert json.loads(by_name[topics.ESTIMATE.name][1].metadata["json_schema"]) == topics.ESTIMATE.schema
+        assert (
+            json.loads(by_name[schemas.ESTIMATE.name][1].metadata["json_schema"]) == schemas.ESTIMATE.schema
+        )
         (probe,) = reader.iter_attachments()
         (known,) = reader.iter_metadata()
     frozen = json.loads(probe.data)
@@ -122,55 +126,58 @@ def test_rosbags_reads_it(model, tmp_path):
     p, cov, pose = np.array([0.001, 0.002, 0.09]), np.diag([1e-6, 2e-6, 3e-6]), np.eye(4)
     pose[:3, :3], pose[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
     estimate = Estimate("ok", 0.09, 0.001, 2.0 * p, p, np.array([0.01, 0.0, 0.0]), 4.0 * cov, cov)
-    file = McapFile(tmp_path / "told.mcap", model)
-    file.read(BLOCKS[0])
-    file.answered(
-        Answer(
-            Reading(1.0 / 3.0, np.zeros(6), GRAVITY), estimate, T_world_base=pose, wrench_base=np.arange(6.0)
+    file = McapRecorder(tmp_path / "told.mcap", model)
+    file.on_samples(BLOCKS[0])
+    file.on_estimate(
+        EstimateUpdate(
+            WrenchReading(1.0 / 3.0, np.zeros(6), GRAVITY),
+            estimate,
+            T_world_base=pose,
+            wrench_base=np.arange(6.0),
         )
     )
-    file.posed(of_matrix(0.25, pose))
-    file.told(0.5, "mark: here")
+    file.on_pose(pose_from_matrix(0.25, pose))
+    file.on_event(0.5, "mark: here")
     file.close()
     with AnyReader([tmp_path / "told.mcap"]) as reader:
         found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
-    contact, base = found[topics.CONTACT.name], found[topics.BASE.name]
+    contact, base = found[schemas.CONTACT.name], found[schemas.BASE.name]
     assert (contact.header.frame_id, base.header.frame_id) == ("base", "world")
     assert [contact.pose.pose.position.x, contact.pose.pose.position.z] == [0.001, 0.09]
     assert np.array_equal(contact.pose.covariance.reshape(6, 6)[:3, :3], cov)
     turn = base.pose.orientation  # a quarter about z
     assert [turn.z, turn.w] == pytest.approx([0.5**0.5] * 2, abs=1e-15)
-    assert found[topics.WITHOUT_BIAS.name].wrench.torque.z == 5.0
-    said = json.loads(found[topics.ESTIMATE.name].data)
+    assert found[schemas.WITHOUT_BIAS.name].wrench.torque.z == 5.0
+    said = json.loads(found[schemas.ESTIMATE.name].data)
     assert said["time_s"] == 1.0 / 3.0 and said["result"] == "ok" and said["T_world_base"] == pose.tolist()
-    assert set(topics.ESTIMATE.schema["required"]) <= set(said) and set(COLUMNS) <= set(
-        topics.ESTIMATE.schema["properties"]
+    assert set(schemas.ESTIMATE.schema["required"]) <= set(said) and set(COLUMNS) <= set(
+        schemas.ESTIMATE.schema["properties"]
     )
-    assert json.loads(found[topics.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
+    assert json.loads(found[schemas.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
 
 
 def test_no_position_without_ok(model, tmp_path):
-    file = McapFile(tmp_path / "free.mcap", model)
-    file.answered(Answer(Reading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
+    file = McapRecorder(tmp_path / "free.mcap", model)
+    file.on_estimate(EstimateUpdate(WrenchReading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
     file.close()
     with AnyReader([tmp_path / "free.mcap"]) as reader:
-        assert [c.topic for c, _, _ in reader.messages()] == [topics.ESTIMATE.name]
+        assert [c.topic for c, _, _ in reader.messages()] == [schemas.ESTIMATE.name]
 
 
 # Whose it is
 
 
-def test_another_probe_is_refused_unless_it_is_asked_for(whole, model):
+def test_another_probe_is_refused_unless_allowed(whole, model):
     other = replace(model, fingerprint="0123456789ab")
-    with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; take its own frozen probe"):
+    with pytest.raises(InputError, match=r"fingerprint .*not 0123456789ab; use its own frozen probe"):
         read(whole, other)
-    recorded, blocks = read(whole, other, Choice(other_probe=True))
+    recorded, blocks = read(whole, other, RecordingOptions(other_probe=True))
     assert len(blocks) == 4 and "not 0123456789ab" in recorded.notes[0]
-    assert Replay(other, whole, "other_probe=1").notes == recorded.notes
+    assert ReplaySource(other, whole, "other_probe=1").notes == recorded.notes
 
 
-def test_another_freezing_of_the_probe_is_noted(whole, model):
-    assert "another freezing" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
+def test_another_frozen_version_of_the_probe_is_noted(whole, model):
+    assert "another frozen version" in read(whole, replace(model, averaging_samples=7))[0].notes[0]
 
 
 # Cut off
@@ -180,24 +187,24 @@ def test_a_file_that_was_never_closed_is_read_and_recovered(model, tmp_path):
     cut = write(tmp_path / "cut.mcap", model, BLOCKS, closed=False)
     recorded, blocks = read(cut, model)
     assert all(map(same, blocks, BLOCKS)) and len(blocks) == 4
-    assert recorded.lacking() == ("not whole: it was cut off",)
+    assert recorded.missing() == ("incomplete: it was cut off",)
     saved = recover(cut, tmp_path / "whole.mcap")
     assert saved.messages == 64
     recorded, blocks = read(tmp_path / "whole.mcap", model)
-    assert all(map(same, blocks, BLOCKS)) and recorded.lacking() == ()
+    assert all(map(same, blocks, BLOCKS)) and recorded.missing() == ()
     with AnyReader([tmp_path / "whole.mcap"]) as reader:
         assert sum(1 for _ in reader.messages()) == 64
 
 
-def test_a_cut_recording_is_refused_or_mended_and_told(estimator, tmp_path):
+def test_a_truncated_recording_is_refused_or_accepted_with_a_note(estimator, tmp_path):
     cut = write(tmp_path / "cut.mcap", estimator.model, BLOCKS, closed=False)
-    with pytest.raises(InputError, match="cut off; --mend"):
+    with pytest.raises(InputError, match="cut off; use --mend"):
         estimate_recording(estimator, cut)
-    estimates = estimate_recording(estimator, cut, mend=True)
-    assert len(estimates.rows) == 60 and "not whole: it was cut off" in estimates.notes
+    estimates = estimate_recording(estimator, cut, allow_incomplete=True)
+    assert len(estimates.rows) == 60 and "incomplete: it was cut off" in estimates.notes
     said = []
-    list(Replay(estimator.model, cut, "speed=max", said.append))
-    assert said == [f"{cut}: not whole: it was cut off"]
+    list(ReplaySource(estimator.model, cut, "speed=max", said.append))
+    assert said == [f"{cut}: incomplete: it was cut off"]
 
 
 @few
@@ -234,7 +241,7 @@ def test_any_change_gives_a_beginning_or_one_line(whole, model, tmp_path, data):
 def beginning_or_one_line(path: Path, model) -> list[Block]:
     """The blocks read, the first of those written; none if it was refused with one line."""
     try:
-        _, blocks = read(path, model, Choice(other_probe=True))
+        _, blocks = read(path, model, RecordingOptions(other_probe=True))
     except InputError as error:
         assert str(error).isprintable() and str(path) in str(error)
         return []
@@ -290,23 +297,23 @@ def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        ({"time_s": [0.0, 1.0]}, "tells of 2 readings, 1 wrenches"),
+        ({"time_s": [0.0, 1.0]}, "describes 2 readings, but 1 wrenches"),
         ({"time_s": [None]}, "block after 0 readings"),
-        ({"time_s": ["nan"]}, "not finite numbers"),
-        ({"gravity_base_m_s2": [9.81]}, "not as its schema says"),
-        ({"stretch": 1.5}, "not as its schema says"),
-        ({"fault": None}, "not as its schema says"),
+        ({"time_s": ["nan"]}, "not finite"),
+        ({"gravity_base_m_s2": [9.81]}, "does not match its schema"),
+        ({"stretch": 1.5}, "does not match its schema"),
+        ({"fault": None}, "does not match its schema"),
         ("[" * 100_000, "block after 0 readings"),
         ("{}", "block after 0 readings"),
     ],
 )
-def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
-    file = McapFile(tmp_path / "lie.mcap", model)
+def test_an_inconsistent_block_is_refused(model, tmp_path, said, told):
+    file = McapRecorder(tmp_path / "lie.mcap", model)
     honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
     text = said if isinstance(said, str) else json.dumps(honest | said)
     now = np.array([0])
-    file._add(topics.RAW, now, messages.stamped("sensor", now, [[0.0] * 6]))
-    file._add(topics.BLOCK, now, messages.texts([text]))
+    file._add(schemas.RAW, now, schemas.stamped("sensor", now, [[0.0] * 6]))
+    file._add(schemas.BLOCK, now, schemas.texts([text]))
     file.close()
     with pytest.raises(InputError, match=told):
         read(tmp_path / "lie.mcap", model)
@@ -315,12 +322,12 @@ def test_a_block_that_lies_is_refused(model, tmp_path, said, told):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"time": np.array([1.0, 0.5])}, "time runs backward, from 1 s to 0.5 s"),
-        ({"wrench_sensor": np.full((2, 6), np.nan)}, "Fx = nan N at 0 s is no reading"),
-        ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s is no reading"),
+        ({"time": np.array([1.0, 0.5])}, "time decreases, from 1 s to 0.5 s"),
+        ({"wrench_sensor": np.full((2, 6), np.nan)}, "Fx = nan N at 0 s exceeds the range"),
+        ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s exceeds the range"),
     ],
 )
-def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_path, change, told):
+def test_values_out_of_range_are_refused_unless_marked_as_faults(model, tmp_path, change, told):
     path = write(tmp_path / "odd.mcap", model, [replace(block(0, 2, rate=1.0), **change)])
     with pytest.raises(InputError, match=told):
         read(path, model)
@@ -329,9 +336,20 @@ def test_what_no_sensor_reads_is_refused_unless_it_says_so_itself(model, tmp_pat
         assert same(read(write(tmp_path / "faulty.mcap", model, [faulty]), model)[1][0], faulty)
 
 
-def test_without_the_package_one_line_says_what_to_install(whole, model, tmp_path, monkeypatch):
-    monkeypatch.setattr("probedesign.live.mcap.find_spec", lambda name: None)
-    for attempt in (lambda: read(whole, model), lambda: McapFile(tmp_path / "new.mcap", model)):
+def test_without_the_package_one_line_names_what_to_install(whole, model, tmp_path, monkeypatch):
+    monkeypatch.setattr("probedesign.live.recordings.find_spec", lambda name: None)
+    for attempt in (lambda: read(whole, model), lambda: McapRecorder(tmp_path / "new.mcap", model)):
         with pytest.raises(MissingDependencyError, match=r'pip install "probedesign\[live\]"'):
             attempt()
     assert not (tmp_path / "new.mcap").exists()
+
+
+def test_the_live_extra_declares_every_package_of_the_recordings():
+    root = Path(__file__).parents[2]
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    declared = {re.split(r"[^\w-]", requirement)[0] for requirement in extras["live"]}
+    sources = [path.read_text() for path in (root / "probedesign/live/recordings").glob("*.py")]
+    imported = {
+        m for text in sources for m in re.findall(r"^\s*(?:import|from) (mcap|zstandard|lz4)\b", text, re.M)
+    }
+    assert imported == {"mcap", "zstandard", "lz4"} and imported <= declared

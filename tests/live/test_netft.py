@@ -3,6 +3,7 @@
 import json
 import re
 import socket
+from collections import namedtuple
 from dataclasses import replace
 from itertools import islice, pairwise
 
@@ -11,12 +12,12 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.errors import InputError
-from probedesign.live.box.box import NATIVE, Box
-from probedesign.live.box.faults import parse_faults
-from probedesign.live.box.transducer import OFFSET, Transducer
-from probedesign.live.netft import wire
-from probedesign.live.netft.wire import RECORD, RECORDS, Request
-from probedesign.live.source import open_source
+from probedesign.live.netft_box.box import NATIVE, SimulatedNetFT, parse_faults
+from probedesign.live.netft_box.transducer import OFFSET, SimulatedTransducer
+from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft.session import drain
+from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
+from probedesign.live.sources.source import open_source
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
 
 pynetft = pytest.importorskip("pynetft")
@@ -35,13 +36,13 @@ pynetft = pytest.importorskip("pynetft")
         {"tool": (0.5, 0.0, 1.0, 0.5, 0.0, 0.0), "length_unit": "in", "angle_unit": "radians"},
     ],
 )
-def test_the_box_is_read_in_si_and_in_the_sensor_frame_whatever_it_counts_in(estimator, settings):
+def test_the_box_is_read_in_si_and_in_the_sensor_frame_for_any_units(estimator, settings):
     with box(estimator, replace(NATIVE, **settings)) as peer:
         readings, source = taken(peer, estimator, 700)
     off = np.abs(mean_of(readings) - LOAD - OFFSET)
     rounding = np.abs(source.configuration.to_sensor).sum(axis=1)  # one count of every channel
     assert (off <= close(estimator, 700) + rounding).all()
-    assert any("folded out" in note for note in source.notes) == ("tool" in settings)
+    assert any("compensated" in note for note in source.notes) == ("tool" in settings)
 
 
 def test_the_transform_turns_about_x_then_the_new_y_then_the_new_z():
@@ -82,7 +83,7 @@ def test_pynetft_reads_the_same_from_our_box(estimator):
 def asked(estimator):
     """Asks a box for records and returns its datagrams."""
 
-    def asked(peer: Box, command: int, records: int, packets: int) -> list[bytes]:
+    def asked(peer: SimulatedNetFT, command: int, records: int, packets: int) -> list[bytes]:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
             udp.settimeout(5.0)
             udp.sendto(Request(command, records).packed(), peer.address)
@@ -140,14 +141,14 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
 @pytest.mark.parametrize(
     ("page", "told"),
     [
-        (b"not xml", "no XML"),
-        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "no XML that can be trusted"),
+        (b"not xml", "not valid or safe XML"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "not valid or safe XML"),
         (b"<netft><scfgfu>N</scfgfu></netft>", "has no scfgtu, cfgcpf, cfgcpt"),
         (b"x" * 100_000, "too long"),
     ],
 )
-def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
-    monkeypatch.setattr("probedesign.live.box.box.page_of", lambda configuration: page)
+def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
+    monkeypatch.setattr("probedesign.live.netft_box.box.configuration_page", lambda configuration: page)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
     assert told in str(error.value)
@@ -156,20 +157,22 @@ def test_a_page_that_is_none_is_refused(estimator, monkeypatch, page, told):
 @pytest.mark.parametrize(
     ("tag", "value", "told"),
     [
-        ("scfgtu", "N-furlong", "scfgtu = 'N-furlong' is no unit that is known"),
-        ("scfgfu", "", "is no unit that is known"),
+        ("scfgtu", "N-furlong", "scfgtu = 'N-furlong' is not a known unit"),
+        ("scfgfu", "", "is not a known unit"),
         ("cfgcpf", "0", "cfgcpf = 0 must be positive"),
         ("cfgcpt", "-1", "must be positive"),
-        ("cfgcpf", "nan", "is no number"),
-        ("cfgtfx", "1;2;3", "cfgtfx holds 3 numbers"),
-        ("cfgtfx", "1;2;3;4;5;six", "is no number"),
+        ("cfgcpf", "nan", "is not a number"),
+        ("cfgtfx", "1;2;3", "cfgtfx has 3 numbers"),
+        ("cfgtfx", "1;2;3;4;5;six", "is not a number"),
     ],
 )
 def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
-    from probedesign.live.box.page import page_of
+    from probedesign.live.netft_box.box import configuration_page
 
-    wrong = re.sub(rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), page_of(NATIVE))
-    monkeypatch.setattr("probedesign.live.box.box.page_of", lambda configuration: wrong)
+    wrong = re.sub(
+        rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), configuration_page(NATIVE)
+    )
+    monkeypatch.setattr("probedesign.live.netft_box.box.configuration_page", lambda configuration: wrong)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
     assert told in str(error.value)
@@ -194,11 +197,11 @@ def test_an_address_without_a_box_is_refused(estimator, spec, told):
     assert told in str(error.value)
 
 
-def test_a_port_in_use_is_told(estimator):
+def test_a_port_in_use_is_reported(estimator):
     with box(estimator) as peer:
-        with pytest.raises(InputError, match="Address already in use; say another --port"):
+        with pytest.raises(InputError, match="Address already in use; use another --port"):
             box(estimator, port=peer.address[1])
-        with pytest.raises(InputError, match="Address already in use; say another --http-port"):
+        with pytest.raises(InputError, match="Address already in use; use another --http-port"):
             box(estimator, http_port=peer.http_port)
 
 
@@ -215,16 +218,15 @@ def test_what_is_no_fault(text):
 
 def test_simulate_and_live_meet(bundle, estimator, capsys):
     """The whole way: a scene of the rod, over the wire, tared and located."""
-    from probedesign.live.box.motion import Motion
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import BaseMotion, press_scene
 
     things = press_scene(estimator.model, "edges", friction=0.0)[2:]
-    motion = Motion(estimator.model, things)
+    motion = BaseMotion(estimator.model, things)
 
     def hurried(when):  # ten times as fast: the rest is over after half a second
         return motion.wrench_sensor(10.0 * when)
 
-    with Box(Transducer(estimator.model, hurried, seed=1, drift=0.0)) as peer:
+    with SimulatedNetFT(SimulatedTransducer(estimator.model, hurried, seed=1, drift=0.0)) as peer:
         arguments = ["live", str(bundle), "--source", peer.source, "--tare-s", "0:0.3", "--average", "36"]
         status = run([*arguments, "--seconds", "1.5", "--rate-hz", "100", "--json"])
     out, err = capsys.readouterr()
@@ -238,40 +240,45 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
-    from probedesign.live.box.motion import MOVE, PRESS, REST, Motion
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion, press_scene
 
     model = estimator.model
     things = press_scene(model, "card-house", friction)
-    motion = Motion(model, things)
+    motion = BaseMotion(model, things)
     free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-    rest, held = motion.wrench_sensor(np.array([1.0, REST + MOVE + PRESS + 0.5]))
+    rest, held = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
     assert np.allclose(rest, free, atol=1e-6)
     assert np.linalg.norm((held - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
     assert all(thing.force > 1e-3 for thing in things)
-    after = motion.wrench_sensor(np.array([motion.round + 1.0]))
+    after = motion.wrench_sensor(np.array([motion.cycle_time + 1.0]))
     assert np.allclose(after, free, atol=1e-6)
 
 
 def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.live.box.motion import HOLD, MOVE, PRESS, REST, Motion
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import (
+        HOLD_TIME,
+        MOVE_TIME,
+        PRESS_TIME,
+        REST_TIME,
+        BaseMotion,
+        press_scene,
+    )
 
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
-    begun = REST + MOVE + PRESS
+    begun = REST_TIME + MOVE_TIME + PRESS_TIME
     for friction in (0.0, 0.5):
         things = press_scene(model, "edges", friction)[:1]
-        motion = Motion(model, things)
-        on, off = motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + HOLD + before)
+        motion = BaseMotion(model, things)
+        on, off = motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + HOLD_TIME + before)
         apart = np.abs(on - off).max(axis=1)
         assert (apart > 1e-3).all() if friction else (apart < 1e-9).all()
         free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-        assert np.allclose(motion.wrench_sensor(np.array([motion.round - 0.01])), free, atol=1e-6)
+        assert np.allclose(motion.wrench_sensor(np.array([motion.cycle_time - 0.01])), free, atol=1e-6)
 
 
 def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator):
-    from probedesign.live.box.scene import press_scene
+    from probedesign.live.netft_box.scene import press_scene
 
     drawn = [
         [thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)]
@@ -286,9 +293,9 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
         (["--friction", "-0.1"], "--friction -0.1 must lie in 0 ... 3"),
         (["--rate-hz", "6000"], "must be 7000 over a whole number"),
         (["--records", "41"], "must be 1 ... 40"),
-        (["--scene", "castle"], "--scene castle is not known; there are edges"),
+        (["--scene", "castle"], "--scene castle is unknown; available are edges"),
         (["--fault", "loss=2"], "--fault 'loss=2' must be one of"),
-        (["--torque-unit", "N-furlong"], "is no unit that is known"),
+        (["--torque-unit", "N-furlong"], "is not a known unit"),
         (["--host", "203.0.113.1", "--scene", "free"], "203.0.113.1:49152: "),
     ],
 )
@@ -296,3 +303,24 @@ def test_simulate_refuses(bundle, capsys, options, told):
     assert run(["simulate", str(bundle), "--seconds", "0.1", *options]) == 2
     out, err = capsys.readouterr()
     assert told in err and err.count("\n") == 1 and out == ""
+
+
+class PublicClient:
+    """A client of pynetft without its private reader."""
+
+    def __init__(self, samples):
+        self.waiting = list(samples)
+
+    def samples(self, timeout):
+        if not self.waiting:
+            raise TimeoutError
+        yield self.waiting.pop(0)
+
+
+def test_records_are_read_without_the_private_reader_of_pynetft():
+    sample = namedtuple("sample", "ft_sequence status received_at_ns raw_wrench")
+    client = PublicClient(sample(7 + i, 0, 10**9 * (1 + i), (i, 0, 0, 0, 0, -i)) for i in range(3))
+    records = drain(client)
+    assert records.ft_sequence.tolist() == [7, 8, 9] and records.received.tolist() == [1.0, 2.0, 3.0]
+    assert records.counts[:, 5].tolist() == [0, -1, -2]
+    assert len(drain(client)) == 0

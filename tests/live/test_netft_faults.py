@@ -8,24 +8,24 @@ import numpy as np
 import pytest
 
 from probedesign.errors import MissingDependencyError
-from probedesign.live.batch import averaged
-from probedesign.live.block import Block
-from probedesign.live.box.faults import Faults
-from probedesign.live.box.transducer import OFFSET
-from probedesign.live.netft import wire
-from probedesign.live.netft.clock import SensorClock
-from probedesign.live.netft.session import STALE
-from probedesign.live.netft.wire import RECORD
-from probedesign.live.run import Plan, estimate_stream, locate
-from probedesign.live.source import open_source
-from probedesign.live.tare import Window
+from probedesign.live.netft_box.box import FaultInjector
+from probedesign.live.netft_box.transducer import OFFSET
+from probedesign.live.processing.blocks import Block, averaged
+from probedesign.live.processing.estimates import locate
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft.session import STALE_TIME, SensorClock
+from probedesign.live.sources.netft.wire import RECORD
+from probedesign.live.sources.source import open_source
 from tests.live.peers import LOAD, Reader, box, close, mean_of
 
 pytest.importorskip("pynetft")
 
 
 def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
-    faults = Faults(loss=0.02, reorder=0.02, duplicate=0.02, garbage=0.02, short=0.02)
+    faults = FaultInjector(loss=0.02, reorder=0.02, duplicate=0.02, garbage=0.02, short=0.02)
     with box(estimator, faults=faults) as peer, Reader(peer, estimator) as reader:
         reader.more(2000)
     counts = reader.source.counts
@@ -39,7 +39,7 @@ def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
 
 
 def test_the_clock_passes_the_end_of_its_32_bits(estimator):
-    with box(estimator, powered=2**32 - 1000) as peer, Reader(peer, estimator) as reader:
+    with box(estimator, initial_samples=2**32 - 1000) as peer, Reader(peer, estimator) as reader:
         reader.more(3000)
     times = [r.time for r in reader.readings]
     assert reader.source.counts["restarts"] == 0
@@ -66,11 +66,11 @@ def told_in_order(reader) -> None:
     before = next(b for _, b in reversed(reader.story[:first]) if isinstance(b, Block))
     after = next(b for _, b in reader.story[first:] if isinstance(b, Block) and len(b))
     stale = next(i for i in lines if "stale" in reader.story[i][1])
-    again = next(i for i in lines if "records again" in reader.story[i][1])
+    again = next(i for i in lines if "records resumed" in reader.story[i][1])
     resumed = next(i for i, (_, what) in enumerate(reader.story) if what is after)
     assert stale < first < again < resumed
     assert "stale, no record for" in silence.fault
-    assert when - before.received[-1] > STALE  # it was silent so long at least, by the host's clock
+    assert when - before.received[-1] > STALE_TIME  # it was silent so long at least, by the host's clock
     assert after.received[0] - before.received[-1] < 10.0  # half a second and some; it does not hang
     assert (before.stretch, silence.stretch) == (0, 0) and after.stretch > 0
 
@@ -78,7 +78,7 @@ def told_in_order(reader) -> None:
 def test_a_restart_is_survived_marked_and_not_mixed(estimator):
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         peer.restart(0.3)
-        reader.said("tare from before is kept")
+        reader.said("previous tare is kept")
         reader.more()
     told_in_order(reader)
     assert reader.source.counts["restarts"] == 1
@@ -89,20 +89,20 @@ def test_a_restart_is_survived_marked_and_not_mixed(estimator):
 
 def test_a_restart_soon_after_power_up_is_survived(estimator):
     """pynetft takes a clock that goes back within its first 65536 samples for late records and refuses them all."""
-    with box(estimator, powered=20000) as peer, Reader(peer, estimator) as reader:
+    with box(estimator, initial_samples=20000) as peer, Reader(peer, estimator) as reader:
         peer.restart(0.2)
-        reader.said("tare from before is kept")
+        reader.said("previous tare is kept")
         reader.more()
 
 
-def test_the_tare_is_kept_over_a_restart(estimator):
+def test_the_tare_survives_a_restart(estimator):
     """The offset of the transducer is 600 times the noise: without its tare the free probe would be a contact."""
     gravity = estimator.model.gravity_base
     free = estimator.model.to_sensor(estimator.free(gravity).wrench_base, gravity)
     lines = []
     with box(estimator, load=free) as peer:
         source = open_source(peer.source, estimator.model, lines.append)
-        stream = estimate_stream(estimator, source, Plan(Window(0.0, 0.5), 36), lines.append)
+        stream = estimate_stream(estimator, source, ProcessingOptions(TareWindow(0.0, 0.5), 36), lines.append)
         before = list(islice(stream, 10))
         peer.restart(0.2)
         after = list(islice((answer for answer in stream if answer.reading.stretch), 20))
@@ -115,7 +115,7 @@ def test_the_tare_is_kept_over_a_restart(estimator):
 def test_a_stall_is_stale_and_gives_no_readings(estimator):
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         peer.stall(0.4)
-        reader.said("records again")
+        reader.said("records resumed")
         reader.more()
     told_in_order(reader)
     assert reader.source.counts["interruptions"] >= 1
@@ -132,10 +132,10 @@ def test_a_box_that_goes_away_is_stale_for_as_long(estimator):
     assert reader.error is None
 
 
-def test_a_stolen_stream_is_asked_for_again_and_told(estimator):
+def test_a_stolen_stream_is_requested_again_and_reported(estimator):
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         for _ in range(4):
-            peer.steal()
+            peer.drop_client()
             reader.wait(lambda: peer.client is not None)
             reader.more(20)
         reader.said("another client")
@@ -154,7 +154,7 @@ def test_a_configuration_that_changes_ends_the_run(estimator, change, told):
     with box(estimator) as peer, Reader(peer, estimator, "&check_s=0.1") as reader:
         peer.configure(**change)
         reader.wait(lambda: reader.error is not None)
-    assert told in str(reader.error) and "start again" in str(reader.error)
+    assert told in str(reader.error) and "restart with a new tare" in str(reader.error)
 
 
 def test_a_restart_with_another_configuration_ends_the_run_before_a_reading(estimator):

@@ -17,11 +17,11 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.errors import InputError, MissingDependencyError
-from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.view import view as module
-from probedesign.live.view.view import View
+from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import SimulatedSource
+from probedesign.live.view import browser_view as module
+from probedesign.live.view.browser_view import BrowserView
 
 pytest.importorskip("viser")
 
@@ -48,19 +48,19 @@ def until(happened, seconds=60.0):
 @pytest.fixture(scope="module")
 def view(estimator, tmp_path_factory):
     """A page on which a simulated touch is seen, what was said of it, and what it asks."""
-    said, requests = [], Requests()
-    view = View(estimator, tmp_path_factory.mktemp("view"), requests, said.append, port=free_port())
+    said, requests = [], CommandQueue()
+    view = BrowserView(estimator, tmp_path_factory.mktemp("view"), requests, said.append, port=free_port())
     view.said, view.requests = said, requests
-    stream = Simulation(estimator.model, "speed=max&rate_hz=10&seconds=8")
-    list(estimate_stream(estimator, stream, Plan(), said.append, view))
+    stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=8")
+    list(estimate_stream(estimator, stream, ProcessingOptions(), said.append, view))
     yield view
     view.close()
 
 
 def test_the_page_is_served_to_this_machine(view):
     assert view.url.startswith("http://127.0.0.1:")
-    assert "no manifest.json lies there" in view.said[0]
-    assert view.said[1] == f"view: {view.url}, open to this machine alone"
+    assert "there is no manifest.json" in view.said[0]
+    assert view.said[1] == f"view: {view.url}, open to this machine only"
     with urlopen(view.url) as page:
         assert b"<title>" in page.read()
 
@@ -79,13 +79,13 @@ def test_only_the_page_itself_may_talk_to_its_server(view):
         connect(ours, origin=Origin("http://example.org"), subprotocols=[protocol])
 
 
-def test_a_port_in_use_is_passed_over_and_a_network_is_told(estimator, tmp_path, view):
+def test_the_next_free_port_is_used_and_network_access_is_reported(estimator, tmp_path, view):
     port = int(view.url.rpartition(":")[2])
     said = []
-    second = View(estimator, tmp_path, Requests(), said.append, host="0.0.0.0", port=port)
+    second = BrowserView(estimator, tmp_path, CommandQueue(), said.append, host="0.0.0.0", port=port)
     second.close()
     assert second.url != view.url
-    assert said[-1] == f"view: {second.url}, open to anyone who reaches it, who may tare and end recordings"
+    assert said[-1] == f"view: {second.url}, open to the network: anyone there can tare and stop recordings"
     with pytest.raises(OSError):
         urlopen(second.url)
 
@@ -100,28 +100,28 @@ def test_a_port_in_use_is_passed_over_and_a_network_is_told(estimator, tmp_path,
 )
 def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, told):
     with pytest.raises(InputError) as error:
-        View(estimator, tmp_path, Requests(), print, host=host, port=port)
+        BrowserView(estimator, tmp_path, CommandQueue(), print, host=host, port=port)
     assert told in str(error.value) and str(error.value).isprintable()
 
 
-def test_without_viser_the_remedy_is_told(estimator, tmp_path, monkeypatch):
+def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
     monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"install probedesign\[view\]"):
-        View(estimator, tmp_path, Requests(), print)
+        BrowserView(estimator, tmp_path, CommandQueue(), print)
 
 
-def test_what_people_ask_reaches_the_run_and_nothing_else_does(view):
+def test_commands_reach_the_run_and_nothing_else_does(view):
     lines = [
-        {"wish": "tare"},
-        {"wish": "mark", "text": "x" * 999},
-        {"wish": "rm"},
-        {"wish": ["stop"]},
+        {"command": "tare"},
+        {"command": "mark", "text": "x" * 999},
+        {"command": "rm"},
+        {"command": ["stop"]},
         3,
-        {"wish": "stop recording"},
+        {"command": "stop recording"},
     ]
     view._read(io.BytesIO(b"garbage\n" + b"".join(json.dumps(line).encode() + b"\n" for line in lines)))
-    asked = view.requests.taken()
-    assert [request.wish for request in asked] == ["tare", "mark", "stop recording"]
+    asked = view.requests.pop_all()
+    assert [request.name for request in asked] == ["tare", "mark", "stop recording"]
     assert len(asked[1].text) == 200
 
 
@@ -186,16 +186,16 @@ def tab(view):
 
 
 def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
-    words = {said.name: said.text for said in view.moment().words}
+    words = {said.name: said.text for said in view.snapshot().status}
     for name in ("contact", "force", "point"):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
-    tab.get_by_text("stale: nothing read for", exact=False).first.wait_for(timeout=PATIENCE)
+    tab.get_by_text("stale: no reading for", exact=False).first.wait_for(timeout=PATIENCE)
     tab.locator("input.mantine-TextInput-input").last.fill("third card", timeout=PATIENCE)
     asked = []
     for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
         tab.locator("button", has_text=button).dispatch_event("click")
-        until(lambda: asked.extend(view.requests.taken()) or len(asked) > i)  # noqa: B023
-    assert [request.wish for request in asked] == ["tare", "mark", "start recording", "stop recording"]
+        until(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023
+    assert [request.name for request in asked] == ["tare", "mark", "start recording", "stop recording"]
     assert asked[1].text == "third card"
     assert tab.locator("text=Share").count() == 0
     outside = [url for url in tab.foreign if not url.startswith((view.url, "data:", "blob:"))]
@@ -221,6 +221,6 @@ def test_a_browser_draws_the_probe(view, tab):
 def test_the_run_goes_on_without_its_page(estimator, view):
     """The last, since it spoils the page that the others share."""
     view._process.kill()
-    until(lambda: "the run goes on" in view.said[-1])
-    stream = Simulation(estimator.model, "speed=max&rate_hz=10&seconds=1")
-    assert len(list(estimate_stream(estimator, stream, Plan(), view.said.append, view))) == 10
+    until(lambda: "the run continues" in view.said[-1])
+    stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=1")
+    assert len(list(estimate_stream(estimator, stream, ProcessingOptions(), view.said.append, view))) == 10

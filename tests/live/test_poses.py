@@ -11,14 +11,19 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from probedesign.errors import InputError
 from probedesign.frames import inverse, is_pose, pose
-from probedesign.live.block import Block
-from probedesign.live.pose.clock import KEPT, Offset
-from probedesign.live.pose.file import read_file
-from probedesign.live.pose.listener import LARGEST, Listener
-from probedesign.live.pose.poses import Poses
-from probedesign.live.pose.spec import open_poses
-from probedesign.live.pose.timed import TimedPose, of_matrix
-from probedesign.live.pose.track import LIMIT, Track
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.listener import MAX_DATAGRAM, PoseListener
+from probedesign.live.poses.open_poses import open_poses
+from probedesign.live.poses.pose_file import read_pose_file
+from probedesign.live.poses.track import (
+    MAX_GAP,
+    OFFSET_WINDOW,
+    ClockOffset,
+    PoseTrack,
+    TimedPose,
+    pose_from_matrix,
+)
+from probedesign.live.processing.blocks import Block
 
 GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
 
@@ -40,7 +45,7 @@ def random_poses(n, step=0.01, seed=0):
 def test_between_poses_as_scipy_has_it():
     """Another implementation of the same great circle; both round at 1e-15."""
     poses, turns, p = random_poses(20)
-    track = Track.of(poses)
+    track = PoseTrack.of(poses)
     at = np.random.default_rng(1).uniform(0.0, poses[-1].time, 200)
     expected = Slerp([q.time for q in poses], turns)(at).as_matrix()
     for t, R in zip(at.tolist(), expected, strict=True):
@@ -50,31 +55,33 @@ def test_between_poses_as_scipy_has_it():
         assert T[:3, 3] == pytest.approx([np.interp(t, track.times, p[:, k]) for k in range(3)], abs=1e-14)
 
 
-def test_the_same_rotation_told_with_the_other_sign_is_no_turn():
-    track = Track.of(
+def test_the_negative_quaternion_is_the_same_rotation():
+    track = PoseTrack.of(
         [TimedPose(0.0, (0, 0, 0), (0.6, 0, 0, 0.8)), TimedPose(0.01, (0, 0, 0), (-0.6, 0, 0, -0.8))]
     )
     assert track.at(0.005) == pytest.approx(track.at(0.0), abs=1e-15)
 
 
-def test_at_a_pose_it_is_that_pose_and_beyond_the_last_there_is_none():
+def test_a_pose_is_exact_at_its_time_and_never_extrapolated():
     poses, *_ = random_poses(3)
-    track = Track.of(poses)
+    track = PoseTrack.of(poses)
     assert track.at(0.02) is not None and np.array_equal(track.at(0.02)[:3, 3], poses[2].p)
     assert track.at(np.nextafter(0.02, 1.0)) is None and track.at(-1e-9) is None
-    assert "the last is 1 s older" in track.why(1.02) and "the first is 1 s later" in track.why(-1.0)
-    assert "none yet" in Track().why(0.0)
+    assert "the last pose is 1 s older" in track.reason(
+        1.02
+    ) and "the first pose is 1 s later" in track.reason(-1.0)
+    assert "no pose has been received yet" in PoseTrack().reason(0.0)
 
 
 def test_a_gap_is_not_bridged():
-    poses = [TimedPose(t, (0, 0, 0), (0, 0, 0, 1)) for t in (0.0, LIMIT, 3.0 * LIMIT)]
-    track = Track.of(poses)
-    assert track.at(0.5 * LIMIT) is not None and track.at(2.0 * LIMIT) is None
-    assert "0.1 s apart, more than 0.05 s" in track.why(2.0 * LIMIT)
+    poses = [TimedPose(t, (0, 0, 0), (0, 0, 0, 1)) for t in (0.0, MAX_GAP, 3.0 * MAX_GAP)]
+    track = PoseTrack.of(poses)
+    assert track.at(0.5 * MAX_GAP) is not None and track.at(2.0 * MAX_GAP) is None
+    assert "0.1 s apart, more than 0.05 s" in track.reason(2.0 * MAX_GAP)
 
 
-def test_a_track_keeps_its_bounds():
-    track = Track(most=10)
+def test_a_track_has_a_maximum_length():
+    track = PoseTrack(max_poses=10)
     for i in range(1000):
         track.add(TimedPose(float(i), (0, 0, 0), (0, 0, 0, 1)))
         assert len(track) <= 20
@@ -92,11 +99,32 @@ def test_a_matrix_and_back():
         (0, 0, 0, 1),
     ]:
         R = Rotation.from_quat(q).as_matrix()
-        back = of_matrix(0.0, pose(R, (1.0, 2.0, 3.0)))
+        back = pose_from_matrix(0.0, pose(R, (1.0, 2.0, 3.0)))
         assert Rotation.from_quat(back.q).as_matrix() == pytest.approx(R, abs=1e-12)
 
 
 # what poses are told by
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
+def test_time_and_position_may_be_in_other_units(tmp_path, suffix):
+    names = ("time_ms", "x_m", "y_um", "z_mm", "qx", "qy", "qz", "qw")
+    rows = [(250.0, 0.1, 2000.0, 3.0, 0.0, 0.0, 0.0, 1.0), (260.0, 0.2, 4000.0, 6.0, 0.0, 0.0, 0.0, 1.0)]
+    lines = [json.dumps(dict(zip(names, row, strict=True))) for row in rows]
+    if suffix == "csv":
+        lines = [",".join(names), *(",".join(map(str, row)) for row in rows)]
+    path = tmp_path / f"poses.{suffix}"
+    path.write_text("\n".join(lines) + "\n")
+    first, second = read_pose_file(path)
+    assert (first.time, second.time) == pytest.approx((0.25, 0.26), rel=1e-15)
+    assert first.p == pytest.approx((0.1, 0.002, 0.003), rel=1e-15)
+
+
+def test_a_quantity_in_two_units_is_refused(tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text("time_s,time_ms,x_mm,y_mm,z_mm,qx,qy,qz,qw\n0,0,1,2,3,0,0,0,1\n")
+    with pytest.raises(InputError, match=":2: has time_s and time_ms; keep one"):
+        read_pose_file(path)
 
 
 BAD = {
@@ -114,25 +142,25 @@ BAD = {
 
 
 @pytest.mark.parametrize("wrong", BAD.values(), ids=BAD.keys())
-def test_a_pose_that_is_none_is_refused_with_its_line(wrong, tmp_path):
+def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
     path = tmp_path / "poses.jsonl"
     path.write_text(
         json.dumps(GOOD) + "\n# a comment\n\n" + json.dumps(GOOD | {"time_s": 2.0} | wrong) + "\n"
     )
     with pytest.raises(InputError, match=r"poses.jsonl:4: ") as error:
-        read_file(path)
+        read_pose_file(path)
     assert len(str(error.value)) < 200
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("", "holds no poses"),
-        ("[1, 2]\n", ":1: is no JSON object"),
-        ("[" * 100_000, ":1: is no JSON"),
+        ("", "no poses"),
+        ("[1, 2]\n", ":1: is not a JSON object"),
+        ("[" * 100_000, ":1: is not JSON"),
         ('{"time_s": 1}\n', ":1: has no x_mm"),
-        ("\x00\n", ":1: is no JSON"),
-        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), ":2: time_s = 1 does not follow 1"),
+        ("\x00\n", ":1: is not JSON"),
+        (json.dumps(GOOD) + "\n" + json.dumps(GOOD), ":2: time_s = 1 is not after 1"),
         (
             json.dumps(GOOD | {"frame": "a"}) + "\n" + json.dumps(GOOD | {"frame": "b", "time_s": 2}),
             "several frames, a, b",
@@ -143,18 +171,18 @@ def test_a_file_of_no_poses(text, told, tmp_path):
     path = tmp_path / "poses.jsonl"
     path.write_text(text)
     with pytest.raises(InputError) as error:
-        read_file(path)
+        read_pose_file(path)
     assert told in str(error.value)
 
 
-def test_csv_and_json_lines_tell_the_same(tmp_path):
+def test_csv_and_json_lines_give_the_same_poses(tmp_path):
     poses, *_ = random_poses(5)
     rows = [(p.time, *(1e3 * x for x in p.p), *p.q) for p in poses]
     table, lines = tmp_path / "poses.csv", tmp_path / "poses.jsonl"
     table.write_text(",".join(GOOD) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows))
     lines.write_text("".join(json.dumps(dict(zip(GOOD, row, strict=True))) + "\n" for row in rows))
-    assert read_file(table) == read_file(lines)
-    assert read_file(table)[3].p == pytest.approx(poses[3].p, rel=1e-15)  # to millimetres and back
+    assert read_pose_file(table) == read_pose_file(lines)
+    assert read_pose_file(table)[3].p == pytest.approx(poses[3].p, rel=1e-15)  # to millimetres and back
 
 
 @pytest.mark.parametrize(
@@ -164,10 +192,10 @@ def test_csv_and_json_lines_tell_the_same(tmp_path):
         ("fixed", {"latency_ms": 5.0}, "--pose fixed has no latency"),
         ("udp://", {}, "write udp://:PORT"),
         ("udp://:port", {}, "write udp://:PORT"),
-        ("udp://:0?topic=/a", {}, "topic is no parameter of it"),
+        ("udp://:0?topic=/a", {}, "topic is not a parameter"),
         ("udp://:0?limit_ms=0", {}, "limit_ms must be in"),
-        ("udp://:0?limit_ms=1&limit_ms=2", {}, "is said twice"),
-        ("udp://192.0.2.1:3000", {}, "say another port, or an address of this machine"),
+        ("udp://:0?limit_ms=1&limit_ms=2", {}, "is given twice"),
+        ("udp://192.0.2.1:3000", {}, "use another port, or an address of this machine"),
         ("udp://:0", {"latency_ms": float("nan")}, "--pose-latency-ms nan"),
         ("udp://:0", {"gravity_world": "0,0"}, "--gravity-world 0,0 must be"),
         ("udp://:0", {"gravity_world": "0,0,-981"}, "--gravity-world 0,0,-981 must be"),
@@ -184,7 +212,7 @@ def test_what_names_no_poses(spec, options, told):
 
 @pytest.fixture
 def listener():
-    listener = Listener("127.0.0.1", 0)
+    listener = PoseListener("127.0.0.1", 0)
     yield listener
     listener.close()
 
@@ -204,11 +232,11 @@ def heard(listener, counted, seconds=10.0):
         time.sleep(0.005)
 
 
-def test_hostile_datagrams_are_left_out_and_counted(listener, robot):
+def test_hostile_datagrams_are_rejected_and_counted(listener, robot):
     robot.send(json.dumps(GOOD).encode())
     heard(listener, 1)
     hostile = [
-        b"", b"\xff\xfe", b"{", b"null", b"[" * 4000, b" " * (LARGEST + 1),
+        b"", b"\xff\xfe", b"{", b"null", b"[" * 4000, b" " * (MAX_DATAGRAM + 1),
         *(json.dumps(GOOD | {"time_s": 1.01} | wrong).encode() for wrong in BAD.values()),
         json.dumps(GOOD | {"time_s": 1.02, "frame": "elsewhere"}).encode(),
         json.dumps(GOOD).encode(), json.dumps(GOOD | {"time_s": 0.5}).encode(),
@@ -222,13 +250,13 @@ def test_hostile_datagrams_are_left_out_and_counted(listener, robot):
     heard(listener, 2 + len(hostile))
     robot.send(json.dumps(GOOD | {"time_s": 1.04}).encode())
     heard(listener, 3 + len(hostile))
-    assert [pose.time for _, pose, _ in listener.taken()] == [1.0, 1.04]
+    assert [pose.time for _, pose, _ in listener.pop_poses()] == [1.0, 1.04]
     assert listener.counts == {
-        "taken": 2, "no pose": 6 + len(BAD), "in another frame": 1, "running backward": 2, "leaping": 1,
+        "taken": 2, "invalid": 6 + len(BAD), "in another frame": 1, "not increasing in time": 2, "jumping in time": 1,
         "from another sender": 1,
     }  # fmt: skip
-    assert len(listener.said()) == 6  # each kind once, and who was taken for the robot
-    assert listener.summary.startswith("2 poses, left out: ")
+    assert len(listener.pop_messages()) == 6  # each kind once, and who was taken for the robot
+    assert listener.summary.startswith("2 poses, rejected: ")
 
 
 def test_a_flood_costs_no_more_than_its_share(listener, robot):
@@ -239,7 +267,7 @@ def test_a_flood_costs_no_more_than_its_share(listener, robot):
         for _ in range(100):
             i += 1
             robot.send(json.dumps(GOOD | {"time_s": 1.0 + 1e-5 * i}).encode())
-        lines += listener.said()
+        lines += listener.pop_messages()
         time.sleep(0.001)
     ticks = (time.monotonic() - start) / 0.010 + 2.0
     assert listener.counts["taken"] <= 20.0 * ticks < i
@@ -247,7 +275,7 @@ def test_a_flood_costs_no_more_than_its_share(listener, robot):
 
 def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):
     """Robot, sensor and this machine count from different zeros; what arrives together belongs together."""
-    poses = Poses("udp", listener, latency=0.010)
+    poses = BasePoses("udp", listener, latency=0.010)
     wrench_zero, robot_zero = time.monotonic() - 100.0, time.monotonic() - 5000.0
     for i in range(10):
         robot.send(json.dumps(GOOD | {"time_s": time.monotonic() - robot_zero, "x_mm": float(i)}).encode())
@@ -261,19 +289,21 @@ def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):
     steps = np.diff(poses.track.times)
     assert len(poses.track) == 10 and (steps >= 0.004).all()
     assert poses.at(poses.track.end) is not None and poses.at(poses.track.end + 1e-6) is None
-    assert poses.awaits(poses.track.end + 0.001, poses.track.end + 0.002)
-    assert not poses.awaits(poses.track.end + 0.001, poses.track.end + 1.0)
+    assert poses.may_arrive(poses.track.end + 0.001, poses.track.end + 0.002)
+    assert not poses.may_arrive(poses.track.end + 0.001, poses.track.end + 1.0)
 
 
 def test_the_offset_of_two_clocks_is_that_of_what_did_not_wait():
     """Half of what arrives waits up to 20 ms; clocks part by 50 ppm."""
-    rng, offset = np.random.default_rng(0), Offset()
+    rng, offset = np.random.default_rng(0), ClockOffset()
     for i in range(6000):
         stamp = i / 100.0
         true = 1000.0 + 50e-6 * stamp
         found = offset.add(stamp, stamp + true + rng.choice([0.0, 0.02 * rng.random()]))
         if i > 100:
-            assert true - 50e-6 * KEPT - 1e-9 <= found <= true + 1e-9  # the least of the last ten seconds
+            assert (
+                true - 50e-6 * OFFSET_WINDOW - 1e-9 <= found <= true + 1e-9
+            )  # the least of the last ten seconds
 
 
 # bags
@@ -355,15 +385,15 @@ def test_two_frames_of_tf(bag):
 @pytest.mark.parametrize(
     ("query", "told"),
     [
-        ("", "there are /other, /tool; say ?topic=/NAME"),
+        ("", "there are /other, /tool; use ?topic=/NAME"),
         ("?topic=/wrench", "topic /wrench; of poses (PoseStamped) there are /other, /tool"),
-        ("?topic=/other", "holds no poses"),
-        ("?world=world", "say topic=/NAME, or world=FRAME&base=FRAME"),
+        ("?topic=/other", "no poses"),
+        ("?world=world", "use topic=/NAME, or world=FRAME&base=FRAME"),
         (
             "?world=world&base=gripper",
-            "TF does not join 'world' and 'gripper'; frames: arm, flange, probe, world",
+            "TF does not connect 'world' and 'gripper'; frames: arm, flange, probe, world",
         ),
-        ("?world=flange&base=probe", "is it all static?"),
+        ("?world=flange&base=probe", "are all transforms static?"),
     ],
 )
 def test_what_a_bag_does_not_hold(bag, query, told):

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from probedesign.live.source import open_source
+from probedesign.live.sources.source import open_source
 from tests.live.peers import until
 
 pytest.importorskip("pynetft")

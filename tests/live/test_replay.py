@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 
 from probedesign.frames import inverse, wrench_map
-from probedesign.live.block import blocks_of
-from probedesign.live.csv_file import CsvFile
 from probedesign.live.offline import estimate_recording
-from probedesign.live.reading import Reading
-from probedesign.live.recorder import write_recording
-from probedesign.live.recording import read_recording
-from probedesign.live.replay import Replay
-from probedesign.live.run import Plan, estimate_stream, locate
-from probedesign.live.simulate import Simulation
+from probedesign.live.processing.blocks import WrenchReading, group_readings
+from probedesign.live.processing.estimates import locate
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_recording
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.replay import ReplaySource
+from probedesign.live.sources.sim import SimulatedSource
 
 QUERY = "speed=max&rate_hz=3"
 
 
 def run(estimator, source, plan=None, sink=None):
-    answers = estimate_stream(estimator, source, plan or Plan(), lambda note: None, sink)
+    answers = estimate_stream(estimator, source, plan or ProcessingOptions(), lambda note: None, sink)
     return [(answer.reading, answer.estimate) for answer in answers]
 
 
@@ -28,14 +27,14 @@ def run(estimator, source, plan=None, sink=None):
 def recorded(estimator, tmp_path_factory):
     """A recording and the estimates that were made while it was taken."""
     path = tmp_path_factory.mktemp("replay") / "sim.csv"
-    with closing(CsvFile(path)) as file:
-        answers = run(estimator, Simulation(estimator.model, QUERY), sink=file)
+    with closing(CsvRecorder(path)) as file:
+        answers = run(estimator, SimulatedSource(estimator.model, QUERY), sink=file)
     return path, answers
 
 
 def test_a_replay_gives_the_same_estimates_to_the_bit(estimator, recorded):
     path, before = recorded
-    after = run(estimator, Replay(estimator.model, path, "speed=max"))
+    after = run(estimator, ReplaySource(estimator.model, path, "speed=max"))
     assert len(after) == len(before) == 60
     for (reading, estimate), (reading_before, estimate_before) in zip(after, before, strict=True):
         assert reading.time == reading_before.time
@@ -52,7 +51,7 @@ def test_estimate_and_live_agree_to_the_bit(estimator, recorded):
     ]
 
 
-def test_a_recording_told_in_the_base_frame(estimator, recorded, tmp_path):
+def test_a_recording_in_the_base_frame(estimator, recorded, tmp_path):
     """The same wrench, the hanging parts' weight taken off by hand. Two maps there and back round at 1e-16
     of 0.12 N in a reading whose noise is 0.5 mN."""
     path, before = recorded
@@ -60,7 +59,7 @@ def test_a_recording_told_in_the_base_frame(estimator, recorded, tmp_path):
     weight = model.hanging.wrench(model.T_sensor_base[:3, :3] @ model.gravity_base)
     wrench_base = (recording.wrench - weight) @ wrench_map(inverse(model.T_sensor_base)).T
     write_recording(tmp_path / "base.csv", recording.time, wrench_base, "base")
-    after = run(estimator, Replay(model, tmp_path / "base.csv", "speed=max"))
+    after = run(estimator, ReplaySource(model, tmp_path / "base.csv", "speed=max"))
     for (_, estimate), (_, estimate_before) in zip(after, before, strict=True):
         assert estimate.result == estimate_before.result
         assert estimate.s_contact == pytest.approx(estimate_before.s_contact, abs=1e-9, nan_ok=True)
@@ -83,14 +82,14 @@ def test_gravity_of_the_recording_counts(estimator, tmp_path):
 def test_means_say_so(estimator, recorded):
     estimates = estimate_recording(estimator, recorded[0], samples=7)
     assert len(estimates.rows) == 8
-    assert "each estimate is of the mean of 7 readings; 4 readings at the end fill none" in estimates.notes
+    assert "each estimate uses the mean of 7 readings; 4 readings at the end are not used" in estimates.notes
 
 
 def test_count_seconds_and_rate(estimator, recorded):
-    source = Replay(estimator.model, recorded[0], "speed=max")
-    assert len(run(estimator, source, Plan(count=5))) == 5
-    assert len(run(estimator, source, Plan(seconds=2.0))) == 6
-    assert len(run(estimator, source, Plan(rate=1.0, seconds=3.5))) == 4
+    source = ReplaySource(estimator.model, recorded[0], "speed=max")
+    assert len(run(estimator, source, ProcessingOptions(count=5))) == 5
+    assert len(run(estimator, source, ProcessingOptions(seconds=2.0))) == 6
+    assert len(run(estimator, source, ProcessingOptions(rate=1.0, seconds=3.5))) == 4
 
 
 class Closing:
@@ -98,19 +97,19 @@ class Closing:
 
     title, notes, closed = "", (), False
 
-    def __init__(self, readings: list[Reading]) -> None:
+    def __init__(self, readings: list[WrenchReading]) -> None:
         self.readings = readings
 
     def __iter__(self):
         try:
-            yield from blocks_of(self.readings)
+            yield from group_readings(self.readings)
         finally:
             self.closed = True
 
 
 def test_the_source_is_closed_when_enough_is_seen(estimator, recorded):
     source = Closing([reading for reading, _ in recorded[1]])
-    answers = estimate_stream(estimator, source, Plan(), lambda note: None)
+    answers = estimate_stream(estimator, source, ProcessingOptions(), lambda note: None)
     next(answers)
     assert not source.closed
     answers.close()
@@ -118,5 +117,5 @@ def test_the_source_is_closed_when_enough_is_seen(estimator, recorded):
 
 
 def test_locate_takes_a_reading_that_no_sensor_gives(estimator):
-    reading = Reading(0.0, np.full(6, 1e3), estimator.model.gravity_base)
+    reading = WrenchReading(0.0, np.full(6, 1e3), estimator.model.gravity_base)
     assert locate(estimator, reading).result == "out_of_range"

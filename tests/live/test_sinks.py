@@ -1,24 +1,35 @@
-"""What feeds recorder, view, publisher and terminal: all of them, whatever becomes of one."""
+"""Sinks: every one receives everything whatever becomes of the others; datagrams need no receiver."""
 
+import json
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from probedesign.live.requests import Requests
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.sinks import Sinks
+from probedesign.cli.main import run
+from probedesign.errors import InputError
+from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
+from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
+from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import SimulatedSource
 
 
 class Kept:
     def __init__(self):
         self.blocks, self.answers, self.lines, self.closed = [], [], [], 0
 
-    def read(self, block):
+    def on_samples(self, block):
         self.blocks.append(block)
 
-    def answered(self, answer):
+    def on_estimate(self, answer):
         self.answers.append(answer)
 
-    def told(self, time, line):
+    def on_event(self, time, line):
         self.lines.append((time, line))
 
     def close(self):
@@ -35,22 +46,22 @@ class Broken(Kept):
 
 
 def test_every_sink_sees_every_reading_and_answer(estimator):
-    kept, plan = Kept(), Plan(samples=2)
+    kept, plan = Kept(), ProcessingOptions(samples=2)
     answers = list(
-        estimate_stream(estimator, Simulation(estimator.model, "speed=max&rate_hz=2"), plan, print, kept)
+        estimate_stream(estimator, SimulatedSource(estimator.model, "speed=max&rate_hz=2"), plan, print, kept)
     )
     assert sum(map(len, kept.blocks)) == 40
     assert kept.answers == answers and len(answers) == 20
     assert not kept.closed  # who opens it closes it
 
 
-@pytest.mark.parametrize("call", ["read", "answered", "told", "close"])
+@pytest.mark.parametrize("call", ["on_samples", "on_estimate", "on_event", "close"])
 def test_a_sink_that_fails_is_dropped_with_one_line_and_the_others_go_on(estimator, call):
     kept, broken = Kept(), Broken(call)
-    sinks = Sinks(kept, broken)
-    stream = Simulation(estimator.model, "speed=max&rate_hz=2&seconds=5")
-    answers = list(estimate_stream(estimator, stream, Plan(), sinks.say, sinks))
-    sinks.say("the end")
+    sinks = SinkGroup(kept, broken)
+    stream = SimulatedSource(estimator.model, "speed=max&rate_hz=2&seconds=5")
+    answers = list(estimate_stream(estimator, stream, ProcessingOptions(), sinks.log, sinks))
+    sinks.log("the end")
     sinks.close()
     assert kept.answers == answers and len(answers) == 10
     assert kept.closed == 1
@@ -58,24 +69,168 @@ def test_a_sink_that_fails_is_dropped_with_one_line_and_the_others_go_on(estimat
     assert len(failures) == 1 and "No space left on device" in failures[0]
 
 
-def test_what_is_said_has_the_time_of_the_last_reading(estimator):
+def test_a_message_has_the_time_of_the_last_reading(estimator):
     kept = Kept()
-    sinks = Sinks(kept)
-    list(estimate_stream(estimator, Simulation(estimator.model, "speed=max&seconds=1"), Plan(), print, sinks))
-    sinks.say("now")
+    sinks = SinkGroup(kept)
+    list(
+        estimate_stream(
+            estimator,
+            SimulatedSource(estimator.model, "speed=max&seconds=1"),
+            ProcessingOptions(),
+            print,
+            sinks,
+        )
+    )
+    sinks.log("now")
     assert kept.lines == [(pytest.approx(0.98), "now")]  # the last of 50 readings a second
 
 
 def test_requests_are_taken_between_two_readings(estimator):
-    requests, said, done = Requests(), [], []
-    requests.does("start recording", done.append)
+    requests, said, done = CommandQueue(), [], []
+    requests.register("start recording", done.append)
     answers = estimate_stream(
-        estimator, Simulation(estimator.model, "speed=max"), Plan(), said.append, None, requests
+        estimator,
+        SimulatedSource(estimator.model, "speed=max"),
+        ProcessingOptions(),
+        said.append,
+        None,
+        requests,
     )
     next(answers)
-    requests.ask("mark", "here")
-    requests.ask("start recording")
+    requests.put("mark", "here")
+    requests.put("start recording")
     next(answers)
-    assert said == ["mark: here"] and [request.wish for request in done] == ["start recording"]
-    requests.ask("stop")
+    assert said == ["mark: here"] and [request.name for request in done] == ["start recording"]
+    requests.put("stop")
     assert list(answers) == []
+
+
+# UDP publisher
+
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+SIM = "sim:?speed=max&rate_hz=3"
+
+
+@pytest.fixture
+def receiver():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)  # it is read when the run is over
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        yield receiver
+
+
+def address(receiver) -> str:
+    return f"udp://127.0.0.1:{receiver.getsockname()[1]}"
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        return receiver.getsockname()[1]
+
+
+def answer_of(estimator, time=0.0, received=float("nan")) -> EstimateUpdate:
+    gravity = estimator.model.gravity_base
+    eq = estimator.model.rod.solve(gravity, (0.0, 0.02, 0.0), 0.08)
+    reading = WrenchReading(
+        time, estimator.model.to_sensor(eq.wrench_base, gravity), gravity, received=received
+    )
+    return EstimateUpdate(reading, estimator.estimate(eq.wrench_base, gravity))
+
+
+def test_live_publishes_what_it_prints(bundle, receiver, capsys):
+    assert run(["live", str(bundle), "--source", SIM, "--json", "--publish", address(receiver)]) == 0
+    out, err = capsys.readouterr()
+    printed = [json.loads(line) for line in out.splitlines()]
+    messages = []
+    while len([m for m in messages if m["kind"] == "estimate"]) < len(printed):
+        messages.append(json.loads(receiver.recv(65535)))
+    published = [m for m in messages if m["kind"] == "estimate"]
+    assert [{name: m[name] for name in row} for m, row in zip(published, printed, strict=True)] == printed
+    assert [m["number"] for m in messages] == list(range(1, len(messages) + 1))
+    assert err.splitlines()[-1].startswith("published ")
+
+
+def test_when_it_came_and_went_is_stamped_by_both_clocks(estimator, receiver):
+    publisher = UdpPublisher(address(receiver), print)
+    publisher.on_estimate(answer_of(estimator, received=0.25))
+    message = json.loads(receiver.recv(65535))
+    assert set(COLUMNS) < set(message) and message["result"] == "ok"
+    assert message["received_monotonic_s"] == 0.25
+    late = message["sent_monotonic_s"] - 0.25
+    assert message["latency_ms"] == pytest.approx(1e3 * late, rel=1e-9)
+    # doubles hold today's Unix time to 2.4e-7 s
+    assert message["sent_unix_s"] - message["received_unix_s"] == pytest.approx(late, abs=1e-6)
+
+
+def test_readings_without_arrival_time_have_no_latency_and_events_are_sent(estimator, receiver):
+    publisher = UdpPublisher(address(receiver), print)
+    publisher.on_estimate(answer_of(estimator))
+    publisher.on_event(3.5, "stale")
+    estimate, event = (json.loads(receiver.recv(65535)) for _ in range(2))
+    assert estimate["received_unix_s"] is None and estimate["latency_ms"] is None
+    assert (event["kind"], event["time_s"], event["event"]) == ("event", 3.5, "stale")
+
+
+def test_a_run_without_receiver_continues(bundle, capsys):
+    nobody = f"udp://127.0.0.1:{free_port()}"
+    assert run(["live", str(bundle), "--source", SIM, "--publish", nobody]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 60
+
+
+def test_a_network_that_accepts_nothing_is_reported_once_and_counted(estimator):
+    said = []
+    publisher = UdpPublisher("udp://255.255.255.255:9", said.append)  # broadcasting is not permitted unasked
+    for _ in range(3):
+        publisher.on_estimate(answer_of(estimator))
+    publisher.close()
+    assert (publisher.sent, publisher.dropped, len(said)) == (0, 3, 2)
+    assert "the run continues" in said[0] and "3 were not accepted" in said[1]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "127.0.0.1:9000",
+        "udp://127.0.0.1",
+        "udp://:9",
+        "tcp://a:1",
+        "udp://a:99999",
+        "udp://a:1/x",
+        "udp://[x:1",
+    ],
+)
+def test_what_is_no_address(wrong):
+    with pytest.raises(InputError, match="write udp://HOST:PORT"):
+        UdpPublisher(wrong, print)
+
+
+def test_an_unknown_host_is_reported():
+    with pytest.raises(InputError, match=r"--publish udp://no-such-host\.invalid:9"):
+        UdpPublisher("udp://no-such-host.invalid:9", print)
+
+
+def test_the_receiver_of_the_docs_receives(estimator):
+    port = free_port()
+    command = [sys.executable, str(EXAMPLES / "receive_udp.py"), str(port)]
+    publisher = UdpPublisher(f"udp://127.0.0.1:{port}", print)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as example:
+        assert example.stdout.readline() == "stale: nothing came\n"  # it listens from here on
+        publisher.on_event(0.0, "tare")
+        publisher.on_estimate(answer_of(estimator))
+        assert example.stdout.readline() == "event: tare\n"
+        assert example.stdout.readline().startswith("touched at s = ")
+        example.terminate()
+
+
+def test_the_node_of_the_docs_is_python_and_reads_names_that_exist():
+    text = (EXAMPLES / "ros2_node.py").read_text(encoding="utf-8")
+    compile(text, "ros2_node.py", "exec")
+    axes = [f"p_contact_base_{a}_mm" for a in "xyz"] + [f"force_base_{a}_N" for a in "xyz"]
+    assert set(axes) < set(COLUMNS)
+    pairs = {f"cov_contact_base_{min(a, b)}{max(a, b)}_mm2" for a in "xyz" for b in "xyz"}
+    assert pairs < set(COLUMNS) and np.all(
+        [name[:-5] in text for name in ("p_contact_base_{", "cov_contact_base_{")]
+    )

@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.batch import averaged
-from probedesign.live.block import Block, blocks_of, silence
-from probedesign.live.flow import paced, until
-from probedesign.live.reading import Reading
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.source import open_source
+from probedesign.live.processing.blocks import (
+    Block,
+    WrenchReading,
+    averaged,
+    dropout_block,
+    group_readings,
+    limit_duration,
+    paced,
+)
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.source import open_source
 
 
 @pytest.mark.parametrize(
@@ -17,11 +23,11 @@ from probedesign.live.source import open_source
     [
         (
             "dac://Dev1/ai0:5",
-            "is not known; there are netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE",
+            "is unknown; available are netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE",
         ),
-        ("serial:COM1", "'serial:COM1' is not known; there are netft://HOST, daq:"),
-        ("sim", "'sim' is not known"),
-        ("", "'' is not known"),
+        ("serial:COM1", "'serial:COM1' is unknown; available are netft://HOST, daq:"),
+        ("sim", "'sim' is unknown"),
+        ("", "'' is unknown"),
         ("sim:20", "sim: takes parameters only"),
         ("sim:?force_N=1", "did you mean force_mN? known: force_mN, angle_deg"),
         ("sim:?force_mN=nan", "force_mN = 'nan' must be a number in 0.001 ... 100000"),
@@ -30,10 +36,10 @@ from probedesign.live.source import open_source
         ("sim:?force_mN=-1", "force_mN = '-1' must be a number"),
         ("sim:?seconds=inf", "seconds = 'inf' must be a number"),
         ("sim:?seed=1.5", "seed = '1.5' must be a whole number"),
-        ("sim:?seed=1&seed=2", "seed is said twice"),
+        ("sim:?seed=1&seed=2", "seed is given twice"),
         ("sim:?fast", "name=value&name=value"),
         ("sim:?speed=quick", "or max"),
-        ("replay:", "names no file"),
+        ("replay:", "a file is required"),
         ("replay:none.csv", "none.csv: no such recording"),
         ("replay:none.csv?seed=1", "replay: has no parameter 'seed'; did you mean speed? known: speed"),
     ],
@@ -46,7 +52,7 @@ def test_what_is_no_source(estimator, spec, told):
 
 
 def stream(*times: float, most: int = 1) -> list[Block]:
-    return list(blocks_of((Reading(time, np.zeros(6), np.zeros(3)) for time in times), most))
+    return list(group_readings((WrenchReading(time, np.zeros(6), np.zeros(3)) for time in times), most))
 
 
 def slept(times: list[float], speed: float, most: int = 1) -> list[float]:
@@ -72,7 +78,7 @@ def test_a_block_comes_with_its_last_reading():
     assert slept([5.0, 5.5, 7.0, 9.0], 1.0, most=2) == pytest.approx([0.5, 3.5], abs=1e-13)
 
 
-def readings(blocks) -> list[Reading]:
+def readings(blocks) -> list[WrenchReading]:
     return [reading for block in blocks for reading in block.readings()]
 
 
@@ -90,7 +96,9 @@ class Known:
 
 def answered(estimator, times: list[float], rate: float) -> list[float]:
     """When answers are given at most so often."""
-    answers = estimate_stream(estimator, Known(stream(*times)), Plan(rate=rate), lambda line: None)
+    answers = estimate_stream(
+        estimator, Known(stream(*times)), ProcessingOptions(rate=rate), lambda line: None
+    )
     return [answer.reading.time for answer in answers]
 
 
@@ -100,7 +108,7 @@ def test_at_most_so_many_a_second(estimator):
     assert answered(estimator, times, 1000.0) == times
 
 
-def test_a_source_of_the_very_rate_loses_none(estimator):
+def test_a_source_at_exactly_the_requested_rate_loses_no_estimate(estimator):
     """i/20 and i times 1/20 differ in the last bit."""
     assert len(answered(estimator, [i / 20 for i in range(200)], 20.0)) == 200
 
@@ -111,16 +119,16 @@ def test_a_pause_is_not_made_up_for(estimator):
 
 @pytest.mark.parametrize("most", [1, 2, 3, 9])
 def test_until_counts_from_the_first_reading(most):
-    inside = readings(until(stream(7.0, 7.5, 8.0, 9.0, most=most), 1.0))
+    inside = readings(limit_duration(stream(7.0, 7.5, 8.0, 9.0, most=most), 1.0))
     assert [r.time for r in inside] == [7.0, 7.5]
 
 
-def noisy(count: int, fault_at: int, break_at: int, turn_at: int) -> list[Reading]:
+def noisy(count: int, fault_at: int, break_at: int, turn_at: int) -> list[WrenchReading]:
     """Readings of two stretches, one with a fault, under a gravity that turns."""
     random = np.random.default_rng(7)
     gravities = (np.array([9.81, 0.0, 0.0]), np.array([0.0, 9.81, 0.1]))
     return [
-        Reading(
+        WrenchReading(
             0.1 * i + random.uniform(0.0, 0.01),
             random.standard_normal(6),
             gravities[i >= turn_at],
@@ -140,7 +148,7 @@ def test_how_readings_are_cut_into_blocks_changes_nothing(samples, most):
     given = noisy(100, fault_at=20, break_at=45, turn_at=70)
 
     def told(most):
-        means = averaged(until(blocks_of(given, most), 9.0), samples)
+        means = averaged(limit_duration(group_readings(given, most), 9.0), samples)
         return [(r.time, *r.wrench_sensor, *r.gravity_base, r.fault, r.stretch, r.received) for r in means]
 
     assert told(most) == told(1)
@@ -150,19 +158,19 @@ def test_how_readings_are_cut_into_blocks_changes_nothing(samples, most):
 
 def test_a_mean_spans_no_interruption():
     given = noisy(20, fault_at=-1, break_at=9, turn_at=99)
-    means = list(averaged(blocks_of(given, 4), 5))
+    means = list(averaged(group_readings(given, 4), 5))
     assert [m.stretch for m in means] == [0, 1, 1]
     assert np.array_equal(means[1].wrench_sensor, np.mean([r.wrench_sensor for r in given[9:14]], axis=0))
 
 
 def test_blocks_are_no_longer_than_their_span():
     times = [0.0, 0.5, 1.0, 1.25, 5.0, 5.75]
-    blocks = blocks_of((Reading(t, np.zeros(6), np.zeros(3)) for t in times), 100, span=1.0)
+    blocks = group_readings((WrenchReading(t, np.zeros(6), np.zeros(3)) for t in times), 100, max_span=1.0)
     assert [block.time.tolist() for block in blocks] == [[0.0, 0.5], [1.0, 1.25], [5.0, 5.75]]
 
 
 def test_silence_is_no_reading():
-    quiet = silence(np.zeros(3), "stale", 0)
+    quiet = dropout_block(np.zeros(3), "stale", 0)
     blocks = [*stream(1.0, 2.0), quiet, *stream(3.0, 4.0)]
-    assert [m.time for m in averaged(until(blocks, 10.0), 4)] == [2.5]
+    assert [m.time for m in averaged(limit_duration(blocks, 10.0), 4)] == [2.5]
     assert list(averaged([quiet], 1)) == []

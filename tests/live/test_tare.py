@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.errors import InputError
-from probedesign.live.block import blocks_of, readings_in
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.tare import Window, parse_window, split, take_tare, without_bias
+from probedesign.live.processing.blocks import group_readings, iter_readings
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.tare import TareWindow, parse_window, split_at_tare, take_tare, without_bias
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import SimulatedSource
 
 BIAS = np.array([0.7, -0.3, 1.1, 0.004, -0.002, 0.001])
 """[N, N·m]: of the size that a sensor shows after it was screwed down."""
@@ -18,7 +19,7 @@ BIAS = np.array([0.7, -0.3, 1.1, 0.004, -0.002, 0.001])
 @pytest.fixture(scope="module")
 def readings(estimator):
     """Free for 2 s, pressed from there on."""
-    return list(readings_in(Simulation(estimator.model, "speed=max&rate_hz=10&seconds=6")))
+    return list(iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=6")))
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +29,9 @@ def biased(readings):
 
 def test_a_constant_bias_goes_whole(estimator, readings, biased):
     """Up to the noise's own mean, which both windows share: 1e-12 allows for the rounding of sums of 20."""
-    window = Window(0.0, 2.0)
-    with_bias = take_tare(split(biased, window)[0], window, estimator)
-    without = take_tare(split(readings, window)[0], window, estimator)
+    window = TareWindow(0.0, 2.0)
+    with_bias = take_tare(split_at_tare(biased, window)[0], window, estimator)
+    without = take_tare(split_at_tare(readings, window)[0], window, estimator)
     assert with_bias.readings == 20
     assert with_bias.bias_sensor - without.bias_sensor == pytest.approx(BIAS, rel=1e-12)
     for reading, raw in zip(readings, biased, strict=True):
@@ -40,21 +41,23 @@ def test_a_constant_bias_goes_whole(estimator, readings, biased):
 
 def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
     """The mean of 20 readings is off by σ/√20, by 5 of these at most."""
-    window = Window(0.0, 2.0)
-    tare = take_tare(split(biased, window)[0], window, estimator)
+    window = TareWindow(0.0, 2.0)
+    tare = take_tare(split_at_tare(biased, window)[0], window, estimator)
     std = np.sqrt(np.diag(estimator.model.noise.covariance()))
     assert (np.abs(tare.bias_sensor - BIAS) < 5.0 * std / np.sqrt(20.0)).all()
 
 
-def test_nothing_is_tared_unasked(estimator, biased):
+def test_no_tare_is_taken_unasked(estimator, biased):
     source = Fixed(biased[::10])  # a force of 1 N bends the probe far: few of these, they are slow
-    results = {a.estimate.result for a in estimate_stream(estimator, source, Plan(), lambda note: None)}
+    results = {
+        a.estimate.result for a in estimate_stream(estimator, source, ProcessingOptions(), lambda note: None)
+    }
     assert "no_contact" not in results and "ok" not in results
 
 
 def test_live_estimates_begin_after_the_window(estimator, biased):
     told: list[str] = []
-    plan = Plan(window=Window(0.5, 2.0))
+    plan = ProcessingOptions(window=TareWindow(0.5, 2.0))
     answers = list(estimate_stream(estimator, Fixed(biased), plan, told.append))
     assert answers[0].reading.time == 2.0
     assert len(answers) == 40
@@ -67,16 +70,16 @@ def test_live_estimates_begin_after_the_window(estimator, biased):
 @pytest.mark.parametrize(
     ("window", "told"),
     [
-        (Window(2.0, 4.0), "tare window 2:4 s is not steady: My scatters by"),
-        (Window(1.0, 2.7), "is not steady"),
-        (Window(3.5, 6.0), "is not steady"),  # the force is constant there, and the contact moves
-        (Window(0.0, 0.5), "holds 5 readings; a tare needs 10"),
-        (Window(60.0, 70.0), "holds 0 readings"),
+        (TareWindow(2.0, 4.0), "tare window 2:4 s is not steady: My scatters by"),
+        (TareWindow(1.0, 2.7), "is not steady"),
+        (TareWindow(3.5, 6.0), "is not steady"),  # the force is constant there, and the contact moves
+        (TareWindow(0.0, 0.5), "has 5 readings; a tare needs 10"),
+        (TareWindow(60.0, 70.0), "has 0 readings"),
     ],
 )
 def test_a_window_that_is_not_free_is_refused(estimator, readings, window, told):
     with pytest.raises(InputError) as error:
-        take_tare(split(readings, window)[0], window, estimator)
+        take_tare(split_at_tare(readings, window)[0], window, estimator)
     assert told in str(error.value)
 
 
@@ -89,7 +92,7 @@ def test_what_is_no_window(text):
 
 
 def test_a_window():
-    assert parse_window("0.5:2") == Window(0.5, 2.0)
+    assert parse_window("0.5:2") == TareWindow(0.5, 2.0)
 
 
 class Fixed:
@@ -101,4 +104,4 @@ class Fixed:
         self.readings = readings
 
     def __iter__(self):
-        yield from blocks_of(self.readings, 3)
+        yield from group_readings(self.readings, 3)

@@ -12,19 +12,24 @@ from rich.console import Console
 
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.frames import pose
-from probedesign.live.answer import Answer
-from probedesign.live.block import Block
-from probedesign.live.reading import Reading
-from probedesign.live.run import Plan, estimate_stream
-from probedesign.live.simulate import Simulation
-from probedesign.live.view.charts import Charts
-from probedesign.live.view.ellipsoid import ellipsoid
-from probedesign.live.view.html import events_html, words_html
-from probedesign.live.view.keeper import Keeper
-from probedesign.live.view.moment import STRIP, Moment, Said, Shape
-from probedesign.live.view.parts import FACET, parts_of, read_stl
-from probedesign.live.view.terminal import Terminal, table_of
-from probedesign.live.view.tube import AROUND, Tube, centreline
+from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import SimulatedSource
+from probedesign.live.view.scene import (
+    FACET,
+    RING_POINTS,
+    StripCharts,
+    TubeMesh,
+    centreline,
+    ellipsoid,
+    read_stl,
+    rigid_parts,
+)
+from probedesign.live.view.snapshot import STRIP, BentShape, Snapshot, StatusLine
+from probedesign.live.view.state import ViewState
+from probedesign.live.view.status_text import TerminalView, events_html, status_html, table_of
 
 
 def bent(estimator):
@@ -34,9 +39,9 @@ def bent(estimator):
     return eq
 
 
-def tube_of(estimator) -> Tube:
+def tube_of(estimator) -> TubeMesh:
     rod = estimator.model.rod
-    return Tube(rod.s, rod.radius)
+    return TubeMesh(rod.s, rod.radius)
 
 
 # shape
@@ -44,7 +49,7 @@ def tube_of(estimator) -> Tube:
 
 def test_the_drawn_centreline_is_the_solved_one(estimator):
     eq, s = bent(estimator), np.linspace(0.0, estimator.model.rod.length, 200)
-    p, x, y = centreline(Shape(eq.s, eq.p_base, eq.R_base), s)
+    p, x, y = centreline(BentShape(eq.s, eq.p_base, eq.R_base), s)
     # a tenth of a millimetre is a pixel of a page that shows the whole probe
     assert np.abs(p - eq.p_at(s)).max() < 1e-4
     assert np.abs(np.einsum("ij,ij->i", x, y)).max() < 1e-12
@@ -54,11 +59,11 @@ def test_the_drawn_centreline_is_the_solved_one(estimator):
 
 def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator):
     eq, tube = bent(estimator), tube_of(estimator)
-    vertices = tube.vertices(Shape(eq.s, eq.p_base, eq.R_base))
+    vertices = tube.vertices(BentShape(eq.s, eq.p_base, eq.R_base))
     a, b, c = (vertices[tube.faces[:, i]] for i in range(3))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
     # a polygon of n corners lacks 1 - sin(2π/n) n/2π of its circle, 0.5 % here; chords of a bent axis far less
-    rounded = math.sin(2.0 * math.pi / AROUND) * AROUND / (2.0 * math.pi)
+    rounded = math.sin(2.0 * math.pi / RING_POINTS) * RING_POINTS / (2.0 * math.pi)
     assert volume == pytest.approx(rounded * estimator.model.rod.body.volume_beyond[0], rel=2e-3)
     corners = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)[1].reshape(-1)
     edges = Counter(
@@ -72,7 +77,9 @@ def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator
 
 def test_a_flattened_section_is_drawn_flat(estimator):
     free, rod = estimator.free((0.0, 0.0, 9.81)), estimator.model.rod
-    ring = Tube(rod.s, rod.radius, 0.5).vertices(Shape(free.s, free.p_base, free.R_base))[:AROUND]
+    ring = TubeMesh(rod.s, rod.radius, 0.5).vertices(BentShape(free.s, free.p_base, free.R_base))[
+        :RING_POINTS
+    ]
     assert np.ptp(ring[:, 0]) == pytest.approx(2.0 * rod.radius[0])
     assert np.ptp(ring[:, 1]) == pytest.approx(rod.radius[0])
 
@@ -108,8 +115,8 @@ def folder(tmp_path, estimator):
     return tmp_path
 
 
-def test_exported_parts_stand_where_the_manifest_puts_them(estimator, folder):
-    parts, note = parts_of(estimator.model, folder)
+def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
+    parts, note = rigid_parts(estimator.model, folder)
     found = {part.name: part.vertices for part in parts}
     face = -estimator.model.T_sensor_base[2, 3]  # of the sensor, in base axes
     assert note == ""
@@ -123,25 +130,37 @@ def test_exported_parts_stand_where_the_manifest_puts_them(estimator, folder):
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda folder: (folder / "manifest.json").unlink(), "no manifest.json lies there"),
-        (lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'), "they are of probe 0"),
+        (lambda folder: (folder / "manifest.json").unlink(), "there is no manifest.json"),
+        (
+            lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'),
+            "they belong to probe 0",
+        ),
         (lambda folder: (folder / "manifest.json").write_text("[]"), ""),
-        (lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"), "clamp_ring.stl is no binary STL"),
-        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])), "clamp_ring.stl is no binary STL"),
-        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[math.inf] * 3] * 3])), "nowhere"),
+        (
+            lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"),
+            "clamp_ring.stl is not a binary STL",
+        ),
+        (
+            lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])),
+            "clamp_ring.stl is not a binary STL",
+        ),
+        (
+            lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[math.inf] * 3] * 3])),
+            "non-finite corner",
+        ),
     ],
 )
-def test_what_is_not_the_probes_is_not_drawn_and_that_is_said(estimator, folder, spoil, told):
+def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, folder, spoil, told):
     spoil(folder)
-    parts, note = parts_of(estimator.model, folder)
+    parts, note = rigid_parts(estimator.model, folder)
     assert [part.name for part in parts] == ["sensor", "flange", "adapter"]
     assert told in note and "plain cylinders" in note and "\n" not in note
 
 
-def test_an_stl_that_ends_early_is_none(folder):
+def test_a_truncated_stl_is_refused(folder):
     path = folder / "clamp_ring.stl"
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(ValueError, match="no binary STL"):
+    with pytest.raises(ValueError, match="not a binary STL"):
         read_stl(path)
 
 
@@ -156,52 +175,58 @@ class Clock:
         return self.now
 
 
-def kept(estimator, query: str, clock: Clock) -> Keeper:
+def kept(estimator, query: str, clock: Clock) -> ViewState:
     """A keeper that has seen a simulated run, on the clock of the run."""
-    keeper, start = Keeper(clock=clock), clock.now
-    for answer in estimate_stream(estimator, Simulation(estimator.model, query), Plan(), print):
+    keeper, start = ViewState(clock=clock), clock.now
+    for answer in estimate_stream(
+        estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print
+    ):
         reading = answer.reading
         clock.now = start + reading.time
         one = np.array([reading.time])
-        keeper.read(Block(one, reading.wrench_sensor[None], reading.gravity_base, one))
-        keeper.answered(answer)
+        keeper.on_samples(Block(one, reading.wrench_sensor[None], reading.gravity_base, one))
+        keeper.on_estimate(answer)
     return keeper
 
 
-def of(moment: Moment) -> dict[str, Said]:
-    return {said.name: said for said in moment.words}
+def of(moment: Snapshot) -> dict[str, StatusLine]:
+    return {said.name: said for said in moment.status}
 
 
-def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> Answer:
+def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> EstimateUpdate:
     gravity = estimator.model.gravity_base
-    return Answer(Reading(time, np.zeros(6), gravity), estimate, wrench_base=np.zeros(6), **more)
+    return EstimateUpdate(
+        WrenchReading(time, np.zeros(6), gravity), estimate, wrench_base=np.zeros(6), **more
+    )
 
 
-def test_nothing_is_said_before_anything_is_read():
-    moment = Keeper().moment()
-    assert of(moment)["result"].text == "nothing read yet"
-    assert moment.place is None and moment.shape is None
+def test_the_status_before_the_first_reading():
+    moment = ViewState().snapshot()
+    assert of(moment)["result"].text == "no reading yet"
+    assert moment.marker is None and moment.shape is None
 
 
-def test_a_contact_is_told_with_its_units_and_drawn(estimator):
-    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).moment()
+def test_a_contact_is_shown_with_its_units(estimator):
+    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot()
     words = of(moment)
-    assert words["result"] == Said("result", f"ok: {RESULTS['ok']}", "good")
-    assert words["contact"].text == f"s {1e3 * moment.place.s:.1f} ± {1e3 * moment.place.std_s:.1f} mm"
+    assert words["result"] == StatusLine("result", f"ok: {RESULTS['ok']}", "good")
+    assert words["contact"].text == f"s {1e3 * moment.marker.s:.1f} ± {1e3 * moment.marker.std_s:.1f} mm"
     assert " mN, tangential over normal " in words["force"].text and words["moments"].text.endswith(" N·mm")
     assert "10 readings/s, 10 estimates/s" in words["rate"].text
-    assert moment.shape is not None and not moment.old
+    assert moment.shape is not None and not moment.stale
     assert moment.strip.shape == (80, len(STRIP))
 
 
 @pytest.mark.parametrize("result", [result for result in RESULTS if result != "ok"])
 def test_a_result_other_than_ok_has_no_place(estimator, result):
     """Not even if it carries candidates or a point fused from earlier readings."""
-    ok = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._answer.estimate
-    keeper = Keeper()
-    keeper.answered(answer(estimator, Estimate(result, candidates=ok.candidates, force_base=ok.force_base)))
-    moment = keeper.moment()
-    assert moment.place is None
+    ok = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
+    keeper = ViewState()
+    keeper.on_estimate(
+        answer(estimator, Estimate(result, candidates=ok.candidates, force_base=ok.force_base))
+    )
+    moment = keeper.snapshot()
+    assert moment.marker is None
     assert [of(moment)[name].text for name in ("contact", "point", "force")] == ["–"] * 3
     assert of(moment)["result"].text == f"{result}: {RESULTS[result]}"
     assert np.isnan(moment.strip[:, 7:]).all()
@@ -211,18 +236,18 @@ def test_silence_is_stale_and_what_is_known_is_old(estimator):
     clock = Clock()
     keeper = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
     clock.now += 0.45  # not yet five gaps
-    assert not keeper.moment().old
+    assert not keeper.snapshot().stale
     clock.now += 1.95
-    moment = keeper.moment()
-    assert moment.old and of(moment)["result"] == Said("result", "stale: nothing read for 2.4 s", "bad")
+    moment = keeper.snapshot()
+    assert moment.stale and of(moment)["result"] == StatusLine("result", "stale: no reading for 2.4 s", "bad")
 
 
-def test_a_source_that_tells_its_silence_is_believed(estimator):
-    keeper = Keeper()
-    keeper.answered(answer(estimator, Estimate("no_contact")))
+def test_a_silent_source_is_shown_with_its_fault(estimator):
+    keeper = ViewState()
+    keeper.on_estimate(answer(estimator, Estimate("no_contact")))
     none = np.empty(0)
-    keeper.read(Block(none, np.empty((0, 6)), estimator.model.gravity_base, none, "stale, no record"))
-    assert of(keeper.moment())["fault"] == Said("fault", "stale, no record", "bad")
+    keeper.on_samples(Block(none, np.empty((0, 6)), estimator.model.gravity_base, none, "stale, no record"))
+    assert of(keeper.snapshot())["fault"] == StatusLine("fault", "stale, no record", "bad")
 
 
 def test_readings_without_estimates_make_what_is_known_old(estimator):
@@ -231,57 +256,61 @@ def test_readings_without_estimates_make_what_is_known_old(estimator):
     gravity = estimator.model.gravity_base
     for _ in range(100):
         clock.now += 0.1
-        keeper.read(Block(np.zeros(1), np.zeros((1, 6)), gravity, np.zeros(1)))
-    assert "old" in of(keeper.moment())["result"].text and keeper.moment().old
+        keeper.on_samples(Block(np.zeros(1), np.zeros((1, 6)), gravity, np.zeros(1)))
+    assert "old" in of(keeper.snapshot())["result"].text and keeper.snapshot().stale
 
 
-def test_loss_tare_and_recording_are_told(estimator):
-    keeper = Keeper(lambda: {"lost": 3, "received": 10})
+def test_loss_tare_and_recording_are_shown(estimator):
+    keeper = ViewState(lambda: {"lost": 3, "received": 10})
     for line in ("tare from 100 readings", "recording to a.mcap", "mark: here"):
-        keeper.told(1.0, line)
-    words = of(keeper.moment())
-    assert words["loss"] == Said("loss", "3 lost of 0 readings", "fair")
+        keeper.on_event(1.0, line)
+    words = of(keeper.snapshot())
+    assert words["loss"] == StatusLine("loss", "3 lost of 0 readings", "fair")
     assert words["tare"].text == "from 100 readings" and words["recording"].text == "to a.mcap"
-    keeper.told(2.0, "recorded 7 readings to a.mcap")
-    assert of(keeper.moment())["recording"].text == "recorded 7 readings to a.mcap"
-    assert keeper.moment().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
+    keeper.on_event(2.0, "recorded 7 readings to a.mcap")
+    assert of(keeper.snapshot())["recording"].text == "recorded 7 readings to a.mcap"
+    assert keeper.snapshot().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
 
 
-def test_each_touch_is_kept_once_at_its_surest(estimator):
+def test_each_touch_is_stored_once_with_its_best_contact(estimator):
     """Two touches of a run without phases: of each the place of the least standard deviation."""
     query = "speed=max&rate_hz=10&seconds=23&period_s=10"
-    moment = kept(estimator, query, Clock()).moment()
+    moment = kept(estimator, query, Clock()).snapshot()
     assert [place.number for place in moment.touches] == [1, 2]
-    answers = list(estimate_stream(estimator, Simulation(estimator.model, query), Plan(), print))
+    answers = list(
+        estimate_stream(estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print)
+    )
     for place, start in zip(moment.touches, (0.0, 10.0), strict=True):
         here = [a.estimate for a in answers if start <= a.reading.time < start + 10.0 and a.estimate.ok]
         assert place.std_s == min(estimate.std_s for estimate in here)
 
 
-def test_a_settled_place_is_kept_over_surer_ones_that_move(estimator):
-    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._answer.estimate
-    surer, keeper = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), Keeper()
+def test_a_settled_contact_is_preferred_to_more_precise_moving_ones(estimator):
+    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
+    surer, keeper = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), ViewState()
     for estimate, phase in ((found, "settled"), (surer, "touching"), (Estimate("no_contact"), "released")):
-        keeper.answered(answer(estimator, estimate, phase=phase))
-    (place,) = keeper.moment().touches
+        keeper.on_estimate(answer(estimator, estimate, phase=phase))
+    (place,) = keeper.snapshot().touches
     assert (place.s, place.std_s) == (found.s_contact, found.std_s)
 
 
 def test_a_known_pose_puts_the_contact_into_the_world(estimator):
-    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._answer
-    T, keeper = pose(p=(1.0, 2.0, 3.0)), Keeper()
+    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update
+    T, keeper = pose(p=(1.0, 2.0, 3.0)), ViewState()
     T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    keeper.answered(answer(estimator, found.estimate, T_world_base=T))
-    place = keeper.moment().place
+    keeper.on_estimate(answer(estimator, found.estimate, T_world_base=T))
+    place = keeper.snapshot().marker
     assert place.in_world
     assert place.p_surface == pytest.approx(T[:3, :3] @ found.estimate.p_surface_base + T[:3, 3])
     assert np.trace(place.cov) == pytest.approx(np.trace(found.estimate.cov_surface_base))
-    assert "world" in of(keeper.moment())["point"].text
+    assert "world" in of(keeper.snapshot())["point"].text
 
 
 def test_what_comes_from_outside_is_escaped():
-    moment = Moment(words=(Said("fault", "<script>", "bad"),), events=((math.nan, "mark: <img src=x>"),))
-    assert "<script>" not in words_html(moment) and "&lt;script&gt;" in words_html(moment)
+    moment = Snapshot(
+        status=(StatusLine("fault", "<script>", "bad"),), events=((math.nan, "mark: <img src=x>"),)
+    )
+    assert "<script>" not in status_html(moment) and "&lt;script&gt;" in status_html(moment)
     assert "<img" not in events_html(moment)
 
 
@@ -289,7 +318,7 @@ def test_what_comes_from_outside_is_escaped():
 
 
 def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
-    charts = Charts()
+    charts = StripCharts()
     rows = np.zeros((40_000, len(STRIP)))
     rows[:, 0] = np.arange(40_000) / 1000.0
     rows[::2, 7] = np.nan
@@ -305,19 +334,19 @@ def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
 # terminal
 
 
-def test_the_terminal_says_what_the_page_says(estimator):
-    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).moment(shaped=False)
+def test_terminal_and_page_show_the_same_status(estimator):
+    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot(shaped=False)
     console = Console(file=StringIO(), width=120)
     console.print(table_of("large", moment))
     drawn = console.file.getvalue()
-    assert all(said.text in drawn for said in moment.words)
+    assert all(said.text in drawn for said in moment.status)
 
 
 def test_the_terminal_is_left_as_it_was(estimator):
     console = Console(file=StringIO(), force_terminal=True, width=100, height=40)
-    terminal = Terminal("large", console=console)
-    terminal.answered(answer(estimator, Estimate("no_contact")))
-    terminal.told(0.0, "tare from [bold]100[/bold] readings")
+    terminal = TerminalView("large", console=console)
+    terminal.on_estimate(answer(estimator, Estimate("no_contact")))
+    terminal.on_event(0.0, "tare from [bold]100[/bold] readings")
     terminal.close()
     drawn = console.file.getvalue()
     assert "no_contact" in drawn and "from [bold]100[/bold] readings" in drawn

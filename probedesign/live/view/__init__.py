@@ -1,1 +1,1 @@
-"""What a person sees of a run: a local page in three dimensions, and a terminal, with the same words."""
+"""Views of a run: a local 3D page and a table in the terminal, with the same status lines."""

@@ -1,7 +1,7 @@
-"""The process that shows the page, so that drawing and browsers never hold up who estimates.
+"""The process that serves the page, so that drawing and browsers never delay the estimator.
 
-Its standard input brings a pickled `Setup`, then a `Moment` after the other, from the process that started it; its
-standard output brings back lines of JSON: where the page is, what people ask, why it failed. It ends with its input.
+Its standard input receives a pickled `SceneSetup`, then one `Snapshot` after another; its standard output returns
+lines of JSON: the URL of the page, commands of the user, or an error. It ends with its input.
 """
 
 import json
@@ -13,34 +13,31 @@ from threading import Lock
 
 
 def main() -> None:
-    """Show what comes until nothing comes any more."""
+    """Show snapshots until the input ends."""
     back = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(
-        os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-    )  # viser says hello, but not to our terminal
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # viser prints a banner
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     lock = Lock()
 
-    def tell(**message: str) -> None:
+    def send(**message: str) -> None:
         with lock:
             back.write(json.dumps(message) + "\n")
             back.flush()
 
     try:
-        from probedesign.live.view.origins import own_page_only
-        from probedesign.live.view.page import Page
+        from probedesign.live.view.page import ViewerPage, restrict_origins
 
         setup = pickle.load(sys.stdin.buffer)
-        own_page_only(setup.host)
-        page = Page(setup, lambda wish, text: tell(wish=wish, text=text))
-        tell(url=page.url)
+        restrict_origins(setup.host)
+        page = ViewerPage(setup, lambda name, text: send(command=name, text=text))
+        send(url=page.url)
         while True:
             page.show(pickle.load(sys.stdin.buffer))
     except (EOFError, BrokenPipeError):
-        pass  # the run is over
+        pass  # the run has ended
     except Exception as error:
-        tell(error=f"{error} ({type(error).__name__})")
-    os._exit(0)  # threads of a browser that does not close are not waited for
+        send(error=f"{error} ({type(error).__name__})")
+    os._exit(0)  # do not wait for threads of an open browser
 
 
 if __name__ == "__main__":

@@ -1,32 +1,51 @@
-"""The page: a scene in three dimensions, words, charts and buttons, shown by viser."""
+"""The page, served by viser: a 3D scene, status text, charts and buttons."""
 
 import math
+import re
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import viser
 import viser.transforms as tf
+from websockets.asyncio import server
 
 from probedesign.frames import Array
-from probedesign.live.view.charts import Charts
-from probedesign.live.view.ellipsoid import ellipsoid
-from probedesign.live.view.html import events_html, touches_html, words_html
-from probedesign.live.view.moment import Moment, Place
 from probedesign.live.view.panel import Panel
-from probedesign.live.view.setup import Setup
+from probedesign.live.view.scene import SceneSetup, StripCharts, ellipsoid
+from probedesign.live.view.snapshot import ContactMarker, Snapshot
+from probedesign.live.view.status_text import events_html, status_html, touches_html
 
-Ask = Callable[[str, str], None]
+LOCAL = ("127.0.0.1", "localhost", "::1")
+
+
+def restrict_origins(host: str) -> None:
+    """Accept WebSockets only from pages of this server, in the whole process.
+
+    Otherwise any page in a browser on this machine could connect and press its buttons. A server that is open to the
+    network has unknown names and is not restricted.
+
+    Args:
+        host: address of the server.
+    """
+    if host not in LOCAL:
+        return
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
+    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]
+
+
+SendCommand = Callable[[str, str], None]
 
 UNIT = 20.0
-"""Of the scene in a metre: viser's lights, camera and shadows are made for things some units across."""
-THINNEST = 0.9e-3
-"""Half-axes of the ellipsoid are drawn no thinner [m], or it could not be seen."""
+"""Scene units per metre: viser's lights, camera and shadows suit objects of a few units."""
+MIN_HALF_AXIS = 0.9e-3
+"""Minimum half-axis of the drawn ellipsoid [m], so that it is visible."""
 ARROW = 0.03
-"""Length of the force's arrow [m]; how large the force is stands beside it."""
-MARKED = 24
-"""Earlier touches that are drawn."""
+"""Length of the force arrow [m]; its label states the force."""
+MAX_MARKS = 24
+"""Maximum number of earlier touches that are drawn."""
 
-PROBE, CONTACT, SPREAD, OLD = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
+PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
 COLOURS = {
     "sensor": (60, 64, 72),
     "flange": PROBE,
@@ -37,54 +56,56 @@ METAL = (132, 142, 154)
 
 
 class _Server(viser.ViserServer):
-    """Without the tunnel to the internet that any client could ask for."""
+    """A server without viser's tunnel to the internet, which any client could request."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """There is none."""
+        """Do nothing: there is no public address."""
 
 
-class Page:
-    """Shows one moment after the other to every browser that looks."""
+class ViewerPage:
+    """Shows one snapshot after another in every connected browser."""
 
-    def __init__(self, setup: Setup, ask: Ask) -> None:
-        """Listen, and show the free probe.
+    def __init__(self, setup: SceneSetup, send_command: SendCommand) -> None:
+        """Start the server and show the free probe.
 
         Args:
-            setup: what does not change.
-            ask: takes what a person asks: a wish and its text.
+            setup: static content.
+            send_command: receives a command and its text.
         """
-        self._setup, self._charts = setup, Charts()
+        self._setup, self._charts = setup, StripCharts()
         self._server = server = _Server(setup.host, setup.port, setup.title, verbose=False)
         server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
         )
         self._scene()
-        self._panel = Panel(server, ask, setup.note, float(setup.tube.s[-1]))
-        self._look()
+        self._panel = Panel(server, send_command, setup.note, float(setup.tube.s[-1]))
+        self._set_camera()
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """Address of the page."""
         host = f"[{self._setup.host}]" if ":" in self._setup.host else self._setup.host
         return f"http://{host}:{self._server.get_port()}"
 
     def stop(self) -> None:
-        """Close it."""
+        """Stop the server."""
         self._server.stop()
 
-    def show(self, moment: Moment) -> None:
-        """All that there is to see of a moment, at once."""
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot in one update."""
         with self._server.atomic():
-            self._show_probe(moment)
-            self._show_place(moment)
-            self._show_touches(moment.touches)
-            self._panel.say(words_html(moment), events_html(moment), touches_html(moment.touches))
-            if self._charts.add(moment.strip):
+            self._show_probe(snapshot)
+            self._show_contact(snapshot)
+            self._show_touches(snapshot.touches)
+            self._panel.show_text(
+                status_html(snapshot), events_html(snapshot), touches_html(snapshot.touches)
+            )
+            if self._charts.add(snapshot.strip):
                 self._panel.draw(self._charts)
         self._server.flush()
 
     def _scene(self) -> None:
-        """Everything that can be seen, invisible where nothing is known yet."""
+        """Create all objects, invisible if their content is unknown."""
         scene, setup = self._server.scene, self._setup
         scene.set_up_direction("+z")
         scene.configure_default_lights(True, cast_shadow=True)
@@ -108,25 +129,27 @@ class Page:
         self._contact = scene.add_icosphere(
             "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
         )
-        # Opaque: what is translucent inside of something translucent is drawn or not, as the camera has it.
+        # Opaque: a translucent object inside another is drawn or not, depending on the camera.
         self._spread = scene.add_icosphere("/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
         self._force = scene.add_arrows(
             "/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.6e-3,
             head_length=UNIT * 4e-3, visible=False,
         )  # fmt: skip
-        self._label = scene.add_label("/said", "", anchor="bottom-center", visible=False)
+        self._label = scene.add_label("/contact_label", "", anchor="bottom-center", visible=False)
         self._marks = [
             (
-                scene.add_icosphere(f"/touch/{i}", UNIT * 1.5e-3, OLD, visible=False, cast_shadow=False),
+                scene.add_icosphere(
+                    f"/touch/{i}", UNIT * 1.5e-3, STALE_COLOUR, visible=False, cast_shadow=False
+                ),
                 scene.add_label(f"/touch/{i}/number", "", font_screen_scale=0.8, visible=False),
             )
-            for i in range(MARKED)
+            for i in range(MAX_MARKS)
         ]
 
-    def _look(self) -> None:
-        """From the side of the free probe, somewhat from above, with a floor below it."""
+    def _set_camera(self) -> None:
+        """Place the camera beside and slightly above the free probe, with a floor below."""
         free, length = self._setup.free, float(self._setup.tube.s[-1])
-        T = level(self._setup.gravity_base)
+        T = level_rotation(self._setup.gravity_base)
         self._base.wxyz = _wxyz(T)
         p = free.p_base @ T.T
         low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
@@ -144,63 +167,63 @@ class Page:
         camera.look_at = middle
         camera.position = middle + UNIT * length * (2.3 * aside + np.array([0.0, 0.0, 0.8]) + 0.5 * along)
 
-    def _show_probe(self, moment: Moment) -> None:
-        """Bent as the answer has it; in grey as it was, where the answer does not tell."""
-        T = self._pose(moment)
+    def _show_probe(self, snapshot: Snapshot) -> None:
+        """Show the estimated shape; grey and unchanged if it is unknown."""
+        T = self._pose(snapshot)
         self._base.wxyz, self._base.position = _wxyz(T[:3, :3]), UNIT * T[:3, 3]
-        if moment.shape is not None:
-            self._probe.vertices = (UNIT * self._setup.tube.vertices(moment.shape)).astype(np.float32)
-        known = (moment.shape is not None and not moment.old) or not moment.result
-        self._probe.color = PROBE if known else OLD
+        if snapshot.shape is not None:
+            self._probe.vertices = (UNIT * self._setup.tube.vertices(snapshot.shape)).astype(np.float32)
+        current = (snapshot.shape is not None and not snapshot.stale) or not snapshot.result
+        self._probe.color = PROBE if current else STALE_COLOUR
 
-    def _pose(self, moment: Moment) -> Array:
-        """Of the base in the scene: the world's, or with gravity downward where that is all there is."""
-        if np.isfinite(moment.T_world_base).all():
-            return moment.T_world_base
+    def _pose(self, snapshot: Snapshot) -> Array:
+        """Return the base pose in the scene: in the world, or upright by gravity if it is unknown."""
+        if np.isfinite(snapshot.T_world_base).all():
+            return snapshot.T_world_base
         T = np.eye(4)
-        T[:3, :3] = level(moment.gravity_base)
+        T[:3, :3] = level_rotation(snapshot.gravity_base)
         return T
 
-    def _in_scene(self, place: Place) -> tuple[Array, Array]:
-        """What carries the place's points into the scene: a rotation and an origin."""
-        if place.in_world:
+    def _scene_transform(self, marker: ContactMarker) -> tuple[Array, Array]:
+        """Return rotation and origin from the marker's frame to the scene."""
+        if marker.in_world:
             return np.eye(3), np.zeros(3)
         T = self._base
         return np.asarray(tf.SO3(np.asarray(T.wxyz)).as_matrix(), dtype=float), np.asarray(T.position) / UNIT
 
-    def _show_place(self, moment: Moment) -> None:
-        """The contact, its 95 % and its force; the last one in grey and called old, when it is not of now."""
-        place = moment.place
-        shown = place is not None
+    def _show_contact(self, snapshot: Snapshot) -> None:
+        """Show the contact, its 95 % ellipsoid and its force; grey and labelled old if it is not current."""
+        marker = snapshot.marker
+        shown = marker is not None
         self._contact.visible = self._label.visible = shown
-        self._spread.visible = self._force.visible = shown and not moment.old
-        if place is None:
+        self._spread.visible = self._force.visible = shown and not snapshot.stale
+        if marker is None:
             return
-        R, origin = self._in_scene(place)
-        surface = R @ place.p_surface + origin
-        half_axes, axes = ellipsoid(R @ place.cov @ R.T)
+        R, origin = self._scene_transform(marker)
+        surface = R @ marker.p_surface + origin
+        half_axes, axes = ellipsoid(R @ marker.cov @ R.T)
         self._contact.position = self._spread.position = UNIT * surface
-        self._spread.scale = tuple(UNIT * np.maximum(half_axes, THINNEST))
+        self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
         self._spread.wxyz = _wxyz(axes)
-        force = R @ place.force
+        force = R @ marker.force
         strength = float(np.linalg.norm(force))
         tail = surface - ARROW * force / strength
         self._force.points = (UNIT * np.array([[tail, surface]])).astype(np.float32)
-        self._contact.color = OLD if moment.old else CONTACT
+        self._contact.color = STALE_COLOUR if snapshot.stale else CONTACT
         self._label.position = UNIT * tail
-        told = f"s {1e3 * place.s:.1f} ± {1e3 * place.std_s:.1f} mm, {1e3 * strength:.1f} mN"
-        self._label.text = f"old: {told}" if moment.old else told
+        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm, {1e3 * strength:.1f} mN"
+        self._label.text = f"old: {text}" if snapshot.stale else text
 
-    def _show_touches(self, touches: tuple[Place, ...]) -> None:
-        """Where there was contact before, in grey, with its number."""
-        for (mark, number), place in zip(self._marks, touches[-MARKED:], strict=False):
-            R, origin = self._in_scene(place)
+    def _show_touches(self, touches: tuple[ContactMarker, ...]) -> None:
+        """Show earlier contacts in grey, with their numbers."""
+        for (mark, number), marker in zip(self._marks, touches[-MAX_MARKS:], strict=False):
+            R, origin = self._scene_transform(marker)
             mark.visible = number.visible = True
-            mark.position, number.text = UNIT * (R @ place.p_surface + origin), f"{place.number}"
+            mark.position, number.text = UNIT * (R @ marker.p_surface + origin), f"{marker.number}"
 
 
-def level(gravity_base: Array) -> Array:
-    """A rotation of the base that lets gravity point down, by the shortest way from upright, (3, 3)."""
+def level_rotation(gravity_base: Array) -> Array:
+    """Return the rotation of the base that points gravity down, the nearest to upright, (3, 3)."""
     g = np.asarray(gravity_base, dtype=float)
     if not np.linalg.norm(g) > 0.0:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""The panels beside the scene: words and buttons on the right, strip charts on the left."""
+"""The panels beside the scene: status text and buttons on the right, strip charts on the left."""
 
 from collections.abc import Callable, Iterable
 
@@ -7,13 +7,13 @@ import viser
 from viser import uplot
 
 from probedesign.frames import Array
-from probedesign.live.view.charts import Charts
+from probedesign.live.view.scene import StripCharts
 from probedesign.units import MM
 
-LINES = ("#d1495b", "#2e8b57", "#2a6fbb")
-"""Of x, y and z."""
-FAINT = ("#c81e28", "#e9a3a8", "#e9a3a8")
-"""Of an estimate and the two ends of what it may be."""
+AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
+"""Colours of x, y and z."""
+INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
+"""Colours of an estimate and of the ends of its interval."""
 AXIS: uplot.Axis = {
     "stroke": "#55606b",
     "grid": {"stroke": "#e7eaed", "width": 1},
@@ -24,26 +24,26 @@ HEIGHT = 150
 
 
 class Panel:
-    """Words, charts and buttons."""
+    """Status text, charts and buttons."""
 
     def __init__(
-        self, server: viser.ViserServer, ask: Callable[[str, str], None], note: str, length: float
+        self, server: viser.ViserServer, send_command: Callable[[str, str], None], note: str, length: float
     ) -> None:
-        """Lay them out.
+        """Create the panels.
 
         Args:
-            server: of the page.
-            ask: takes what a person asks: a wish and its text.
-            note: on what is drawn.
-            length: of the probe [m].
+            server: server of the page.
+            send_command: receives a command and its text.
+            note: note on what is drawn.
+            length: length of the probe [m].
         """
         self._length_mm = length / MM
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(400.0)
         self._texts = [gui.add_html("")]
-        self._buttons(gui, ask)
-        for title in ("What was told", "Touches so far"):
+        self._buttons(gui, send_command)
+        for title in ("Events", "Touches so far"):
             with gui.add_folder(title):
                 self._texts.append(gui.add_html(""))
         if note:
@@ -61,25 +61,25 @@ class Panel:
         strips.dock_left()
         strips.set_width(360.0)
 
-    def _buttons(self, gui: viser.GuiApi, ask: Callable[[str, str], None]) -> None:
+    def _buttons(self, gui: viser.GuiApi, send_command: Callable[[str, str], None]) -> None:
         tare = gui.add_button("Tare: nothing touches the probe now", icon=viser.Icon.SCALE)
-        tare.on_click(lambda _: ask("tare", ""))
+        tare.on_click(lambda _: send_command("tare", ""))
         text = gui.add_text("Note", "")
         mark = gui.add_button("Mark this moment", icon=viser.Icon.FLAG)
-        mark.on_click(lambda _: ask("mark", text.value))
+        mark.on_click(lambda _: send_command("mark", text.value))
         start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color="red")
-        start.on_click(lambda _: ask("start recording", ""))
+        start.on_click(lambda _: send_command("start recording", ""))
         stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray")
-        stop.on_click(lambda _: ask("stop recording", ""))
+        stop.on_click(lambda _: send_command("stop recording", ""))
 
-    def say(self, *texts: str) -> None:
-        """The words, what was told and the touches, where they have changed."""
+    def show_text(self, *texts: str) -> None:
+        """Update status, events and touches where they have changed."""
         for shown, text in zip(self._texts, texts, strict=True):
             if shown.content != text:
                 shown.content = text
 
-    def draw(self, charts: Charts) -> None:
-        """The charts as they are now."""
+    def draw(self, charts: StripCharts) -> None:
+        """Draw the charts."""
         low, high = charts.window()
         for name, data in charts.lines().items():
             chart = self._charts[name]
@@ -89,7 +89,7 @@ class Panel:
 
 
 def _range(lines: Iterable[Array]) -> tuple[float, float]:
-    """What the lines reach, and some air; NaN, which uPlot does not pass over, is left out."""
+    """Return the range of the lines with a margin; NaN, which uPlot does not ignore, is removed."""
     values = np.concatenate(list(lines))
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
@@ -98,10 +98,10 @@ def _range(lines: Iterable[Array]) -> tuple[float, float]:
 
 
 def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = False) -> viser.GuiUplotHandle:
-    """Empty lines over time; dots where there may be nothing between, which a line would bridge."""
-    nothing = np.array([np.nan])
+    """Create an empty chart over time; dots instead of lines if values may be missing in between."""
+    empty = np.array([np.nan])
     series = [uplot.Series(label="t [s]")]
-    for i, (name, colour) in enumerate(zip(names, FAINT if dots else LINES, strict=False)):
+    for i, (name, colour) in enumerate(zip(names, INTERVAL_COLOURS if dots else AXIS_COLOURS, strict=False)):
         drawn: uplot.Series_Points = {
             "show": dots,
             "size": 2.5 if i else 3.5,
@@ -110,7 +110,7 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
         }
         series.append(uplot.Series(label=name, stroke=colour, width=0.0 if dots else 1.6, points=drawn))
     return gui.add_uplot(
-        data=(nothing,) * (1 + len(names)),
+        data=(empty,) * (1 + len(names)),
         series=tuple(series),
         title=title,
         scales={"x": {"time": False, "range": (0.0, 15.0)}, "y": {"auto": True}},

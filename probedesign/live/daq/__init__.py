@@ -1,1 +1,0 @@
-"""A sensor whose gauges are read by a card of National Instruments: `daq://`, through nidaqmx."""

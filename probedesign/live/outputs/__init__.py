@@ -1,0 +1,1 @@
+"""Outputs of a run: sinks, the recording, and the options that select them."""

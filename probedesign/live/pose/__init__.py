@@ -1,1 +1,0 @@
-"""Where the base is: from a file, a bag or the robot itself, by the clock of the wrench."""

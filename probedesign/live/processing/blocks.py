@@ -1,0 +1,292 @@
+"""Wrench readings, and blocks of readings that a source delivers together.
+
+A source delivers raw readings in blocks of any size. Results do not depend on where a source cuts its blocks:
+`BatchAverager` cuts them again into batches of a fixed number of samples.
+"""
+
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+
+from probedesign.frames import Array
+
+
+@dataclass(frozen=True)
+class TrueContact:
+    """The true contact of a simulation; NaN while nothing touches.
+
+    Attributes:
+        s_contact: arclength of the contact [m].
+        p_contact_base: contact point on the centreline [m], (3,).
+        force_base: force of the object on the probe [N], (3,).
+        p_surface_base: touched point of the surface [m], (3,).
+    """
+
+    s_contact: float
+    p_contact_base: Array
+    force_base: Array
+    p_surface_base: Array
+
+
+NO_CONTACT = TrueContact(float("nan"), np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan))
+"""The true contact while nothing touches."""
+
+
+@dataclass(frozen=True)
+class WrenchReading:
+    """One reading of the wrench sensor, raw or averaged.
+
+    Attributes:
+        time: time by the source's clock [s].
+        wrench_sensor: wrench in the sensor frame, bias included [N, N·m], (6,).
+        gravity_base: gravity vector in base axes [m/s²], (3,).
+        truth: the true contact, if the source knows it.
+        fault: description of a sensor fault; a reading with a fault is treated as out of range.
+        stretch: number of the uninterrupted stretch of readings; averages never span two stretches.
+        received: arrival time by `time.monotonic` [s]; NaN if the reading was not received from hardware.
+    """
+
+    time: float
+    wrench_sensor: Array
+    gravity_base: Array
+    truth: TrueContact | None = None
+    fault: str = ""
+    stretch: int = 0
+    received: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Block:
+    """n consecutive readings of one stretch, with one gravity vector and one fault or none.
+
+    A block without readings reports that the sensor is silent; `fault` gives the reason.
+
+    Attributes:
+        time: times by the source's clock [s], (n,).
+        wrench_sensor: wrenches in the sensor frame, bias included [N, N·m], (n, 6).
+        gravity_base: gravity vector in base axes [m/s²], (3,).
+        received: arrival times by `time.monotonic` [s], (n,); NaN if not received from hardware.
+        fault: description of a fault that affects all of them; they are treated as out of range.
+        stretch: number of the uninterrupted stretch of readings.
+        truths: the true contact of each reading, if the source knows it; otherwise empty.
+    """
+
+    time: Array
+    wrench_sensor: Array
+    gravity_base: Array
+    received: Array
+    fault: str = ""
+    stretch: int = 0
+    truths: tuple[TrueContact, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, index: slice) -> "Block":
+        """Return a slice of the readings as a block."""
+        return replace(
+            self,
+            time=self.time[index],
+            wrench_sensor=self.wrench_sensor[index],
+            received=self.received[index],
+            truths=self.truths[index],
+        )
+
+    def readings(self) -> Iterator[WrenchReading]:
+        """Iterate over the readings one by one."""
+        truths = self.truths or (None,) * len(self)
+        rows = zip(self.time.tolist(), self.wrench_sensor, truths, self.received.tolist(), strict=True)
+        for stamp, wrench, truth, received in rows:
+            yield WrenchReading(stamp, wrench, self.gravity_base, truth, self.fault, self.stretch, received)
+
+
+def dropout_block(gravity_base: Array, why: str, stretch: int) -> Block:
+    """Return a block without readings, which reports a silent sensor.
+
+    Args:
+        gravity_base: gravity vector of the last reading [m/s²], (3,).
+        why: reason for the silence.
+        stretch: number of the interrupted stretch.
+    """
+    return Block(np.empty(0), np.empty((0, 6)), gravity_base, np.empty(0), why, stretch)
+
+
+def iter_readings(blocks: Iterable[Block]) -> Iterator[WrenchReading]:
+    """Iterate over the readings of blocks one by one."""
+    for block in blocks:
+        yield from block.readings()
+
+
+def group_readings(
+    readings: Iterable[WrenchReading], max_count: int = 1, max_span: float = inf
+) -> Iterator[Block]:
+    """Group readings into blocks; a block is emitted when it is full or the next reading does not fit.
+
+    Args:
+        readings: readings in order of time.
+        max_count: maximum number of readings in a block.
+        max_span: the last reading of a block is less than this after its first [s].
+    """
+    pending: list[WrenchReading] = []
+    for reading in readings:
+        if pending and not (
+            _same_source_state(pending[0], reading) and reading.time - pending[0].time < max_span
+        ):
+            yield _block_of(pending)
+            pending = []
+        pending.append(reading)
+        if len(pending) == max_count:
+            yield _block_of(pending)
+            pending = []
+    if pending:
+        yield _block_of(pending)
+
+
+def _same_source_state(a: WrenchReading, b: WrenchReading) -> bool:
+    if (a.fault, a.stretch, a.truth is None) != (b.fault, b.stretch, b.truth is None):
+        return False
+    return a.gravity_base is b.gravity_base or np.array_equal(a.gravity_base, b.gravity_base)
+
+
+def _block_of(readings: list[WrenchReading]) -> Block:
+    first = readings[0]
+    return Block(
+        np.array([r.time for r in readings]),
+        np.array([r.wrench_sensor for r in readings]),
+        first.gravity_base,
+        np.array([r.received for r in readings]),
+        first.fault,
+        first.stretch,
+        tuple(r.truth for r in readings if r.truth is not None),
+    )
+
+
+def mean_reading(blocks: list[Block]) -> WrenchReading:
+    """Return the mean of all readings, at their mean time and with the last arrival time.
+
+    The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
+    """
+    return WrenchReading(
+        float(np.concatenate([block.time for block in blocks]).mean()),
+        np.concatenate([block.wrench_sensor for block in blocks]).mean(axis=0),
+        _mean_gravity(blocks),
+        _mean_truth([truth for block in blocks for truth in block.truths]),
+        next((block.fault for block in blocks if block.fault), ""),
+        blocks[-1].stretch,
+        float(blocks[-1].received[-1]),
+    )
+
+
+def _mean_gravity(blocks: list[Block]) -> Array:
+    """Return the mean gravity vector; the same object if it is constant."""
+    first = blocks[0].gravity_base
+    if all(block.gravity_base is first for block in blocks):
+        return first
+    rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
+    return first if (rows == first).all() else np.asarray(rows.mean(axis=0))
+
+
+def _mean_truth(truths: list[TrueContact]) -> TrueContact | None:
+    if not truths:
+        return None
+    return TrueContact(
+        float(np.mean([t.s_contact for t in truths])),
+        np.mean([t.p_contact_base for t in truths], axis=0),
+        np.mean([t.force_base for t in truths], axis=0),
+        np.mean([t.p_surface_base for t in truths], axis=0),
+    )
+
+
+def paced(
+    blocks: Iterable[Block],
+    speed: float,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Generator[Block, None, None]:
+    """Yield blocks at the time of their last reading, `speed` times as fast; at once if `speed` is infinite.
+
+    A late block does not delay the blocks after it.
+    """
+    start: tuple[float, float] | None = None
+    for block in blocks:
+        start = start or (clock(), float(block.time[0]))
+        wait = start[0] + (float(block.time[-1]) - start[1]) / speed - clock()
+        if wait > 0.0:
+            sleep(wait)
+        yield block
+
+
+def limit_duration(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
+    """Yield the readings of the first `seconds` of the source's clock [s]."""
+    start: float | None = None
+    for block in blocks:
+        if len(block):
+            start = float(block.time[0]) if start is None else start
+            inside = int(np.searchsorted(block.time - start, seconds))
+            if inside < len(block):
+                if inside:
+                    yield block[:inside]
+                return
+        yield block
+
+
+@dataclass(frozen=True)
+class AveragedBatch:
+    """n consecutive samples of one stretch and their mean.
+
+    Attributes:
+        block: the samples, with the gravity vector of the mean and the first fault.
+        reading: the mean of the samples.
+    """
+
+    block: Block
+    reading: WrenchReading
+
+
+class BatchAverager:
+    """Cut blocks into batches of n samples, independent of how the source cut its blocks."""
+
+    def __init__(self, samples: int) -> None:
+        self._samples = samples
+        self._pending: list[Block] = []
+        self._count = 0
+
+    def add(self, block: Block) -> Iterator[AveragedBatch]:
+        """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch."""
+        if self._pending and self._pending[0].stretch != block.stretch:
+            self._pending, self._count = [], 0
+        start = 0
+        while self._count + len(block) - start >= self._samples:
+            end = start + self._samples - self._count
+            yield _joined_batch([*self._pending, block[start:end]])
+            self._pending, self._count, start = [], 0, end
+        if start < len(block):
+            self._pending.append(block[start:])
+            self._count += len(block) - start
+
+
+def averaged(blocks: Iterable[Block], samples: int) -> Iterator[WrenchReading]:
+    """Yield the means of `samples` consecutive readings."""
+    batches = BatchAverager(samples)
+    for block in blocks:
+        for batch in batches.add(block):
+            yield batch.reading
+
+
+def _joined_batch(parts: list[Block]) -> AveragedBatch:
+    if len(parts) == 1 and len(parts[0]) == 1:
+        return AveragedBatch(parts[0], next(parts[0].readings()))
+    reading = mean_reading(parts)
+    whole = Block(
+        np.concatenate([index.time for index in parts]),
+        np.concatenate([index.wrench_sensor for index in parts]),
+        reading.gravity_base,
+        np.concatenate([index.received for index in parts]),
+        reading.fault,
+        reading.stretch,
+        tuple(truth for index in parts for truth in index.truths),
+    )
+    return AveragedBatch(whole, reading)

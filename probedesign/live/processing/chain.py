@@ -1,0 +1,277 @@
+"""Processing chain from blocks of raw readings to estimates: gravity, tare, filter, phase and fusion, estimate.
+
+The output does not depend on how the source cuts its blocks: all processing is on batches of as many samples as are
+averaged to one reading. A replay therefore reproduces the estimates of the live run.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from time import monotonic
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import FusedEstimate
+from probedesign.live import Log
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading
+from probedesign.live.processing.estimates import EstimateUpdate, locate
+from probedesign.live.processing.low_pass import LowPass
+from probedesign.live.processing.scheduler import MAX_AGE, EstimateScheduler, ProcessingOptions
+from probedesign.live.processing.tare import (
+    TARE_DURATION,
+    Tare,
+    TareCollector,
+    TareWindow,
+    describe_tare,
+    without_bias,
+)
+from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
+
+MIN_RATE_SAMPLES = 8
+"""Number of samples from which the rate of the source is determined before processing starts."""
+MAX_TARE_BATCHES = 1000
+"""Maximum number of batches of a tare window that calibrate the detector: the last ones."""
+MAX_MEAN_RATE = 500.0
+"""Rate of means beyond which averaging was probably forgotten [Hz]."""
+
+
+class Chain:
+    """Processes blocks and yields estimates.
+
+    Attributes:
+        tare: bias subtracted from every reading; None without a tare.
+        scheduler: counts the estimates that were due and skipped.
+    """
+
+    def __init__(
+        self, estimator: Estimator, options: ProcessingOptions, poses: BasePoses | None, log: Log
+    ) -> None:
+        """Start with no readings.
+
+        Args:
+            estimator: estimator of the probe.
+            options: processing options.
+            poses: poses of the base; None if it is fixed as the frozen probe or the source states.
+            log: callback for messages to the user.
+        """
+        self.tare: Tare | None = None
+        self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
+        self._batches, self._waiting = BatchAverager(options.samples), deque[AveragedBatch]()
+        self._tare_collector = (
+            TareCollector(options.window, estimator) if options.window is not None else None
+        )
+        self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
+        self._contacts = ContactHistory()
+        self._monitor: TouchMonitor | None = None
+        self._low_pass: LowPass | None = None
+        self._rate = self._first = math.nan
+        self._now = -math.inf
+        self.scheduler = EstimateScheduler(options.rate, log, MAX_AGE if options.estimates else math.inf)
+        self._stretch = 0
+        self._state = TouchState("", None)
+        self._pose_missing = False
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Every touch so far."""
+        return self._contacts.contacts
+
+    def process(self, block: Block) -> Iterator[EstimateUpdate]:
+        """Yield the estimates that a block completes."""
+        if len(block) == 0:
+            return
+        self._now = float(block.time[-1])
+        n_waiting, now = len(self._waiting), monotonic()  # readings that waited for a pose
+        if self._poses is not None:
+            self._poses.refresh(block)
+        self._waiting.extend(self._batches.add(block))
+        if math.isnan(self._rate) and not self._initialize():
+            return
+        while self._waiting and not self._awaits_pose(self._waiting[0].reading.time):
+            yield from self._step(self._waiting.popleft(), now if n_waiting > 0 else -math.inf)
+            n_waiting -= 1
+
+    def finish(self) -> Iterator[EstimateUpdate]:
+        """Yield the remaining estimates after the source has ended.
+
+        Raises:
+            InputError: the tare window was not complete and cannot be used.
+        """
+        while self._waiting:
+            yield from self._step(self._waiting.popleft(), math.inf)
+        if self._tare_collector is not None and not self._tare_collector.on_request:
+            self._log(describe_tare(self._tare_collector.tare()))
+
+    def take_tare(self) -> None:
+        """Start a tare from the next readings; its outcome is reported."""
+        if math.isnan(self._first) or self._tare_collector is not None:
+            return self._log("tare: a tare is already being taken")
+        if self._tare_refused():
+            return
+        start = self._now - self._first
+        self._tare_collector = TareCollector(
+            TareWindow(start, start + TARE_DURATION), self._estimator, on_request=True
+        )
+        self._log(f"tare: keep the probe free and still for {TARE_DURATION:g} s")
+
+    # before the first batch is processed
+
+    def _initialize(self) -> bool:
+        """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
+        needed = math.ceil(MIN_RATE_SAMPLES / self._options.samples)
+        if len(self._waiting) < needed:
+            return False
+        time = np.concatenate([batch.block.time for batch in islice(self._waiting, needed)])
+        step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
+        self._rate = 1.0 / step if step > 0.0 else math.inf
+        if math.isinf(self._rate):
+            self._log("the source's clock does not advance: phases and filter are off")
+            return True
+        if self._rate / self._options.samples > MAX_MEAN_RATE:
+            fits = self._estimator.model.averaging_samples
+            self._log(f"{self._rate:.0f} readings/s: --average {fits} matches the noise model of the probe")
+        if self._options.filter_hz is not None:
+            self._low_pass = LowPass(self._options.filter_hz, self._rate)
+            delay = 1e3 * self._low_pass.delay
+            self._log(f"low-pass {self._options.filter_hz:g} Hz: estimates are delayed by {delay:.1f} ms")
+        self._reset_monitor()
+        return True
+
+    def _reset_monitor(self) -> None:
+        """Start a new touch monitor."""
+        self._monitor = TouchMonitor(
+            self._estimator, self._contacts, self._rate, self._options.samples, self._poses, self._log,
+            self._options.estimates,
+        )  # fmt: skip
+
+    # one batch
+
+    def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:
+        """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
+        if math.isnan(self._first):
+            self._first = batch.reading.time
+        whole = replace(batch.reading, fault=batch.reading.fault or self._saturation(batch.block))
+        reading = self._with_gravity(whole)
+        self._report_pose(reading)
+        if reading.stretch != self._stretch:
+            self._interrupted(reading.stretch)
+        smooth = self._filtered(batch.block, whole)
+        self._collect_tare(AveragedBatch(batch.block, reading))
+        if self._tare_collector is not None and not self._tare_collector.on_request:
+            return
+        self._state = self._update_state(AveragedBatch(batch.block, reading))
+        if self.scheduler.is_due(reading, ready):
+            yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
+
+    def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
+        """Return the estimate of a reading, filtered or not, with the current state."""
+        estimate = Estimate("unobservable")
+        if self._options.estimates:
+            estimate = locate(self._estimator, reading, self.tare, self._options.method)
+            self._contacts.locate(estimate, self._state.phase)
+        T = None if self._poses is None else self._poses.at(reading.time)
+        free_of_bias = without_bias(reading, self.tare).wrench_sensor
+        wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base)
+        return EstimateUpdate(
+            reading,
+            estimate,
+            self._state.phase,
+            self._state.fused,
+            np.full((4, 4), np.nan) if T is None else T,
+            wrench if not reading.fault else np.full(6, np.nan),
+            monotonic(),
+            "pose" if self._poses is not None and T is None else "",
+            self.contacts,
+        )
+
+    def _saturation(self, block: Block) -> str:
+        """Return the fault of a batch in which any sample is at its limit: the mean would not show it."""
+        within = np.abs(block.wrench_sensor) <= self._estimator.model.readable
+        return "" if within.all() else "a channel is at its limit or not a number"
+
+    def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
+        """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
+        if self._poses is None:
+            return reading
+        T = self._poses.at(reading.time)
+        if T is None:
+            return replace(reading, fault=reading.fault or self._poses.reason(reading.time))
+        return replace(reading, gravity_base=self._poses.gravity(T))
+
+    def _report_pose(self, reading: WrenchReading) -> None:
+        """Report when poses become unavailable and available again."""
+        if self._poses is None or (missing := self._poses.at(reading.time) is None) == self._pose_missing:
+            return
+        self._pose_missing = missing
+        why = self._poses.reason(reading.time) + "; no estimates until one is available"
+        self._log(why if missing else "the base pose is available again")
+
+    def _interrupted(self, stretch: int) -> None:
+        """Handle missing readings before this one."""
+        self._stretch = stretch
+        if self._low_pass is not None:
+            self._low_pass.reset()
+        if self._monitor is not None:
+            self._monitor.on_interruption()
+
+    def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
+        """Return the filtered reading at the time it represents; None without a filter."""
+        if self._low_pass is None:
+            return None
+        if reading.fault:
+            self._low_pass.reset()
+            return reading
+        wrench = self._low_pass.filter(block.wrench_sensor).mean(axis=0)
+        return replace(reading, time=reading.time - self._low_pass.delay, wrench_sensor=wrench)
+
+    def _collect_tare(self, batch: AveragedBatch) -> None:
+        """Add a batch to the active tare; take the tare when its window is over."""
+        collector, reading = self._tare_collector, batch.reading
+        if collector is None or (collector.on_request and self._tare_refused()):
+            return
+        if not collector.add(reading, reading.time - self._first):
+            self._free.append(batch)
+            return
+        free, self._tare_collector = tuple(self._free), None
+        self._free.clear()
+        try:
+            self.tare = collector.tare()
+        except InputError as error:
+            if not collector.on_request:
+                raise
+            return self._log(f"tare refused: {error}")
+        self._log(describe_tare(self.tare))
+        self._contacts.update(reading.time, "", None)
+        if self._monitor is not None:
+            self._reset_monitor()
+            since = self._first + collector.window.start
+            self._monitor.calibrate([b for b in free if b.reading.time >= since], self.tare)
+
+    def _tare_refused(self) -> bool:
+        """Return whether a requested tare is refused because the probe is not free, and report it.
+
+        Before the first tare this cannot be decided: a bias looks like a touch.
+        """
+        phase = self._state.phase
+        if self.tare is None or phase in ("", "free"):
+            return False
+        self._tare_collector = None
+        self._free.clear()
+        self._log(f"tare refused: the probe is {phase}; the previous tare is kept")
+        return True
+
+    def _update_state(self, batch: AveragedBatch) -> TouchState:
+        """Return the state of the touch monitor; unknown for a reading with a fault."""
+        if self._monitor is None or batch.reading.fault:
+            return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
+        T = None if self._poses is None else self._poses.at(batch.reading.time)
+        return self._monitor.update(batch, self.tare, T)
+
+    def _awaits_pose(self, time: float) -> bool:
+        return self._poses is not None and self._poses.may_arrive(time, self._now)

@@ -1,0 +1,198 @@
+"""Estimates of single readings, with their rows for CSV and JSON and their line for the terminal."""
+
+import json
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator, Method
+from probedesign.estimation.fused import FusedEstimate
+from probedesign.frames import Array
+from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.processing.tare import Tare, without_bias
+from probedesign.live.processing.touches import Contact, Phase
+from probedesign.units import MILLINEWTON, MM
+
+
+def _nan_pose() -> Array:
+    return np.full((4, 4), np.nan)
+
+
+@dataclass(frozen=True)
+class EstimateUpdate:
+    """One estimate and the state of the run at its time.
+
+    Attributes:
+        reading: the averaged reading that was located, bias included.
+        estimate: estimate from this reading alone, in the base frame.
+        phase: phase of the touch: free, moving, touching, settled or released; empty if not monitored.
+        fused: touched point from all readings of this touch; None without fusion.
+        T_world_base: pose of the base, (4, 4); NaN if unknown.
+        wrench_base: wrench at the base without bias [N, N·m], (6,); NaN for a reading with a fault.
+        computed: time at which the estimate was available, by `time.monotonic` [s].
+        stale: input that is too old or missing: "pose", or empty.
+        contacts: every touch so far, including the current one.
+    """
+
+    reading: WrenchReading
+    estimate: Estimate
+    phase: Phase = ""
+    fused: FusedEstimate | None = None
+    T_world_base: Array = field(default_factory=_nan_pose)
+    wrench_base: Array = field(default_factory=lambda: np.full(6, np.nan))
+    computed: float = float("nan")
+    stale: str = ""
+    contacts: tuple[Contact, ...] = ()
+
+
+def locate(
+    estimator: Estimator, reading: WrenchReading, tare: Tare | None = None, method: Method = "ml"
+) -> Estimate:
+    """Return the estimate of one reading. Saturation is tested before the bias is removed.
+
+    The variance of the bias grows with the age of the tare.
+
+    Args:
+        estimator: estimator of the probe.
+        reading: the reading, bias included.
+        tare: the sensor bias; None if no tare was taken.
+        method: see `Estimator.estimate`.
+    """
+    if reading.fault or not estimator.model.reads(reading.wrench_sensor):
+        return Estimate("out_of_range")
+    reading = without_bias(reading, tare)
+    wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
+    if tare is not None:
+        estimator = estimator.since_tare(reading.time - tare.time)
+    return estimator.estimate(wrench_base, reading.gravity_base, method=method)
+
+
+Row = dict[str, float | str]
+
+COVARIANCE = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
+COLUMNS = (
+    "time_s",
+    "result",
+    "s_contact_mm",
+    "std_s_mm",
+    *(f"p_contact_base_{axis}_mm" for axis in "xyz"),
+    *(f"p_surface_base_{axis}_mm" for axis in "xyz"),
+    *(f"force_base_{axis}_N" for axis in "xyz"),
+    *(f"cov_contact_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "detection_chi2",
+    *(f"cov_surface_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "force_normal_N",
+    "force_tangential_N",
+    "friction_ratio",
+)
+"""Columns of an estimate. Contact: the point of the centreline nearest to the line of action of the force; surface: the
+touched point."""
+WORLD_COLUMNS = (
+    "phase",
+    "fused_result",
+    *(f"p_contact_world_{axis}_mm" for axis in "xyz"),
+    *(f"p_surface_world_{axis}_mm" for axis in "xyz"),
+    *(f"cov_contact_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "touch",
+    "stale",
+    *(f"cov_surface_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
+)
+"""Additional columns with poses of the base."""
+TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
+                *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
+
+
+def estimate_row(reading: WrenchReading, estimate: Estimate) -> Row:
+    """Return the estimate in the units of `COLUMNS`, with `TRUE_COLUMNS` if the truth is known; NaN where unknown."""
+    values: list[float | str] = [reading.time, estimate.result, estimate.s_contact / MM, estimate.std_s / MM]
+    values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
+    values += [*_mm2(estimate.cov_contact_base), estimate.detection_chi2, *_mm2(estimate.cov_surface_base)]
+    values += [estimate.force_normal, estimate.force_tangential, estimate.friction_ratio]
+    row: Row = dict(zip(COLUMNS, values, strict=True))
+    if (truth := reading.truth) is not None:
+        true = [truth.s_contact / MM, *_mm(truth.p_contact_base), *_mm(truth.p_surface_base)]
+        row |= dict(zip(TRUE_COLUMNS, true, strict=True))
+    return row
+
+
+def world_row(update: EstimateUpdate) -> Row:
+    """Return the fused estimate in the units of `WORLD_COLUMNS`; unknown values are NaN."""
+    fused = update.fused or FusedEstimate("out_of_range")
+    values: list[float | str] = [update.phase, fused.result]
+    values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world)]
+    values += _mm2(fused.cov_contact_world)
+    present = update.contacts[-1].number if update.contacts and update.contacts[-1].ongoing else math.nan
+    values += [present, update.stale, *_mm2(fused.cov_surface_world)]
+    return dict(zip(WORLD_COLUMNS, values, strict=True))
+
+
+def _mm2(cov: Array) -> list[float]:
+    return [float(cov[i, j]) / MM**2 for _, i, j in COVARIANCE]
+
+
+def _mm(p: Array) -> list[float]:
+    return [float(value) / MM for value in p]
+
+
+def csv_line(row: Row) -> str:
+    """Return the row's `COLUMNS` as a line of CSV: nine digits, the time exactly, empty fields for NaN."""
+    return ",".join(_csv_field(name, row[name]) for name in COLUMNS) + "\n"
+
+
+def _csv_field(name: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    if math.isnan(value):
+        return ""
+    return repr(value) if name == "time_s" else f"{value:.9g}"
+
+
+def json_line(row: Row) -> str:
+    """Return the row as one line of JSON, with null for non-finite numbers."""
+    return json.dumps({name: _finite_or_null(value) for name, value in row.items()}, allow_nan=False)
+
+
+def _finite_or_null(value: float | str) -> float | str | None:
+    return value if isinstance(value, str) or math.isfinite(value) else None
+
+
+def readable_line(
+    elapsed: float, reading: WrenchReading, estimate: Estimate, update: EstimateUpdate | None = None
+) -> str:
+    """Return one line of fixed columns for the terminal; unknown values are blank.
+
+    Args:
+        elapsed: time since the first line [s].
+        reading: the reading.
+        estimate: its estimate.
+        update: source of phase and world coordinates, if poses of the base are known.
+    """
+    force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
+    cells = [
+        f"{elapsed:9.2f} s",
+        f"{estimate.result:<13}",
+        _format_or_blank("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM),
+        _format_or_blank("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_surface_base)),
+        _format_or_blank("F {:7.1f} mN", force),
+    ]
+    if update is not None and update.fused is not None:
+        fused = update.fused
+        cells.append(f"{update.phase:<8}")
+        world = _format_or_blank(
+            "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_surface_world), fused.rms / MM
+        )
+        note = update.stale and f"world: no {update.stale}"
+        cells.append(world if fused.ok or not note else note)
+    if reading.truth is not None:
+        true_s = reading.truth.s_contact / MM
+        cells.append(_format_or_blank("true s {:6.1f} mm", true_s) if math.isfinite(true_s) else "true: free")
+    return "  ".join(cells).rstrip()
+
+
+def _format_or_blank(template: str, *values: float) -> str:
+    """Return the template with its numbers, or blanks of equal width if one is not finite."""
+    if all(math.isfinite(value) for value in values):
+        return template.format(*values)
+    return " " * len(template.format(*[0.0] * len(values)))

@@ -1,0 +1,386 @@
+"""Touch monitoring: contact detection, the phase of a touch, fusion of its readings, and the list of contacts.
+
+The phases are those of the paper's figure 8: free, moving, touching, settled, released. In the first touch of the
+card house the paper marks three intervals: the base moves and the forces hardly vary; the probe touches and they
+change; nothing moves and readings are collected. Three tests distinguish the phases:
+
+- Contact: the sequential test of `estimation/detector.py` on single samples.
+- Stationary readings: over the last `SPAN`, their scatter and the step from its first half to its second are within the
+  sensor's noise, each at a false-alarm probability of `FALSE_ALARM`.
+- Stationary base: over the last `SPAN` the base moved by no more than `MAX_TRAVEL`. Without poses, a free probe whose
+  readings are not stationary counts as moving.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtri
+
+from probedesign.estimation.detector import Detector, Touching
+from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import FusedEstimate
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tracker import Tracker
+from probedesign.frames import Array
+from probedesign.live import Log
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.latency import MIN_REPORTED, LatencyCheck
+from probedesign.live.processing.blocks import AveragedBatch
+from probedesign.live.processing.tare import Tare
+
+Phase = Literal["", "free", "moving", "touching", "settled", "released"]
+
+SPAN = 0.25
+"""Length of the interval that is tested [s]; a soft probe of the paper's size oscillates 1.5 times in it. Assumed."""
+FALSE_ALARM = 1.4e-6
+"""Probability that stationary readings fail a test: once per hour at 7000/36 readings per second."""
+MAX_TRAVEL = 50e-6
+"""Maximum travel of a stationary base within `SPAN` [m]: five times the scatter of a robot's poses
+(`Tolerances.robot_mm`, assumed). Rotations count over `LEVER`."""
+LEVER = 0.1
+"""Lever arm that converts a rotation to a distance [m], as in the tracker."""
+MAX_MEANS = 64
+"""Maximum number of values in the span; more readings are averaged."""
+
+
+class StationarityTest:
+    """Tests whether the readings of the last span vary by no more than their noise, and whether the base moves."""
+
+    def __init__(self, model: ProbeModel, rate: float) -> None:
+        """Start with an empty span.
+
+        Args:
+            model: probe model, for the noise of one reading.
+            rate: rate of readings [Hz].
+        """
+        self._whiten = model.whiten
+        self._period = max(1, math.ceil(SPAN * rate / MAX_MEANS))  # readings to a mean
+        n = max(4, math.ceil(SPAN * rate / self._period))
+        self._samples, self._filled = np.zeros((n, 6)), 0  # the last rows are filled
+        self._poses: deque[Array | None] = deque(maxlen=n)
+        self._sum, self._count = np.zeros(6), 0
+        self._limits = chdtri(6 * (n - 1), 0.5 * FALSE_ALARM), chdtri(6, 0.5 * FALSE_ALARM)  # scatter, step
+
+    def update(self, wrench: Array, T_world_base: Array | None) -> None:
+        """Add a reading at the base minus the free probe's [N, N·m], (6,), and the pose of the base."""
+        self._sum = self._sum + wrench
+        self._count += 1
+        if self._count == self._period:
+            self._samples[:-1] = self._samples[1:]
+            self._samples[-1] = self._whiten @ self._sum / math.sqrt(self._period)
+            self._filled = min(self._filled + 1, len(self._samples))
+            self._poses.append(T_world_base)
+            self._sum, self._count = np.zeros(6), 0
+
+    def reset(self) -> None:
+        """Discard the span: its readings belong to another phase."""
+        self._filled = 0
+        self._poses.clear()
+        self._sum, self._count = np.zeros(6), 0
+
+    @property
+    def full(self) -> bool:
+        """Whether the span is full."""
+        return self._filled == len(self._samples)
+
+    @property
+    def stationary(self) -> bool:
+        """Whether the span is full and its readings pass both tests."""
+        if not self.full:
+            return False
+        n, half = len(self._samples), len(self._samples) // 2
+        deviations = self._samples - self._samples.sum(axis=0) / n
+        step = (deviations[-half:].sum(axis=0) - deviations[:half].sum(axis=0)) / half
+        scatter, shifted = np.vdot(deviations, deviations), 0.5 * half * np.vdot(step, step)
+        return bool(scatter <= self._limits[0] and shifted <= self._limits[1])
+
+    @property
+    def moving(self) -> bool | None:
+        """Whether the base moves; None if a pose is missing."""
+        poses = [T for T in self._poses if T is not None]
+        if not poses or len(poses) < len(self._poses):
+            return None
+        poses_array, last = np.array(poses), poses[-1]
+        distance = np.linalg.norm(poses_array[:, :3, 3] - last[:3, 3], axis=1)
+        # The Frobenius norm |R - R'| is 2√2 sin(angle/2), which is √2 angle for small angles.
+        rotation = np.linalg.norm(poses_array[:, :3, :3] - last[:3, :3], axis=(1, 2)) / math.sqrt(2.0)
+        return bool((np.maximum(distance, LEVER * rotation) > MAX_TRAVEL).any())
+
+
+class PhaseTracker:
+    """Tracks the phase of the touch, reading by reading."""
+
+    def __init__(self, model: ProbeModel, rate: float) -> None:
+        """Start with no reading; see `StationarityTest` for the arguments."""
+        self.stationarity = StationarityTest(model, rate)
+        self._phase: Phase = ""
+
+    def next(self, touching: Touching, wrench: Array, T_world_base: Array | None) -> Phase:
+        """Return the phase after one more reading.
+
+        Args:
+            touching: last decision of the detector for it; "lost" if that was the decision for any of its samples.
+            wrench: wrench at the base minus the free probe's [N, N·m], (6,).
+            T_world_base: pose of the base, (4, 4), if it is known.
+        """
+        stationarity = self.stationarity
+        if touching == "lost" or (touching == "contact") != (self._phase in ("touching", "settled")):
+            stationarity.reset()
+        stationarity.update(wrench, T_world_base)
+        self._phase = self._next_phase(touching)
+        return self._phase
+
+    def _next_phase(self, touching: Touching) -> Phase:
+        stationarity, before = self.stationarity, self._phase
+        if touching == "lost":
+            return "released"
+        if touching == "contact":
+            return "settled" if stationarity.stationary and not stationarity.moving else "touching"
+        if before == "released" and not stationarity.full:
+            return "released"
+        moving = stationarity.moving
+        if moving is None:
+            moving = stationarity.full and not stationarity.stationary
+        return "moving" if moving else "free"
+
+
+MAX_CONTACTS = 1000
+"""Maximum number of contacts in the list; older ones are dropped."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One touch.
+
+    Attributes:
+        number: number of the touch, from 1.
+        start: time of detection [s].
+        end: time at which contact was lost [s]; NaN while it lasts.
+        settled: whether readings and base were stationary at any time during the touch.
+        fused: fused estimate, the last one while settled, or the last one of all if the touch never settled.
+        estimate: last located single-reading estimate, of settled readings if there are any.
+    """
+
+    number: int
+    start: float
+    end: float = math.nan
+    settled: bool = False
+    fused: FusedEstimate | None = None
+    estimate: Estimate | None = None
+
+    @property
+    def ongoing(self) -> bool:
+        """Whether the probe still touches."""
+        return math.isnan(self.end)
+
+    @property
+    def summary(self) -> str:
+        """The touch in one line."""
+        text = f"touch {self.number}, {self.start:.2f} ... {self.end:.2f} s"
+        if not self.settled:
+            text += ", never settled"
+        if self.fused is not None and self.fused.ok:
+            x, y, z = (1e3 * float(value) for value in self.fused.p_surface_world)
+            return f"{text}: ({x:z.2f}, {y:z.2f}, {z:z.2f}) mm in world, ± {1e3 * self.fused.rms:.2f} mm"
+        if self.fused is not None:
+            text += f": fused to one point: {self.fused.result}"
+        if self.estimate is not None:
+            s, std = 1e3 * self.estimate.s_contact, 1e3 * self.estimate.std_s
+            return f"{text}{'; ' if self.fused is not None else ': '}single reading: s {s:.1f} ± {std:.1f} mm"
+        return f"{text}: not located"
+
+
+class ContactHistory:
+    """Updates the list of contacts from phases and estimates.
+
+    Attributes:
+        contacts: every touch, including the current one.
+    """
+
+    def __init__(self) -> None:
+        self.contacts: tuple[Contact, ...] = ()
+        self._count = 0
+
+    @property
+    def current(self) -> Contact | None:
+        """The ongoing touch, or None."""
+        return self.contacts[-1] if self.contacts and self.contacts[-1].ongoing else None
+
+    def update(self, time: float, phase: Phase, fused: FusedEstimate | None) -> Contact | None:
+        """Add the phase at a time [s] and the fused estimate; return the touch that has just ended, if any."""
+        current = self.current
+        if phase not in ("touching", "settled"):
+            return None if current is None else self._replace_last(replace(current, end=time))
+        if current is None:
+            self._count += 1
+            current = Contact(self._count, time)
+            self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
+        if phase == "settled" or not current.settled:
+            current = replace(current, fused=fused or current.fused)
+        self._replace_last(replace(current, settled=current.settled or phase == "settled"))
+        return None
+
+    def locate(self, estimate: Estimate, phase: Phase) -> None:
+        """Add the estimate of one reading of the current touch."""
+        current = self.current
+        if current is None or not estimate.ok:
+            return
+        if phase == "settled" or not current.settled:
+            self._replace_last(replace(current, estimate=estimate))
+
+    def _replace_last(self, contact: Contact) -> Contact:
+        self.contacts = (*self.contacts[:-1], contact)
+        return contact
+
+
+BIAS_STEPS = 0.5
+"""Random walk of the bias since the tare, in steps of the sensor's resolution: what a walk of `detector.DRIFT_STEPS`
+accumulates in 100 s. Free readings before the touch constrain it."""
+
+
+@dataclass(frozen=True)
+class TouchState:
+    """State after a batch.
+
+    Attributes:
+        phase: phase of the touch; empty if unknown.
+        fused: estimate from all readings of this touch; None without poses.
+    """
+
+    phase: Phase
+    fused: FusedEstimate | None
+
+
+class TouchMonitor:
+    """Monitors every batch: the contact test uses its samples, the phase and the fusion its mean.
+
+    The tracker treats a mean as one sample of a sensor that has the noise of the mean.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        contacts: ContactHistory,
+        rate: float,
+        samples: int,
+        poses: BasePoses | None,
+        log: Log,
+        estimates: bool = True,
+    ) -> None:
+        """Start with no batch.
+
+        Args:
+            estimator: estimator of the probe, for the noise of a batch mean.
+            contacts: list to continue.
+            rate: rate of single samples [Hz].
+            samples: number of samples in a batch.
+            poses: poses of the base, if known.
+            log: callback for messages to the user.
+            estimates: whether the readings of a touch are fused to a point in the world, and touches are reported.
+        """
+        model = estimator.model
+        self._estimator, self._contacts, self._poses, self._log = estimator, contacts, poses, log
+        self._estimates = estimates
+        self._detector = Detector(replace(model, averaging_samples=samples), rate)
+        self._phases = PhaseTracker(model, rate / samples)
+        self._latency_check = LatencyCheck(model.whiten)
+        self._tracker: Tracker | None = None
+        if poses is not None and estimates:
+            of_means = Estimator(replace(model, averaging_samples=1), estimator.tolerances)
+            # Steps are in units of the noise of one sample. The mean takes the sample's place and has less noise.
+            step = math.sqrt(model.averaging_samples)
+            nominal = estimator.priors
+            priors = replace(nominal, drift_steps=BIAS_STEPS * step, walk_steps=nominal.walk_steps * step)
+            self._tracker = Tracker(
+                of_means, priors=priors, gravity_world=poses.gravity_world, rate=rate / samples
+            )
+        self._samples = self._no_state
+        self._period, self._last = samples / rate, math.nan
+
+    @property
+    def _no_state(self) -> TouchState:
+        return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
+
+    def update(self, batch: AveragedBatch, tare: Tare | None, T_world_base: Array | None) -> TouchState:
+        """Process a batch without fault and with known gravity.
+
+        Args:
+            batch: the batch, bias included.
+            tare: the sensor bias.
+            T_world_base: pose of the base, (4, 4), if poses are known.
+        """
+        gravity = batch.reading.gravity_base
+        free = self._estimator.free(gravity)
+        if not free.ok:
+            return self._no_state
+        self._skip_gap(batch.reading.time)
+        excess = self._excess(batch, tare)
+        mean, decisions = excess.mean(axis=0), self._detector.run(excess)
+        phase = self._phases.next("lost" if "lost" in decisions else decisions[-1], mean, T_world_base)
+        fused = self._fused(decisions, mean + free.wrench_base, T_world_base, batch.reading.time)
+        self._update_contacts(batch.reading.time, phase, fused)
+        self._check_latency(batch.reading.time, phase, mean, T_world_base)
+        self._samples = TouchState(phase, fused)
+        return self._samples
+
+    def calibrate(self, batches: list[AveragedBatch], tare: Tare) -> None:
+        """Calibrate the detector on batches of a free probe, as those of the tare.
+
+        They provide the oscillation of the probe and the random walk of the bias since their mean.
+        """
+        if batches:
+            self._detector.calibrate(np.concatenate([self._excess(batch, tare) for batch in batches]))
+
+    def _excess(self, batch: AveragedBatch, tare: Tare | None) -> Array:
+        """Return the samples at the base minus the free probe's wrench [N, N·m], (n, 6)."""
+        gravity, bias = batch.reading.gravity_base, 0.0 if tare is None else tare.bias_sensor
+        samples = self._estimator.model.to_base(batch.block.wrench_sensor - bias, gravity)
+        return samples - self._estimator.free(gravity).wrench_base
+
+    def _skip_gap(self, time: float) -> None:
+        """Inform the detector of missing samples."""
+        gap = time - self._last - self._period
+        if gap > self._period:
+            self._detector.rest(gap)
+        self._last = time
+
+    def on_interruption(self) -> None:
+        """Handle missing readings between the last batch and the next."""
+        self._phases.stationarity.reset()
+
+    def _fused(
+        self, decisions: list[Touching], wrench: Array, T: Array | None, time: float
+    ) -> FusedEstimate | None:
+        """Return the tracker's estimate. A batch that is partly free and partly in contact is not used."""
+        if self._tracker is None or T is None:
+            return None
+        if "lost" in decisions:
+            return self._tracker.update(wrench, T, time, "lost")
+        if len(set(decisions)) == 1:
+            return self._tracker.update(wrench, T, time, decisions[0])
+        return FusedEstimate("no_contact")
+
+    def _update_contacts(self, time: float, phase: Phase, fused: FusedEstimate | None) -> None:
+        ended = self._contacts.update(time, phase, fused)
+        if ended is not None and self._estimates:
+            self._log(ended.summary)
+
+    def _check_latency(self, time: float, phase: Phase, excess: Array, T: Array | None) -> None:
+        """Check for every touch, when it settles, whether poses and wrench moved at the same time."""
+        if T is None or self._poses is None:
+            return
+        if phase not in ("touching", "settled"):
+            return self._latency_check.reset()
+        if phase == "settled" and self._samples.phase == "touching":
+            delay_ms = 1e3 * self._latency_check.delay()
+            if abs(delay_ms) > 1e3 * MIN_REPORTED:
+                stated = 1e3 * self._poses.latency
+                self._log(
+                    f"poses: in this touch they are {abs(delay_ms):.0f} ms {'later' if delay_ms > 0 else 'earlier'} "
+                    f"than stated, by the wrench; try --pose-latency-ms {stated + delay_ms:.0f} instead of {stated:g}"
+                )
+        self._latency_check.add(time, T[:3, 3], excess)

@@ -1,0 +1,321 @@
+"""Recordings of a wrench sensor as CSV with a unit in every column name. See docs/recording-format.md.
+
+Reading is strict: a column without unit, an invalid number or decreasing time is an error that names the line. Only
+unambiguous damage is repaired: an incomplete last line is dropped, and gaps are counted.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from probedesign.core.csv_tables import (
+    CEILING,
+    NUMBER,
+    WRENCH,
+    WRENCH_ALIASES,
+    WRENCH_KINDS,
+    Column,
+    CsvLines,
+    Frame,
+    find_columns,
+    read_lines,
+    shown,
+)
+from probedesign.errors import InputError
+from probedesign.frames import Array
+from probedesign.live.poses.track import TimedPose
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.recordings.append_file import AppendFile
+
+GRAVITY = ("gx", "gy", "gz")
+KINDS = {"time": "time", **WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
+ALIASES = {"t": "time", "timestamp": "time", **WRENCH_ALIASES}
+
+CSV_HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
+GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
+
+
+def recording_columns(table: CsvLines) -> list[Column]:
+    """Return the columns to read: time, wrench and, if present, gravity.
+
+    Raises:
+        InputError: a column is missing, duplicated or without a known unit.
+    """
+    found = find_columns(table, KINDS, ALIASES, CSV_HEADER)
+    wanted = ("time", *WRENCH, *(GRAVITY if found.keys() & set(GRAVITY) else ()))
+    names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
+    missing = [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]
+    if missing:
+        table.fail(
+            table.header_number,
+            f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}",
+        )
+    return [found[quantity] for quantity in wanted]
+
+
+GAP = 1.5
+"""Factor of the median interval above which an interval counts as a gap."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Readings of a recording, in SI units.
+
+    Attributes:
+        time: time of each sample [s], (n,), not decreasing.
+        wrench: wrenches [N, N·m], (n, 6), about the origin and in the axes of `frame`.
+        frame: "sensor" or "base".
+        gravity_base: gravity vector in base axes [m/s²], (n, 3), if the file contains it.
+        gaps: number of intervals longer than 1.5 median intervals.
+        missing_samples: number of samples missing in the gaps.
+        dropped_lines: number of dropped lines: an incomplete line at the end.
+        notes: notes for the user about the above, one line each.
+    """
+
+    time: Array
+    wrench: Array
+    frame: Frame = "sensor"
+    gravity_base: Array | None = None
+    gaps: int = 0
+    missing_samples: int = 0
+    dropped_lines: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: CSV with units in its column names, see docs/recording-format.md.
+
+    Returns:
+        The recording in SI units.
+
+    Raises:
+        InputError: the file cannot be read or is invalid; the message names the line.
+    """
+    table = read_lines(Path(path), "recording", CSV_HEADER)
+    columns = recording_columns(table)
+    rows, notes = _whole_rows(table, columns)
+    if not rows:
+        raise InputError(f"{path}: no samples, only a header")
+    values = _numeric_columns(table, rows, columns)
+    _check(table, columns, values)
+    gravity = values[:, 7:] if values.shape[1] > 7 else None
+    gaps, missing = gaps_in(values[:, 0])
+    if gaps:
+        notes += (f"{missing} samples are missing in {gaps} gaps",)
+    return Recording(
+        time=values[:, 0],
+        wrench=values[:, 1:7],
+        frame=table.frame,
+        gravity_base=gravity,
+        gaps=gaps,
+        missing_samples=missing,
+        dropped_lines=len(table.rows) - len(rows),
+        notes=notes,
+    )
+
+
+def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
+    """Return the rows without an incomplete last line, and notes; every row has the right number of fields."""
+    rows, notes = table.rows, []
+    ignored = [shown(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}]
+    if ignored:
+        notes.append(f"columns not read: {', '.join(ignored)[:200]}")
+    if rows and not table.ends_whole:
+        last = f"line {table.numbers[-1]}"
+        if _is_cut(rows[-1], table, columns):
+            rows = rows[:-1]
+            notes.append(f"{last} is incomplete at the end: dropped")
+        else:
+            notes.append(f"{last} does not end in a newline: kept, but its last number may be truncated")
+    commas = len(table.header) - 1
+    for row, number in zip(rows, table.numbers, strict=False):
+        if row.count(",") != commas:
+            table.fail(number, f"{row.count(',') + 1} fields where the header names {commas + 1}")
+    return rows, tuple(notes)
+
+
+def _is_cut(row: str, table: CsvLines, columns: list[Column]) -> bool:
+    """Return whether a last line without newline has too few fields or ends in part of a number."""
+    fields = row.split(",")
+    if len(fields) < len(table.header):
+        return True
+    last_is_read = len(table.header) - 1 in {column.index for column in columns}
+    return last_is_read and not _is_float(fields[-1])
+
+
+def _is_float(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column]) -> Array:
+    """Return the columns in SI units, (n, len(columns)); an invalid number is located only if there is one."""
+    index = [column.index for column in columns]
+    try:
+        values = np.loadtxt(rows, delimiter=",", usecols=index, comments=None, ndmin=2)
+    except ValueError:
+        values = np.full((1, 1), np.nan)
+    if not np.isfinite(values).all():
+        _name_bad_number(table, rows, columns)
+    return np.asarray(values * [column.factor for column in columns])
+
+
+def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) -> NoReturn:
+    """Raise the error of the first field that is not a finite number."""
+    for row, number in zip(rows, table.numbers, strict=False):
+        fields = row.split(",")
+        for column in columns:
+            text = fields[column.index].strip()
+            if not NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+                remedy = "correct the value or delete the line"
+                table.fail(number, f"{column.name} = {shown(text)} is not a finite number; {remedy}")
+    raise InputError(f"{table.path}: its rows cannot be read as numbers")
+
+
+def _check(table: CsvLines, columns: list[Column], values: Array) -> None:
+    """Refuse values beyond the range of any sensor, and decreasing time."""
+    absurd = np.abs(values) > [column.ceiling for column in columns]
+    if absurd.any():
+        i, j = np.argwhere(absurd)[0]
+        value = f"{columns[j].name} = {values[i, j] / columns[j].factor:g}"
+        table.fail(table.numbers[i], f"{value} exceeds the range of any sensor; raw counts or a wrong unit?")
+    backward = np.diff(values[:, 0]) < 0
+    if backward.any():
+        i = int(np.argmax(backward)) + 1
+        times = f"from {values[i - 1, 0]:.9g} s to {values[i, 0]:.9g} s"
+        table.fail(table.numbers[i], f"time decreases, {times}; sort the rows or split the recording")
+
+
+def check_wrenches(path: Path, time: Array, wrench: Array) -> None:
+    """Refuse wrenches [N, N·m], (n, 6), beyond the range of any sensor.
+
+    Raises:
+        InputError: a force or a moment is too large or not a number; the message states its time.
+    """
+    ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
+    invalid = ~(np.abs(wrench) <= ceiling)
+    if invalid.any():
+        i, j = np.argwhere(invalid)[0]
+        value = f"{WRENCH[j].capitalize()} = {wrench[i, j]:g} {'N' if j < 3 else 'N·m'}"
+        raise InputError(
+            f"{path}: {value} at {time[i]:.9g} s exceeds the range of any sensor; raw counts or a wrong unit?"
+        )
+
+
+def gaps_in(time: Array) -> tuple[int, int]:
+    """Return the number of gaps in times [s], (n,), and the number of samples missing in them."""
+    steps = np.diff(time)
+    median = float(np.median(steps)) if len(steps) else 0.0
+    if median == 0.0:
+        return 0, 0  # several samples per tick of a coarse clock: the rate is undefined
+    long = steps[steps > GAP * median]
+    with np.errstate(over="ignore"):
+        missing = np.clip(np.rint(long / median) - 1.0, 1.0, 1e9)
+    return len(long), int(missing.sum())
+
+
+def write_recording(
+    path: str | Path,
+    time: ArrayLike,
+    wrench: ArrayLike,
+    frame: Frame = "sensor",
+    gravity_base: ArrayLike | None = None,
+) -> None:
+    """Write a recording that is read back exactly; an existing file is replaced.
+
+    Args:
+        path: path of the file; its folder is created if necessary.
+        time: time of each sample [s], (n,).
+        wrench: wrenches [N, N·m], (n, 6), in the axes of `frame`.
+        frame: "sensor" or "base".
+        gravity_base: gravity vector in base axes [m/s²], (n, 3).
+
+    Raises:
+        InputError: the file cannot be written.
+        ValueError: the shapes of the arrays do not match.
+    """
+    times = np.asarray(time, dtype=float).reshape(-1, 1)
+    wrenches = np.asarray(wrench, dtype=float).reshape(-1, 6)
+    columns = [times, wrenches]
+    if gravity_base is not None:
+        columns.append(np.asarray(gravity_base, dtype=float).reshape(-1, 3))
+    rows = np.hstack(columns)
+    header = CSV_HEADER if gravity_base is None else f"{CSV_HEADER},{GRAVITY_HEADER}"
+    file = AppendFile(Path(path), force=True)
+    try:
+        file.write(f"# frame: {frame}\n{header}\n".encode())
+        file.write("".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()).encode())
+        file.flush()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    finally:
+        file.close()
+
+
+class CsvRecorder:
+    """Records raw readings as CSV, in whole lines; called from one thread (see `RecordingFile`).
+
+    Readings with a fault are omitted and leave a gap.
+    """
+
+    def __init__(self, path: Path, force: bool = False) -> None:
+        """Create the file and write its header.
+
+        Args:
+            path: path; its folder is created if necessary.
+            force: replace an existing file.
+
+        Raises:
+            InputError: the file exists and `force` is not set, or it cannot be written.
+        """
+        self._file = AppendFile(path, force)
+        self._file.write(f"# frame: sensor\n{CSV_HEADER},{GRAVITY_HEADER}\n".encode())
+        try:
+            self._file.flush()
+        except OSError:
+            self._file.discard()
+            raise
+
+    def on_samples(self, block: Block) -> None:
+        """Write one line per reading."""
+        if block.fault:
+            return
+        gravity = "".join(f",{value!r}" for value in block.gravity_base.tolist())
+        rows = zip(block.time.tolist(), block.wrench_sensor.tolist(), strict=True)
+        lines = [",".join(map(repr, (time, *wrench))) + gravity for time, wrench in rows]
+        self._file.write("".join(f"{line}\n" for line in lines).encode())
+        self._file.flush()  # little data, so it is written at once
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Ignore estimates: CSV contains raw readings only."""
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Ignore poses: CSV contains raw readings only."""
+
+    def on_event(self, time: float, line: str) -> None:
+        """Ignore events: CSV contains raw readings only."""
+
+    def on_dropped(self, readings: int, others: int) -> None:
+        """Write a comment."""
+        self._file.write(f"# the disk was too slow: {readings} readings dropped here\n".encode())
+
+    def flush(self) -> None:
+        """Pass the buffer to the operating system."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Write the buffer and close the file."""
+        try:
+            self._file.flush()
+        finally:
+            self._file.close()

@@ -1,0 +1,314 @@
+"""Source `daq://Dev1/ai0:5?cal=FILE`: six gauges on a National Instruments card, converted by ATI's calibration.
+
+Samples are acquired with nidaqmx on the card's own clock for as long as the source is read.
+"""
+
+import re
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf, isfinite
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.live import Log
+from probedesign.live.processing.blocks import Block, dropout_block
+from probedesign.live.sources.calibration import (
+    CHANNELS,
+    MAX_GAUGE_VOLTS,
+    GaugeCalibration,
+    clipped,
+    read_calibration,
+)
+from probedesign.live.sources.dropout import DropoutMonitor
+from probedesign.live.sources.parameters import SourceParameter, parse_parameters, pop_text_parameter
+
+if TYPE_CHECKING:
+    from nidaqmx.errors import DaqError
+    from nidaqmx.task import Task
+
+
+GAUGES = 6
+INPUT_RANGE = 10.0
+"""Range of the card's inputs, ± [V]: that of ATI's amplifiers."""
+WAIT_TIME = 0.002
+"""Time to wait for samples at once [s]."""
+BUFFER_DURATION = 10.0
+"""Duration of the driver's buffer [s]."""
+MAX_READ = 0.1
+"""Maximum duration of the samples read at once [s]."""
+STALE_TIME = 0.040
+"""Time without a sample after which the last estimate is stale [s]; reported within 50 ms of the last sample."""
+
+DRIVER = "NI-DAQmx; get it from ni.com/downloads and restart"
+NOT_YET_AVAILABLE = -200284  # SAMPLES_NOT_YET_AVAILABLE
+OVERRUN_CODES = (-200279, -200222, -200361, -200010)
+"""Error codes for samples that were overwritten before they were read or transferred."""
+
+
+@dataclass(frozen=True)
+class GaugeSamples:
+    """n samples of the gauges; empty if none arrived.
+
+    Attributes:
+        volts: voltages [V], (n, 6).
+        start: time of the first sample since the acquisition started, by the card's clock [s].
+        rate: rate of the card's clock [Hz].
+        received: arrival of the last sample, by `time.monotonic` [s].
+        interrupted: whether samples are missing before these.
+    """
+
+    volts: Array
+    start: float
+    rate: float
+    received: float
+    interrupted: bool = False
+
+
+class DaqCard:
+    """Six differential inputs of a card, sampled together."""
+
+    def __init__(self, channels: str, rate: float) -> None:
+        """Check that the driver and the card are present; nothing is acquired yet.
+
+        Args:
+            channels: NI's names, `Dev1/ai0:5`, or six separated by commas.
+            rate: sampling rate [Hz]; a card may only approximate it.
+
+        Raises:
+            InputError: the channels are not six inputs of one card, or there is no such card.
+            MissingDependencyError: nidaqmx or NI's driver is not installed.
+        """
+        self.name = f"daq://{channels}"
+        self._channels, self._rate = channels, rate
+        self._n_read = 0  # since the acquisition began
+        device = _device(channels)
+        names = _devices()
+        if device.lower() not in (name.lower() for name in names):
+            there = f"available are {', '.join(names)}" if names else "there is none"
+            raise InputError(f"{self.name}: no card {device}; {there}; NI's tools list and rename them")
+
+    def acquired(self) -> Generator[GaugeSamples, None, None]:
+        """Yield samples as they arrive, empty after each `STALE_TIME` without one; restart after a buffer overrun.
+
+        Raises:
+            InputError: the driver reports another error.
+        """
+        from nidaqmx.errors import DaqError
+
+        interrupted = False
+        while True:
+            try:
+                with self._task() as task:
+                    yield from self._from(task, interrupted)
+            except DaqError as error:
+                if error.error_code not in OVERRUN_CODES or not self._n_read:
+                    raise self._driver_error(error) from None
+                interrupted = True
+
+    def _from(self, task: "Task", interrupted: bool) -> Generator[GaugeSamples, None, None]:
+        from nidaqmx.errors import DaqError
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+        rate = float(task.timing.samp_clk_rate)
+        reader = AnalogMultiChannelReader(task.in_stream)
+        minimum, maximum = max(1, round(WAIT_TIME * rate)), max(1, round(MAX_READ * rate))
+        task.start()
+        self._n_read = 0
+        while True:
+            count = int(np.clip(task.in_stream.avail_samp_per_chan, minimum, maximum))
+            data = np.empty((GAUGES, count))
+            try:
+                reader.read_many_sample(data, count, timeout=STALE_TIME)
+            except DaqError as error:
+                if error.error_code != NOT_YET_AVAILABLE:
+                    raise
+                data = data[:, :0]
+            yield GaugeSamples(data.T, self._n_read / rate, rate, monotonic(), interrupted)
+            self._n_read += data.shape[1]
+            interrupted = interrupted and not data.shape[1]
+
+    def _task(self) -> "Task":
+        from nidaqmx import Task
+        from nidaqmx.constants import AcquisitionType, TerminalConfiguration
+
+        task = Task()
+        try:
+            task.ai_channels.add_ai_voltage_chan(
+                self._channels,
+                terminal_config=TerminalConfiguration.DIFF,
+                min_val=-INPUT_RANGE,
+                max_val=INPUT_RANGE,
+            )
+            task.timing.cfg_samp_clk_timing(
+                self._rate,
+                sample_mode=AcquisitionType.CONTINUOUS,
+                samps_per_chan=max(1000, round(BUFFER_DURATION * self._rate)),
+            )
+        except BaseException:
+            task.close()
+            raise
+        return task
+
+    def _driver_error(self, error: "DaqError") -> InputError:
+        line = " ".join(str(error).split("\n\n")[0].split())
+        return InputError(f"{self.name}: NI's driver says: {line} (error {error.error_code})")
+
+
+def _device(channels: str) -> str:
+    """Return the card whose six inputs these are."""
+    cards, count = set(), 0
+    for part in channels.split(","):
+        found = re.fullmatch(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*", part)
+        if found is None:
+            count = 0
+            break
+        card, first, last = found.groups()
+        cards.add(card)
+        count += abs(int(last or first) - int(first)) + 1
+    if count != GAUGES or len(cards) != 1:
+        raise InputError(f"daq://{channels}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
+    return cards.pop()
+
+
+def _devices() -> list[str]:
+    """Return the names of the cards that NI's driver reports."""
+    try:
+        from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
+        from nidaqmx.system import System
+    except ImportError:
+        raise MissingDependencyError("daq:// needs nidaqmx; install probedesign[daq]") from None
+    try:
+        return list(System.local().devices.device_names)
+    except DaqNotFoundError:
+        raise MissingDependencyError(f"daq:// needs NI's driver {DRIVER}") from None
+    except DaqNotSupportedError:
+        raise InputError("daq:// requires Windows or Linux: NI has no driver for this system") from None
+    except DaqError as error:
+        raise InputError(f"daq:// cannot list the cards of NI's driver (error {error.error_code})") from None
+
+
+PARAMETERS = {"rate_hz": SourceParameter(7000.0, 1.0, 100_000.0)}
+NO_SAMPLE = "the card delivers no samples; is another program using its clock?"
+SAMPLES_LOST = "samples were lost because reading was too slow; the acquisition restarted, the tare is kept"
+
+
+class DaqSource:
+    """A sensor on a DAQ card.
+
+    Attributes:
+        title: one line that describes the source.
+        notes: notes for the user.
+    """
+
+    def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
+        """Read the calibration and find the card; nothing is acquired yet.
+
+        Args:
+            model: probe on the sensor.
+            target: `//DEVICE/ai0:5`.
+            query: cal, zero_V, and the parameters of `PARAMETERS`.
+            log: callback for messages to the user.
+
+        Raises:
+            InputError: the channels, a parameter or the calibration is invalid, or there is no such card.
+            MissingDependencyError: nidaqmx or NI's driver is not installed.
+        """
+        if not target.startswith("//"):
+            raise InputError(f"daq:{target}: write daq://Dev1/ai0:5?cal=FILE")
+        cal, query = pop_text_parameter("daq:", query, "cal")
+        zero, query = pop_text_parameter("daq:", query, "zero_V")
+        rate = parse_parameters("daq:", query, PARAMETERS)["rate_hz"]
+        if not cal:
+            raise InputError(
+                f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal"
+            )
+        self.calibration: GaugeCalibration = read_calibration(Path(cal))
+        self._zero = _zero(zero)
+        self._card = DaqCard(target.removeprefix("//"), rate)
+        self._gravity, self._log = model.gravity_base, log
+        self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
+        self.notes = (
+            "gauges are assigned in the order of the channels",
+            *_range_note(self.calibration, model),
+        )
+
+    def __iter__(self) -> Generator[Block, None, None]:
+        dropout, stretch = DropoutMonitor(self._card.name, self._log, NO_SAMPLE), 0
+        offset, last = 0.0, (0.0, -inf)  # time and arrival of the last sample
+        with closing(self._card.acquired()) as stream:
+            for found in stream:
+                if not len(found.volts):
+                    dropout.on_silence(last[1], "still waiting")
+                    if dropout.ongoing:
+                        yield dropout_block(self._gravity, dropout.reason, stretch)
+                    continue
+                ticks = np.arange(len(found.volts)) / found.rate
+                received = found.received - ticks[::-1]
+                gap = float(received[0]) - last[1]
+                if isfinite(gap) and (found.interrupted or dropout.ongoing):
+                    stretch += 1
+                    if (
+                        found.interrupted
+                    ):  # the card's clock restarts at zero; the host's clock covers the gap
+                        offset = last[0] + max(gap, 1.0 / found.rate)
+                        self._log(f"{self._card.name}: {SAMPLES_LOST}")
+                    if dropout.ongoing:
+                        dropout.on_resumed(gap)
+                time = offset + found.start + ticks
+                yield from self._blocks(found.volts, time, received, stretch)
+                last = float(time[-1]), float(received[-1])
+
+    def _blocks(
+        self, volts: Array, time: Array, received: Array, stretch: int
+    ) -> Generator[Block, None, None]:
+        """Yield samples as wrenches, split where their fault changes."""
+        wrench = self.calibration.wrench(volts, self._zero)
+        invalid = np.hstack([clipped(volts), ~(np.abs(wrench) <= self.calibration.ranges)])
+        cuts = np.flatnonzero((invalid[1:] != invalid[:-1]).any(axis=1)) + 1
+        for start, end in pairwise([0, *cuts.tolist(), len(time)]):
+            part = slice(start, end)
+            fault = _fault(invalid[start])
+            yield Block(time[part], wrench[part], self._gravity, received[part], fault, stretch)
+
+
+def _fault(invalid: NDArray[np.bool_]) -> str:
+    """Return the fault of a sample: gauges beyond the amplifier's limit, or channels beyond the calibrated range."""
+    gauges = ", ".join(str(i) for i in np.flatnonzero(invalid[:GAUGES]))
+    if gauges:
+        return f"transducer saturated: gauge {gauges} beyond {MAX_GAUGE_VOLTS:g} V"
+    channels = ", ".join(CHANNELS[i] for i in np.flatnonzero(invalid[GAUGES:]))
+    return f"{channels} beyond the calibrated range" if channels else ""
+
+
+def _zero(text: str) -> Array:
+    """Return the gauge voltages without load [V], (6,); zeros if not given."""
+    if not text:
+        return np.zeros(GAUGES)
+    try:
+        volts = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        volts = np.full(GAUGES, np.nan)
+    if volts.shape != (GAUGES,) or clipped(volts).any():
+        raise InputError(
+            f"daq: zero_V = {text[:60]!r} must be {GAUGES} voltages within {MAX_GAUGE_VOLTS:g} V, with commas"
+        )
+    return volts
+
+
+def _range_note(calibration: GaugeCalibration, model: ProbeModel) -> tuple[str, ...]:
+    """Return a note if the range of the calibration differs from that of the probe's sensor."""
+    if np.allclose(calibration.ranges, model.wrench_range, rtol=0.01):
+        return ()
+    ranges = ", ".join(f"{value:g}" for value in calibration.ranges)
+    return (
+        f"the calibration range {ranges} N, Nm differs from that of the frozen probe's sensor: is it the right file?",
+    )

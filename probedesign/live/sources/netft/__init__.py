@@ -1,0 +1,1 @@
+"""The ATI Net F/T box: wire protocol, configuration, and the source `netft://`."""

@@ -1,0 +1,327 @@
+"""Configuration of a Net F/T box, from its page `netftapi2.xml`: units, counts and reference frame.
+
+The page is fetched over HTTP with bounds on size and time, and monitored for changes.
+
+Source: ATI, manual 9620-05-NET FT, the chapter on system settings XML pages.
+"""
+
+import math
+import re
+import threading
+from dataclasses import dataclass, fields
+from functools import cached_property
+from http.client import HTTPConnection, HTTPException
+from time import monotonic
+
+import numpy as np
+
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.frames import Array, pose, rotation_z, wrench_map
+from probedesign.live.sources.netft.wire import PAGE
+
+POUND_FORCE = 4.4482216152605  # exact, from the pound and standard gravity
+KILOGRAM_FORCE = 9.80665  # exact
+INCH, FOOT = 0.0254, 0.3048  # exact
+
+FORCE_UNITS = {
+    "n": 1.0, "kn": 1e3, "lbf": POUND_FORCE, "klbf": 1e3 * POUND_FORCE, "kgf": KILOGRAM_FORCE, "kg": KILOGRAM_FORCE,
+}  # fmt: skip
+TORQUE_UNITS = {
+    "nm": 1.0, "nmm": 1e-3, "knm": 1e3, "lbfin": POUND_FORCE * INCH, "lbfft": POUND_FORCE * FOOT,
+    "kgfcm": KILOGRAM_FORCE * 0.01, "kgcm": KILOGRAM_FORCE * 0.01,
+}  # fmt: skip
+LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": INCH, "ft": FOOT}
+ANGLE_UNITS = {"degrees": math.pi / 180.0, "deg": math.pi / 180.0, "radians": 1.0, "rad": 1.0}
+"""Units in SI, by the letters of their names: boxes write N-mm, N·mm and Nmm."""
+
+MAX_TEXT = 128  # of one value
+
+
+@dataclass(frozen=True)
+class NetFTConfiguration:
+    """Active configuration of a box, in its own units; tags of the page in brackets.
+
+    Attributes:
+        product: product name [prodname].
+        name: name of the configuration [cfgnam].
+        force_unit: unit of force [scfgfu].
+        torque_unit: unit of torque [scfgtu].
+        counts_per_force: counts per force unit [cfgcpf].
+        counts_per_torque: counts per torque unit [cfgcpt].
+        ranges: range of each channel, in those units [cfgmr].
+        tool: displacement and rotation of the reported frame [cfgtfx].
+        length_unit: unit of the displacement [scfgtdu].
+        angle_unit: unit of the rotation [scfgtau].
+        rate: records per second [comrdtrate].
+        records: records per packet of buffered streaming [comrdtbsiz].
+        filter: number of the low-pass filter, 0 for none [setuserfilter].
+        bias: gauge counts that the box subtracts [setbias].
+    """
+
+    product: str
+    force_unit: str
+    torque_unit: str
+    counts_per_force: float
+    counts_per_torque: float
+    name: str = ""
+    ranges: tuple[float, ...] = ()
+    tool: tuple[float, ...] = (0.0,) * 6
+    length_unit: str = "mm"
+    angle_unit: str = "degrees"
+    rate: float = 7000.0
+    records: float = 1.0
+    filter: float = 0.0
+    bias: tuple[float, ...] = (0.0,) * 6
+
+    def __post_init__(self) -> None:
+        """Check units and numbers; raises InputError if one is unknown or impossible."""
+        for tag, value in (("cfgcpf", self.counts_per_force), ("cfgcpt", self.counts_per_torque)):
+            if not value > 0.0:
+                raise InputError(f"netftapi2.xml: {tag} = {value:g} must be positive")
+        for tag, six in (("cfgtfx", self.tool), ("setbias", self.bias)):
+            if len(six) != 6:
+                raise InputError(f"netftapi2.xml: {tag} has {len(six)} numbers instead of 6")
+        _ = self.to_sensor  # raises for an unknown unit
+
+    @property
+    def scale(self) -> Array:
+        """One count of each channel in SI units, (6,)."""
+        force = unit_of("scfgfu", self.force_unit, FORCE_UNITS) / self.counts_per_force
+        torque = unit_of("scfgtu", self.torque_unit, TORQUE_UNITS) / self.counts_per_torque
+        return np.repeat([force, torque], 3)
+
+    @property
+    def counts_of_unit(self) -> Array:
+        """Counts per unit of each channel, (6,)."""
+        return np.repeat([self.counts_per_force, self.counts_per_torque], 3)
+
+    @property
+    def T_sensor_tool(self) -> Array:
+        """Pose of the reported frame in the sensor frame, (4, 4).
+
+        Displacement first, then rotation about x, the new y and the new z, as in ATI's DAQ library; that the box uses
+        the same convention is assumed.
+        """
+        length = unit_of("scfgtdu", self.length_unit, LENGTH_UNITS)
+        angle = unit_of("scfgtau", self.angle_unit, ANGLE_UNITS)
+        x, y, z = angle * np.asarray(self.tool[3:])
+        R = _rotation_x(x) @ _rotation_y(y) @ rotation_z(z)
+        return pose(R, length * np.asarray(self.tool[:3]))
+
+    @cached_property
+    def to_sensor(self) -> Array:
+        """Matrix from counts to the wrench in the sensor frame [N, N·m], (6, 6)."""
+        return np.asarray(wrench_map(self.T_sensor_tool) * self.scale)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user."""
+        notes = [
+            f"{self.product} reports {self.force_unit} and {self.torque_unit} at {self.rate:g} records/s"
+        ]
+        if any(self.tool):
+            shift = ", ".join(f"{value:g}" for value in self.tool)
+            units = f"{self.length_unit}, {self.angle_unit}"
+            notes.append(f"the box has a tool transform ({shift}; {units}): compensated")
+        if any(self.bias):
+            notes.append(
+                "the box has a software bias: absolute loads and the distance to the range limit are unknown"
+            )
+        if self.filter:
+            notes.append(
+                f"the box filters (setuserfilter {self.filter:g}): readings are delayed and correlated"
+            )
+        return tuple(notes)
+
+
+TAGS = {
+    "product": "prodname", "name": "cfgnam", "force_unit": "scfgfu", "torque_unit": "scfgtu",
+    "counts_per_force": "cfgcpf", "counts_per_torque": "cfgcpt", "ranges": "cfgmr", "tool": "cfgtfx",
+    "length_unit": "scfgtdu", "angle_unit": "scfgtau", "rate": "comrdtrate", "records": "comrdtbsiz",
+    "filter": "setuserfilter", "bias": "setbias",
+}  # fmt: skip
+"""Tags of the page, by attribute name."""
+REQUIRED_TAGS = ("scfgfu", "scfgtu", "cfgcpf", "cfgcpt")
+ARRAYS = ("ranges", "tool", "bias")
+TEXT_FIELDS = ("product", "name", "force_unit", "torque_unit", "length_unit", "angle_unit")
+
+
+def parse_configuration(page: bytes) -> NetFTConfiguration:
+    """Parse the page; its content is not trusted.
+
+    Args:
+        page: content of `netftapi2.xml`.
+
+    Raises:
+        InputError: it is not XML, declares entities, or a tag is missing, duplicated or not a number.
+        MissingDependencyError: defusedxml is not installed.
+    """
+    texts = _texts(page)
+    missing = [tag for tag in REQUIRED_TAGS if tag not in texts]
+    if missing:
+        raise InputError(f"netftapi2.xml: has no {', '.join(missing)}; is this a Net F/T box?")
+    values = {name: _value(name, tag, texts[tag]) for name, tag in TAGS.items() if tag in texts}
+    return NetFTConfiguration(**{"product": "Net F/T box"} | values)  # type: ignore[arg-type]  # the types are those of _value
+
+
+def differences(before: NetFTConfiguration, after: NetFTConfiguration) -> list[str]:
+    """Return the changes between two configurations, each as `tag: before, now after`."""
+    pairs = [(TAGS[f.name], getattr(before, f.name), getattr(after, f.name)) for f in fields(before)]
+    return [f"{tag}: {_text(old)}, now {_text(new)}" for tag, old, new in pairs if old != new]
+
+
+def _texts(page: bytes) -> dict[str, str]:
+    """Return the text of every known tag."""
+    try:
+        from defusedxml.common import DefusedXmlException
+        from defusedxml.ElementTree import ParseError, fromstring
+    except ImportError:
+        raise MissingDependencyError(
+            "reading a Net F/T box needs defusedxml; install probedesign[live]"
+        ) from None
+    try:
+        root = fromstring(page, forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
+        raise InputError(f"netftapi2.xml: not valid or safe XML: {type(error).__name__}") from None
+    texts: dict[str, str] = {}
+    for element in root.iter():
+        if element.tag not in TAGS.values():
+            continue
+        text = (element.text or "").strip()
+        if element.tag in texts or len(element) or len(text) > MAX_TEXT:
+            raise InputError(f"netftapi2.xml: {element.tag} must occur once, as a short text")
+        texts[element.tag] = text
+    return texts
+
+
+def _value(name: str, tag: str, text: str) -> str | float | tuple[float, ...]:
+    if name in TEXT_FIELDS:
+        return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    parts = [part for part in re.split(r"[;,\s]+", text) if part] if name in ARRAYS else [text]
+    try:
+        values = tuple(float(part) for part in parts)
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"netftapi2.xml: {tag} = {text[:40]!r} is not a number")
+    return values if name in ARRAYS else values[0]
+
+
+def unit_of(tag: str, text: str, units: dict[str, float]) -> float:
+    """Return one unit in SI."""
+    letters = re.sub(r"[^a-z]", "", text.lower())
+    if letters not in units:
+        known = ", ".join(units)
+        raise InputError(f"{tag} = {text[:40]!r} is not a known unit; known: {known}")
+    return units[letters]
+
+
+def _text(value: object) -> str:
+    return "; ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else str(value)
+
+
+def _rotation_x(angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _rotation_y(angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+MAX_PAGE_BYTES = 65536
+"""Maximum size of the page [bytes]; about ten thousand are usual."""
+PAGE_TIMEOUT = 2.0
+"""Maximum time to fetch the page [s]."""
+
+
+def fetch_configuration(host: str, port: int) -> NetFTConfiguration:
+    """Fetch the current configuration of the box.
+
+    Args:
+        host: address of the box.
+        port: port of its HTTP server.
+
+    Raises:
+        InputError: the box does not respond, or not with the page of a Net F/T box.
+    """
+    return parse_configuration(fetch_page(host, port))
+
+
+def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
+    """Fetch the page.
+
+    Args:
+        host: address of the box.
+        port: port of its HTTP server.
+        timeout: maximum time [s].
+
+    Raises:
+        InputError: there is no response, or it is not a page.
+    """
+    address = f"http://{host}:{port}{PAGE}"
+    connection = HTTPConnection(host, port, timeout=timeout)
+    try:
+        connection.request("GET", PAGE, headers={"Connection": "close"})
+        response = connection.getresponse()
+        page = b""
+        deadline = monotonic() + timeout
+        while chunk := response.read1(MAX_PAGE_BYTES + 1 - len(page)):
+            page += chunk
+            if len(page) > MAX_PAGE_BYTES or monotonic() > deadline:
+                raise InputError(f"{address}: too long or too slow for the page of a Net F/T box")
+    except (OSError, HTTPException, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise InputError(f"{address}: {why}; is the box on, and this its address and HTTP port?") from None
+    finally:
+        connection.close()
+    if response.status != 200:
+        raise InputError(f"{address}: HTTP status {response.status}; is this a Net F/T box?")
+    return page
+
+
+class ConfigurationMonitor:
+    """Fetches the page periodically to detect a configuration that changes during streaming.
+
+    Attributes:
+        changed: the changes; empty if there are none.
+        period: polling period [s].
+    """
+
+    def __init__(self, host: str, port: int, first: NetFTConfiguration, period: float) -> None:
+        """Prepare; nothing is fetched yet.
+
+        Args:
+            host: address of the box.
+            port: port of its HTTP server.
+            first: configuration at the start.
+            period: polling period [s].
+        """
+        self.changed: list[str] = []
+        self.period = period
+        self._host, self._port, self._initial = host, port, first
+        self._ended = threading.Event()
+
+    def check(self) -> bool:
+        """Fetch the page now; return whether it could be read."""
+        try:
+            page = fetch_page(self._host, self._port)
+        except InputError:
+            return False
+        try:
+            self.changed = differences(self._initial, parse_configuration(page))
+        except InputError as error:
+            self.changed = [str(error)]
+        return True
+
+    def __enter__(self) -> "ConfigurationMonitor":
+        threading.Thread(target=self._poll, name="netft-watch", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+
+    def _poll(self) -> None:
+        while not self._ended.wait(self.period) and not self.changed:
+            self.check()

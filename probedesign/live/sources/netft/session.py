@@ -1,0 +1,257 @@
+"""Session with a box through pynetft: reads its queue in one pass, renews the client if it rejects all records.
+
+Also the sensor's clock: time from a 32-bit counter that overflows, stops or restarts.
+"""
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.frames import Array
+from probedesign.live.sources.netft.wire import SAMPLES_PER_SECOND
+
+if TYPE_CHECKING:
+    from pynetft import Client
+
+
+QUEUE_SIZE = 1 << 16
+"""Maximum number of queued records: 9 s."""
+MAX_RECORDS_AT_ONCE = 700
+"""Maximum number of records read at once: 0.1 s."""
+GATHER_TIME = 0.001
+"""Time in which records are gathered, if there is time [s]: waking up for a record costs more than reading it."""
+STALE_TIME = 0.040
+"""Time without a record after which the last estimate is stale [s]; reported within 50 ms of the last record."""
+RENEW_AFTER = 0.5
+"""Time after which a client that rejects all records, as after a restart of the box, is replaced [s]."""
+RECONNECT_DELAY = 0.010
+"""Delay before a new request after the end of a session [s]; pynetft ends it with every sample of a faulty status."""
+SWITCH_INTERVAL = 1e-4
+"""Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
+thread would hold it for Python's usual 5 ms, longer than the interval between records."""
+
+
+@dataclass(frozen=True)
+class RdtRecords:
+    """n records of the box, in the order of arrival.
+
+    Attributes:
+        ft_sequence: sequence numbers of the sensor's samples, (n,).
+        status: status words, (n,).
+        received: arrival by `time.monotonic` [s], (n,).
+        counts: counts of the six channels, (n, 6).
+    """
+
+    ft_sequence: NDArray[np.int64]
+    status: NDArray[np.int64]
+    received: Array
+    counts: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.ft_sequence)
+
+    def __getitem__(self, part: slice | NDArray[np.bool_]) -> "RdtRecords":
+        """Return some of the records."""
+        return RdtRecords(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
+
+
+class RdtSession:
+    """Reads the records of one box with pynetft.
+
+    Attributes:
+        counts: number of records received, lost, late, doubled, malformed, dropped by the queue.
+    """
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        """Prepare; nothing streams yet.
+
+        Args:
+            name: name of the box, for messages.
+            host: address of the box.
+            port: RDT port.
+
+        Raises:
+            MissingDependencyError: pynetft is not installed.
+        """
+        self.counts: Counter[str] = Counter()
+        self._name, self._host, self._port = name, host, port
+        self._client, self._closed = self._new_client(), Counter[str]()
+
+    def records(self) -> Generator[RdtRecords, None, None]:
+        """Yield records as they arrive; none after each `STALE_TIME` without one.
+
+        Raises:
+            InputError: pynetft has stopped.
+        """
+        received, renewed, usual = 0, monotonic(), sys.getswitchinterval()
+        sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
+        self._client.start()
+        try:
+            while True:
+                started = monotonic()
+                records = drain(self._client)
+                yield records
+                if len(records):
+                    sleep(max(0.0, started + GATHER_TIME - monotonic()))
+                    continue
+                received_now = self._received_count()
+                if received_now > received and monotonic() - renewed > RENEW_AFTER:
+                    self._renew()
+                    renewed, received_now = monotonic(), 0
+                received = received_now
+        finally:
+            sys.setswitchinterval(usual)
+            self._client.stop()
+            self.count()
+
+    def count(self) -> None:
+        """Update the counts."""
+        health = self._client.health()
+        self.counts = self._closed + Counter(
+            received=health.received_count,
+            lost=health.lost_count - health.out_of_order_count,
+            late=health.out_of_order_count,
+            doubled=health.duplicate_count,
+            malformed=health.malformed_count,
+            dropped=health.python_queue_dropped_count,
+        )
+
+    def _received_count(self) -> int:
+        """Return the number of records that pynetft has received, delivered or not."""
+        health = self._client.health()
+        if health.state.value == "faulted":
+            raise InputError(f"{self._name}: pynetft has stopped: {health.last_error}")
+        return health.received_count
+
+    def _renew(self) -> None:
+        self._client.stop()
+        self.count()
+        self._closed = self.counts
+        self._client = self._new_client()
+        self._client.start()
+
+    def _new_client(self) -> "Client":
+        """Return a client that delivers counts: pynetft does not know tool transforms, so counts are converted here."""
+        try:
+            from pynetft import Calibration, Client, Config, ForceUnit, TorqueUnit
+        except ImportError:
+            raise MissingDependencyError("netft:// needs pynetft; install probedesign[live]") from None
+        config = Config(
+            sensor_host=self._host,
+            rdt_port=self._port,
+            receive_timeout=2.0 * STALE_TIME,
+            reconnect_initial_delay=RECONNECT_DELAY,
+            reconnect_max_delay=0.5,
+            deliver_samples_with_error_status=True,
+            calibration_override=Calibration(1.0, 1.0, ForceUnit.NEWTON, TorqueUnit.NEWTON_METER),
+        )
+        return Client(config, queue_size=QUEUE_SIZE)
+
+
+def drain(client: "Client") -> RdtRecords:
+    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`."""
+    read = _reader(client)
+    rows: list[tuple[int, ...]] = []
+    sample = read(STALE_TIME)
+    while sample is not None:
+        rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
+        sample = read(0.0) if len(rows) < MAX_RECORDS_AT_ONCE else None
+    table = np.array(rows, dtype=np.int64).reshape(-1, 9)
+    return RdtRecords(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
+
+
+def _reader(client: "Client") -> Callable[[float], Any]:
+    """Return the function that reads one sample within a timeout [s]; None if there is none.
+
+    `Client.samples` creates an object of enumerations and floats for each sample, which takes three times as long as
+    reading it. pynetft's native reader, where the client has one, is used instead; it is not public API.
+    """
+    native = getattr(getattr(client, "_native", None), "read", None)
+    if native is not None:
+        return lambda timeout: native(timeout).sample
+
+    def read(timeout: float) -> Any:
+        from pynetft import NetFTError
+
+        try:
+            return next(client.samples(timeout), None)
+        except (TimeoutError, NetFTError):  # a fault is reported by the client's health
+            return None
+
+    return read
+
+
+WRAP = 1 << 32
+MAX_LEAD = 10.0
+"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers hold less, and a
+suspended program finds no old records."""
+
+
+class RecordTimes(NamedTuple):
+    """Times of n records.
+
+    Attributes:
+        new: whether each record is a new sample, not a repeated one, (n,).
+        time: times of the k new samples [s], (k,).
+        restarted: whether the counter restarted before each new sample, (k,).
+    """
+
+    new: NDArray[np.bool_]
+    time: Array
+    restarted: NDArray[np.bool_]
+
+
+def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
+    """Return the difference of each value to the one before, the first to `before`, (n,).
+
+    As `np.diff`, which takes four times as long for few values.
+    """
+    records = np.empty_like(values)
+    records[:1] = values[:1] - before
+    np.subtract(values[1:], values[:-1], out=records[1:])
+    return records
+
+
+class SensorClock:
+    """Time since the first record by `ft_sequence` [s], never decreasing.
+
+    Attributes:
+        restarts: number of restarts of the counter; the host's clock covers the gaps.
+    """
+
+    def __init__(self) -> None:
+        """Start before the first record."""
+        self.restarts = 0
+        self._last: tuple[int, float] | None = None
+        self._ticks = 0
+
+    def times(self, ft_sequence: NDArray[np.int64], received: Array) -> RecordTimes:
+        """Return the times of consecutive records.
+
+        Args:
+            ft_sequence: sequence numbers, (n,).
+            received: arrival by the host's clock [s], (n,).
+        """
+        new = np.ones(len(ft_sequence), dtype=bool)
+        new[1:] = np.diff(ft_sequence) != 0
+        if self._last is not None and len(new):
+            new[0] = ft_sequence[0] != self._last[0]
+        ft, received = ft_sequence[new], received[new]
+        if not len(ft):
+            return RecordTimes(new, np.empty(0), np.empty(0, dtype=bool))
+        before = self._last or (int(ft[0]), float(received[0]))
+        ticks = steps(ft, before[0]) % WRAP
+        elapsed = np.maximum(steps(received, before[1]), 0.0)
+        restarted = ticks / SAMPLES_PER_SECOND > elapsed + MAX_LEAD
+        bridged = np.maximum(np.rint(elapsed * SAMPLES_PER_SECOND), 1.0).astype(np.int64)
+        counted = self._ticks + np.cumsum(np.where(restarted, bridged, ticks))
+        self.restarts += int(restarted.sum())
+        self._last, self._ticks = (int(ft[-1]), float(received[-1])), int(counted[-1])
+        return RecordTimes(new, counted / SAMPLES_PER_SECOND, restarted)

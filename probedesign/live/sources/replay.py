@@ -1,0 +1,375 @@
+"""Recordings of any kind as blocks of readings, and the source `replay:FILE` that plays them.
+
+Our own MCAP recordings reproduce the blocks of the original source exactly. Other ROS 2 bags and CSV are read too.
+"""
+
+import json
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, get_args
+from urllib.parse import parse_qsl, urlencode
+
+import numpy as np
+
+from probedesign.core.csv_tables import Frame, plain, shown
+from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.live import Log
+from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
+from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
+from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
+from probedesign.live.sources.netft.ati_demo import is_ati_demo, read_ati_demo
+from probedesign.live.sources.parameters import (
+    BLOCK_DURATION,
+    MAX_BLOCK_READINGS,
+    SPEED,
+    SourceParameter,
+    parse_parameters,
+)
+from probedesign.live.sources.rosbag import (
+    BLOCK_SIZE,
+    AnnotatedBag,
+    Bag,
+    RosWrenchTopic,
+    find_wrench_topic,
+    is_bag,
+    open_bag,
+)
+from probedesign.units import MM
+
+MomentUnit = Literal["Nm", "Nmm"]
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """What to read of a bag, and how.
+
+    Attributes:
+        topic: topic of the wrenches; may be empty if there is only one, or for our own recordings.
+        frame: frame of a topic of another publisher.
+        moment_unit: moment unit that the publisher used, regardless of the standard.
+        other_probe: accept our own recordings of another probe.
+    """
+
+    topic: str = ""
+    frame: Frame | None = None
+    moment_unit: MomentUnit = "Nm"
+    other_probe: bool = False
+
+
+@dataclass(frozen=True)
+class OpenRecording:
+    """A recording, open for reading.
+
+    Attributes:
+        path: path of the recording.
+        description: its content in a few words.
+        frame: frame of its wrenches.
+        notes: notes for the user before it is read.
+        blocks: returns its readings, in the sensor frame.
+        missing: returns what is missing in it, as far as it was read.
+        source: source that was recorded, as stated in the recording; may be empty.
+    """
+
+    path: Path
+    description: str
+    frame: Frame
+    notes: tuple[str, ...]
+    blocks: Callable[[], Iterator[Block]]
+    missing: Callable[[], tuple[str, ...]] = field(default=lambda: ())
+    source: str = ""
+
+
+def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | None = None) -> OpenRecording:
+    """Open the recording at a path.
+
+    Args:
+        path: CSV, MCAP, `.db3`, or the folder of a bag.
+        model: recorded probe; its gravity is used if the recording has none.
+        options: what to read of a bag.
+
+    Raises:
+        InputError: the path is not a recording, or not of this probe.
+        MissingDependencyError: the package that reads it is not installed.
+    """
+    options = options or RecordingOptions()
+    if not is_bag(path):
+        return _open_table(path, model, options)
+    bag = open_bag(path)
+    if isinstance(bag, AnnotatedBag) and METADATA_NAME in bag.metadata and not options.topic:
+        return _open_native(bag, model, options)
+    return _open_foreign(bag, model, options)
+
+
+def _open_table(path: Path, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
+    if options.topic:
+        raise InputError(f"{path}: has no topic {options.topic!r}: it is not a ROS 2 bag")
+    recording = read_ati_demo(path) if is_ati_demo(path) else read_recording(path)
+    damage = recording.notes if recording.gaps or recording.dropped_lines else ()
+    return OpenRecording(path, f"{len(recording.time)} readings", recording.frame, recording.notes,
+                    lambda: _table_blocks(recording, model), lambda: damage)  # fmt: skip
+
+
+def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
+    """Yield the samples of a table; a block has one gravity vector."""
+    n = len(recording.time)
+    gravity = recording.gravity_base
+    notes = np.zeros((n, 3)) if gravity is None else gravity
+    turns = np.flatnonzero((np.diff(notes, axis=0) != 0).any(axis=1)) + 1
+    cuts = np.unique(np.concatenate([turns, np.arange(0, n, BLOCK_SIZE), [n]])).tolist()
+    for start, end in pairwise(cuts):
+        here = model.gravity_base if gravity is None else gravity[start]
+        wrench = recording.wrench[start:end]
+        if recording.frame == "base":  # one by one: the product of many rows rounds differently
+            wrench = np.array([model.to_sensor(row, here) for row in wrench])
+        yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan))
+
+
+def _open_native(bag: AnnotatedBag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
+
+    notes = _check_probe(bag, model, options)
+    blocks = NativeRecording(bag)
+
+    def missing() -> tuple[str, ...]:
+        notes = []
+        if blocks.n_dropped:
+            notes.append(
+                f"{blocks.n_dropped} readings were dropped by the recorder because the disk was too slow"
+            )
+        if bag.damage:
+            notes.append(f"incomplete: {bag.damage}")
+        return tuple(notes)
+
+    metadata = bag.metadata[METADATA_NAME]
+    source = plain(metadata.get("source", ""))
+    description = f"recorded {plain(metadata.get('started', ''))} from {source}"
+    return OpenRecording(
+        bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source
+    )
+
+
+def _check_probe(bag: AnnotatedBag, model: ProbeModel, options: RecordingOptions) -> tuple[str, ...]:
+    """Return notes on the recorded probe.
+
+    Raises:
+        InputError: it is another probe, and that was not allowed.
+    """
+    probe = bag.probe or {}
+    name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
+    if fingerprint != model.fingerprint:
+        notes = (
+            f"recorded with probe {shown(name)}, fingerprint {shown(fingerprint)}, not {model.fingerprint}"
+        )
+        if not options.other_probe:
+            raise InputError(f"{bag.path}: {notes}; use its own frozen probe, or allow it with other_probe")
+        return (notes,)
+    from probedesign.deployment import freeze
+
+    if probe.get("checksum") == freeze(model)["checksum"]:
+        return ()
+    return (
+        "recorded with another frozen version of this probe (material, sensor, program): estimates may differ",
+    )
+
+
+def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
+    published = find_wrench_topic(bag, options.topic)
+    named: Frame = "base" if published.frame_id == "base" else "sensor"
+    frame = options.frame or named
+    notes = [
+        f"topic {plain(published.channel.topic)}, frame {shown(published.frame_id)}, interpreted as the {frame} frame"
+    ]
+    if published.unstamped:
+        notes.append("its headers have no time stamp: the time of recording is used")
+    notes += _check_unit(published, model, options)
+    factors = np.array([1.0] * 3 + [MM if options.moment_unit == "Nmm" else 1.0] * 3)
+    unread = np.full(BLOCK_SIZE, np.nan)
+
+    def blocks() -> Iterator[Block]:
+        for time, published_wrench in published.wrenches():
+            wrench = published_wrench * factors
+            if frame == "base":
+                wrench = model.to_sensor(wrench, model.gravity_base)
+            yield Block(time, wrench, model.gravity_base, unread[: len(time)])
+
+    return OpenRecording(bag.path, f"topic {plain(published.channel.topic)}", frame, tuple(notes),
+                    lambda: _checked(bag.path, blocks()),
+                    lambda: (f"incomplete: {bag.damage}",) if bag.damage else ())  # fmt: skip
+
+
+def _check_unit(published: RosWrenchTopic, model: ProbeModel, options: RecordingOptions) -> list[str]:
+    """Return a warning if moments are probably in N·mm: beyond the sensor's range in N·m, within it in N·mm."""
+    _, wrench = next(published.wrenches())
+    typical = np.median(np.abs(wrench[:, 3:]), axis=0)
+    limit = model.wrench_range[3:]
+    if options.moment_unit == "Nm" and (typical > limit).any() and (typical * MM <= limit).all():
+        return [f"moments of {typical.max():.3g} N·m are beyond the sensor's {limit.max():.3g} N·m; "
+                "if they are in N·mm, use moment_unit=Nmm"]  # fmt: skip
+    return []
+
+
+def _checked(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield the blocks; refuse values beyond the range of any sensor and decreasing time."""
+    last = -np.inf
+    for block in blocks:
+        times: Array = np.concatenate([[last], block.time])
+        back = np.flatnonzero(np.diff(times) < 0)
+        if len(back):
+            i = int(back[0])
+            raise InputError(f"{path}: time decreases, from {times[i]:.9g} s to {times[i + 1]:.9g} s")
+        if not block.fault:
+            check_wrenches(path, block.time, block.wrench_sensor)
+        last = float(times[-1])
+        yield block
+
+
+MAX_BLOCK = 1_000_000
+"""Maximum number of readings in a block: 2 minutes of the fastest source."""
+
+
+class NativeRecording:
+    """The blocks of our own recording, exactly as the source delivered them.
+
+    Attributes:
+        n_dropped: number of readings that the recorder dropped, as far as it was read.
+    """
+
+    def __init__(self, bag: Bag) -> None:
+        """Read the blocks of a bag with the topics `RAW` and `BLOCK`."""
+        self._bag = bag
+        self.n_dropped = 0
+
+    def __iter__(self) -> Iterator[Block]:
+        """Yield the blocks in order.
+
+        Raises:
+            InputError: the file is not a valid recording of ours.
+        """
+        raw: list[bytes | memoryview] = []
+        self.n_dropped = 0
+        n_read, n_gaps = 0, 0
+        for message in self._bag.messages({RAW.name, BLOCK.name}):
+            if message.topic == RAW.name:
+                raw.append(message.data)
+                if len(raw) > MAX_BLOCK:
+                    raise InputError(f"{self._bag.path}: {len(raw)} readings without a {BLOCK.name}")
+                continue
+            try:
+                first, block = _native_block(raw, read_text(message.data))
+            except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+                raise InputError(
+                    f"{self._bag.path}: a {BLOCK.name} after {n_read} readings: {error}"
+                ) from None
+            if first != n_read + self.n_dropped:  # averages must not span dropped readings
+                self.n_dropped, n_gaps = first - n_read, n_gaps + 1
+            n_read, raw = n_read + len(block), []
+            yield block if not n_gaps else _new_segment(block, n_gaps)
+
+
+def _native_block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
+    """Return the number of readings before the block, and the block.
+
+    Raises:
+        ValueError, KeyError, TypeError: the message does not match its schema.
+    """
+    content = json.loads(text)
+    time = _finite_array(content["time_s"])
+    gravity = _finite_array(content["gravity_base_m_s2"])
+    first, stretch, fault = content["first"], content["stretch"], content["fault"]
+    if type(first) is not int or type(stretch) is not int or type(fault) is not str or gravity.shape != (3,):
+        raise ValueError("it does not match its schema")
+    if len(time) != len(raw):
+        raise ValueError(f"it describes {len(time)} readings, but {len(raw)} wrenches precede it")
+    wrench = read_wrenches(raw)
+    return first, Block(time, wrench, gravity, np.full(len(time), np.nan), plain(fault, 200), stretch)
+
+
+def _finite_array(values: Any) -> Array:
+    array = np.array(values, dtype=float)
+    if array.ndim != 1 or not np.isfinite(array).all():
+        raise ValueError("its numbers are not finite")
+    return array
+
+
+def _new_segment(block: Block, n_gaps: int) -> Block:
+    """Return the block in a new stretch after dropped readings; 2³² keeps it clear of the source's stretches."""
+    return Block(block.time, block.wrench_sensor, block.gravity_base, block.received, block.fault,
+                 block.stretch + (n_gaps << 32))  # fmt: skip
+
+
+PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}
+TEXT_PARAMETERS = {"topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}
+"""Text parameters with their values; empty if any value is allowed."""
+
+
+class ReplaySource:
+    """Plays a recording at its own speed or another.
+
+    Attributes:
+        title: one line that describes the source.
+        notes: notes for the user about the file.
+        recorded_from: source that was recorded, as stated in the recording; may be empty.
+    """
+
+    def __init__(
+        self,
+        model: ProbeModel,
+        path: Path,
+        query: str = "",
+        log: Log = lambda line: None,
+    ) -> None:
+        """Open the file.
+
+        Args:
+            model: recorded probe.
+            path: path of the recording.
+            query: the parameters of `PARAMETERS` and `TEXT_PARAMETERS`.
+            log: callback that reports missing data at the end.
+
+        Raises:
+            InputError: a parameter is invalid, the file is not a recording, or it is of another probe.
+            MissingDependencyError: the package that reads it is not installed.
+        """
+        if not path.name:
+            raise InputError("replay: a file is required; write replay:FILE")
+        texts, rest = _text_parameters(query)
+        numbers = parse_parameters("replay:", rest, PARAMETERS)
+        self._speed, self._log = numbers["speed"], log
+        options = RecordingOptions(other_probe=numbers["other_probe"] == 1, **texts)  # type: ignore[arg-type]  # checked
+        self._recording = open_recording(path, model, options)
+        self.title = f"replay of {path}, {self._recording.description}"
+        self.notes, self.recorded_from = self._recording.notes, self._recording.source
+
+    def __iter__(self) -> Generator[Block, None, None]:
+        return paced(
+            group_readings(self._readings(), MAX_BLOCK_READINGS, BLOCK_DURATION * self._speed), self._speed
+        )
+
+    def _readings(self) -> Iterator[WrenchReading]:
+        for block in self._recording.blocks():
+            yield from block.readings()
+        for line in self._recording.missing():
+            if line not in self.notes:
+                self._log(f"{self._recording.path}: {line}")
+
+
+def _text_parameters(query: str) -> tuple[dict[str, str], str]:
+    """Return the text parameters, and the query without them.
+
+    Raises:
+        InputError: one is duplicated or has an invalid value.
+    """
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+    except ValueError:
+        return {}, query  # reported by the parser of the rest
+    texts = [(name, value) for name, value in pairs if name in TEXT_PARAMETERS]
+    for i, (name, value) in enumerate(texts):
+        if name in dict(texts[:i]):
+            raise InputError(f"replay: {name} is given twice; keep one")
+        if TEXT_PARAMETERS[name] and value not in TEXT_PARAMETERS[name]:
+            raise InputError(f"replay: {name} = {value!r} must be {' or '.join(TEXT_PARAMETERS[name])}")
+    return dict(texts), urlencode([pair for pair in pairs if pair[0] not in TEXT_PARAMETERS])

@@ -1,0 +1,337 @@
+"""ROS 2 bags, as MCAP or sqlite3: channels, messages, wrenches and poses."""
+
+import difflib
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from probedesign.core.csv_tables import plain, shown
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.frames import Array
+from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
+from probedesign.live.recordings import require
+from probedesign.live.recordings.schemas import MCAP_MAGIC, WRENCH, Channel, Message, read_stamped
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+"""The first bytes of a `.db3` file."""
+
+
+class Bag(Protocol):
+    """A bag: messages in the order in which they were recorded."""
+
+    path: Path
+    damage: str
+    """Description of the damage, as far as the bag was read; empty if none."""
+
+    def channels(self) -> list[Channel]:
+        """Return all channels."""
+        ...
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Yield the messages of the topics; of a damaged bag those before the damage."""
+        ...
+
+
+@runtime_checkable
+class AnnotatedBag(Bag, Protocol):
+    """A bag with metadata and attachments.
+
+    Attributes:
+        metadata: metadata by name.
+        probe: attached frozen probe, if any.
+    """
+
+    metadata: dict[str, dict[str, str]]
+    probe: dict[str, object] | None
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a file or folder is a bag, by its first bytes, or by its suffix."""
+    try:
+        if path.is_dir():
+            return (path / "metadata.yaml").exists()
+        with path.open("rb") as file:
+            start = file.read(16)
+    except (OSError, ValueError):
+        return False
+    return start.startswith(MCAP_MAGIC) or start == SQLITE_MAGIC or path.suffix in (".mcap", ".db3")
+
+
+def open_bag(path: Path) -> Bag:
+    """Open the bag at a path.
+
+    Raises:
+        InputError: there is no bag, or it cannot be read.
+        MissingDependencyError: the package that reads it is not installed.
+    """
+    if path.suffix == ".db3" or path.is_dir():
+        return RosBag(path)
+    require()
+    from probedesign.live.recordings.mcap_read import McapBag
+
+    return McapBag(path)
+
+
+def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
+    """Select the channel to read.
+
+    Args:
+        bag: the bag.
+        types: accepted message types.
+        topic: name of the topic; may be empty if there is only one.
+
+    Raises:
+        InputError: there is no such channel, or there are several and no name is given.
+    """
+    found = {channel.topic: channel for channel in bag.channels()}
+    fit = [name for name, channel in found.items() if channel.type in types and channel.encoding == "cdr"]
+    wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
+    listed = ", ".join(map(shown, fit[:10])) or "none"
+    if topic and topic in found and topic not in fit:
+        other = shown(found[topic].type)
+        raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
+    if topic and topic not in fit:
+        near = difflib.get_close_matches(topic, fit, 1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise InputError(f"{bag.path}: has no topic {topic!r}; {hint}topics of {wanted}: {listed}")
+    if not fit:
+        raise InputError(f"{bag.path}: has no topic of {wanted}")
+    if len(fit) > 1 and not topic:
+        raise InputError(f"{bag.path}: has several topics of {wanted}: {listed}; select one with ?topic=")
+    return found[topic or fit[0]]
+
+
+class RosBag:
+    """A folder with metadata.yaml, or a database of `ros2 bag`, read with rosbags."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the list of channels.
+
+        Raises:
+            InputError: the bag cannot be read.
+            MissingDependencyError: rosbags is not installed.
+        """
+        try:
+            from rosbags.rosbag2 import Reader
+        except ImportError:
+            raise MissingDependencyError('ROS 2 bags need: pip install "probedesign[live]"') from None
+        self.path, self.damage = path, ""
+        self._reader = Reader
+        try:
+            with Reader(path) as reader:
+                self._channels = [Channel(str(c.topic), str(c.msgtype)) for c in reader.connections]
+        except Exception as error:
+            raise self._unreadable(error) from None
+
+    def channels(self) -> list[Channel]:
+        """Return all channels; see `Bag`."""
+        return list(dict.fromkeys(self._channels))
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Yield the messages of the topics; see `Bag`.
+
+        Raises:
+            InputError: the bag cannot be read further.
+        """
+        try:
+            with self._reader(self.path) as reader:
+                wanted = [connection for connection in reader.connections if connection.topic in topics]
+                for connection, logged, data in reader.messages(wanted) if wanted else ():
+                    if not isinstance(data, bytes) or not isinstance(
+                        logged, int
+                    ):  # a database may contain anything
+                        raise ValueError(f"a message of {connection.topic} is not a message")
+                    yield Message(connection.topic, logged, data)
+        except InputError:
+            raise
+        except Exception as error:
+            raise self._unreadable(error) from None
+
+    def _unreadable(self, error: Exception) -> InputError:
+        """Return any exception of rosbags as an error of the bag: rosbags does not validate its input."""
+        text = plain(str(error), 200) or type(error).__name__
+        return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {text}")
+
+
+BLOCK_SIZE = 256
+"""Readings per block: few enough for a short delay, enough for efficiency."""
+Wrenches = tuple[Array, Array]
+"""Times [s], (n,), and wrenches as published, (n, 6)."""
+
+
+@dataclass(frozen=True)
+class RosWrenchTopic:
+    """A topic of wrenches.
+
+    Attributes:
+        bag: the bag.
+        channel: channel of the topic.
+        frame_id: frame of its first message.
+        unstamped: whether its headers have no time stamp, so that the time of recording is used.
+    """
+
+    bag: Bag
+    channel: Channel
+    frame_id: str
+    unstamped: bool
+
+    def wrenches(self) -> Iterator[Wrenches]:
+        """Yield times and wrenches in blocks.
+
+        Raises:
+            InputError: a message is invalid.
+        """
+        messages = self.bag.messages({self.channel.topic})
+        while batch := list(islice(messages, BLOCK_SIZE)):
+            read = [_read_wrench(self.bag, message) for message in batch]
+            pairs = zip(batch, read, strict=True)
+            stamps = [message.logged if self.unstamped else stamp for message, (stamp, _, _) in pairs]
+            yield np.array(stamps, dtype=float) / 1e9, np.array([values for _, _, values in read])
+
+
+def find_wrench_topic(bag: Bag, topic: str = "") -> RosWrenchTopic:
+    """Return the topic of wrenches in a bag.
+
+    Args:
+        bag: the bag.
+        topic: name of the topic; may be empty if there is only one.
+
+    Raises:
+        InputError: there is none, it is empty, or there are several and no name is given.
+    """
+    channel = select_channel(bag, {WRENCH}, topic)
+    first = next(iter(bag.messages({channel.topic})), None)
+    if first is None:
+        raise InputError(
+            f"{bag.path}: topic {plain(channel.topic)} has no messages" + (bag.damage and f"; {bag.damage}")
+        )
+    stamp, frame_id, _ = _read_wrench(bag, first)
+    return RosWrenchTopic(bag, channel, frame_id, stamp == 0)
+
+
+def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...]]:
+    try:
+        return read_stamped(message.data, 6)
+    except ValueError as error:
+        at = f"{message.logged / 1e9:.9g} s"
+        raise InputError(f"{bag.path}: a message of {shown(message.topic)} logged at {at}: {error}") from None
+
+
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TF = "tf2_msgs/msg/TFMessage"
+STATIC = "/tf_static"
+
+
+def is_bag_path(path: Path) -> bool:
+    """Return whether a path is a bag by its name: a folder, or a file with the suffix of a bag."""
+    return path.is_dir() or path.suffix in (".mcap", ".db3")
+
+
+def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "") -> list[TimedPose]:
+    """Read the poses of the base, in order of the time in their headers.
+
+    Args:
+        path: path of the bag's folder, or of its single file.
+        topic: topic of PoseStamped; empty if there is only one.
+        world: TF frame of the world; requires `base` and excludes `topic`.
+        base: TF frame of the probe's base.
+
+    Raises:
+        InputError: the path is not a bag, has no such poses, or an invalid one.
+        MissingDependencyError: rosbags is not installed.
+    """
+    if bool(world) != bool(base) or (world and topic):
+        raise InputError(f"--pose {path}: use topic=/NAME, or world=FRAME&base=FRAME")
+    with _pose_reader(path) as reader:
+        found = _poses_from_tf(reader, path, world, base) if world else _poses_from_topic(reader, path, topic)
+    found.sort(key=lambda pose: pose.time)
+    return found
+
+
+def _poses_from_topic(reader: "AnyReader", path: Path, topic: str) -> list[TimedPose]:
+    topics = {c.topic: c for c in reader.connections if c.msgtype == POSE_STAMPED}
+    name = topic or (next(iter(topics)) if len(topics) == 1 else "")
+    if name not in topics:
+        there = f"there are {', '.join(sorted(topics))[:200]}" if topics else "there are none"
+        raise InputError(
+            f"{path}: topic {topic or 'not named'}; of poses (PoseStamped) {there}; use ?topic=/NAME"
+        )
+    found, frames = [], set()
+    for _, message in _deserialized(reader, path, topics[name].msgtype, name):
+        frames.add(message.header.frame_id)
+        position, orientation = message.pose.position, message.pose.orientation
+        found.append(_timed_pose(path, name, message.header.stamp, position, orientation))
+    if not found:
+        raise InputError(f"{path}: topic {name} has no poses")
+    if len(frames) > 1:
+        text = ", ".join(sorted(frames))[:80]
+        raise InputError(f"{path}: topic {name} has poses in several frames, {text}; one frame is required")
+    return found
+
+
+def _poses_from_tf(reader: "AnyReader", path: Path, world: str, base: str) -> list[TimedPose]:
+    tree = TransformTree()
+    for topic, message in _deserialized(reader, path, TF):
+        for edge in message.transforms:
+            move = edge.transform
+            pose = _timed_pose(path, topic, edge.header.stamp, move.translation, move.rotation)
+            tree.add(edge.header.frame_id, edge.child_frame_id, pose, topic == STATIC)
+    try:
+        return tree.poses(world, base)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _deserialized(reader: "AnyReader", path: Path, kind: str, topic: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield topic and message of all messages of a type, and of one topic if given."""
+    chosen = [c for c in reader.connections if c.msgtype == kind and topic in ("", c.topic)]
+    if not chosen:
+        return
+    try:
+        for connection, _, raw in reader.messages(connections=chosen):
+            yield connection.topic, reader.deserialize(raw, connection.msgtype)
+    except InputError:
+        raise
+    except Exception as error:  # rosbags may raise anything on invalid bytes
+        raise InputError(f"{path}: is damaged: {' '.join(str(error).split())[:120]}") from None
+
+
+def _timed_pose(path: Path, topic: str, stamp: Any, position: Any, orientation: Any) -> TimedPose:
+    try:
+        time = stamp.sec + stamp.nanosec * 1e-9
+        return timed_pose(
+            time,
+            (position.x, position.y, position.z),
+            (orientation.x, orientation.y, orientation.z, orientation.w),
+        )
+    except InputError as error:
+        raise InputError(f"{path}: a pose on {topic}: {error}") from None
+
+
+@contextmanager
+def _pose_reader(path: Path) -> Iterator["AnyReader"]:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise MissingDependencyError("reading a bag needs rosbags; install probedesign[live]") from None
+    try:
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+        reader.open()
+    except Exception as error:  # rosbags does not validate: any exception is possible
+        why = " ".join(str(error).split())[:120] or type(error).__name__
+        hint = "; if it was cut off: probedesign recover" if path.suffix == ".mcap" else ""
+        raise InputError(f"{path}: cannot be read as a ROS 2 bag: {why}{hint}") from None
+    try:
+        yield reader
+    finally:
+        reader.close()

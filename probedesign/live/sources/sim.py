@@ -1,0 +1,166 @@
+"""Source `sim:`: a simulated contact that moves along the rod, with or without friction, and the sensor's noise."""
+
+import math
+from collections.abc import Generator, Iterator
+
+import numpy as np
+
+from probedesign.errors import InputError
+from probedesign.estimation.force_moment import surface_point
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.live.processing.blocks import (
+    NO_CONTACT,
+    Block,
+    TrueContact,
+    WrenchReading,
+    group_readings,
+    paced,
+)
+from probedesign.live.sources.parameters import (
+    BLOCK_DURATION,
+    MAX_BLOCK_READINGS,
+    SPEED,
+    SourceParameter,
+    parse_parameters,
+)
+from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.friction import MAX_FRICTION
+from probedesign.rod.rod import Rod
+from probedesign.rod.surface_force import line_of_action, solve_surface_force
+from probedesign.units import MILLINEWTON, MM
+
+PARAMETERS = {
+    "force_mN": SourceParameter(math.nan, 1e-3, 1e5),  # see safe_force
+    "angle_deg": SourceParameter(30.0, -360.0, 360.0),
+    "period_s": SourceParameter(20.0, 0.1, 3600.0),
+    "seconds": SourceParameter(20.0, 0.01, 1e7),
+    "rate_hz": SourceParameter(50.0, 0.1, 7000.0),
+    "seed": SourceParameter(1, 0, 1e9, integer=True),
+    "friction": SourceParameter(0.0, 0.0, MAX_FRICTION),
+    "speed": SPEED,
+}
+
+DEFAULT_FORCE = 20.0 * MILLINEWTON
+"""Default contact force [N], reduced for a probe that it would bend too far."""
+MAX_BENDING = 0.85
+"""Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force."""
+
+PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
+POSITION = (0.3, 0.30, 0.30, 0.95, 0.30, 0.30, 0.3)
+LOAD = (0.0, 0.00, 1.00, 1.00, 1.00, 0.00, 0.0)
+"""One period: free, loaded at 0.3 of the length, moved to 0.95 and back, released, free. Linear in between."""
+
+
+class SimulatedSource:
+    """A contact that sweeps along the probe. Each iteration yields the same readings.
+
+    Attributes:
+        title: one line that describes the source.
+        notes: empty.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, model: ProbeModel, query: str = "") -> None:
+        """Parse the parameters.
+
+        Args:
+            model: the probe.
+            query: the parameters of `PARAMETERS`.
+
+        Raises:
+            InputError: a parameter is invalid; during iteration: the probe has no equilibrium under the force.
+        """
+        parameters = parse_parameters("sim:", query, PARAMETERS)
+        self._model = model
+        self._force = parameters["force_mN"] * MILLINEWTON
+        if math.isnan(self._force):
+            self._force = safe_force(model.rod)
+        self._angle = math.radians(parameters["angle_deg"])
+        self._period, self._rate, self._speed = (
+            parameters["period_s"],
+            parameters["rate_hz"],
+            parameters["speed"],
+        )
+        self._count = max(1, round(parameters["seconds"] * parameters["rate_hz"]))
+        self._seed, self._friction = int(parameters["seed"]), parameters["friction"]
+        low, high = min(POSITION) * model.rod.length / MM, max(POSITION) * model.rod.length / MM
+        self.title = (
+            f"simulated contact of {self._force / MILLINEWTON:.3g} mN sweeping s = {low:.1f} ... {high:.1f} mm, "
+            f"{parameters['seconds']:g} s at {self._rate:g} readings/s, noise seed {self._seed}"
+        )
+
+    def __iter__(self) -> Generator[Block, None, None]:
+        return paced(
+            group_readings(self._readings(), MAX_BLOCK_READINGS, BLOCK_DURATION * self._speed), self._speed
+        )
+
+    def _readings(self) -> Iterator[WrenchReading]:
+        for position in np.linspace(
+            min(POSITION), max(POSITION), 8
+        ):  # a force without equilibrium fails here, not during the run
+            self._loaded(position * self._model.rod.length, self._force)
+        noise = np.random.default_rng(self._seed)
+        std = np.sqrt(np.diag(self._model.noise.covariance()))
+        gravity = self._model.gravity_base
+        for i in range(self._count):
+            time = i / self._rate
+            wrench, truth = self._at(time)
+            wrench_sensor = self._model.to_sensor(wrench, gravity) + std * noise.standard_normal(6)
+            yield WrenchReading(time, wrench_sensor, gravity, truth)
+
+    def _at(self, time: float) -> tuple[Array, TrueContact]:
+        """Return base wrench (6,) and true contact at a time [s]."""
+        phase = time / self._period % 1.0
+        press = float(np.interp(phase, PHASE, LOAD))
+        if press == 0.0:
+            return self._model.rod.solve(self._model.gravity_base, mode="reference").wrench_base, NO_CONTACT
+        position = float(np.interp(phase, PHASE, POSITION))
+        sliding = float(np.sign(np.diff(POSITION)[np.searchsorted(PHASE, phase, side="right") - 1]))
+        return self._loaded(position * self._model.rod.length, press * self._force, sliding)
+
+    def _loaded(self, s: float, force: float, sliding: float = 0.0) -> tuple[Array, TrueContact]:
+        """Return base wrench (6,) and true contact under a normal force [N] at s [m].
+
+        Args:
+            s: arclength of the contact [m]; with friction, of the touched section.
+            force: force normal to the surface [N].
+            sliding: 1 if the contact slides towards the tip, -1 towards the base, 0 if it does not slide.
+
+        Raises:
+            InputError: there is no equilibrium.
+        """
+        rod, gravity = self._model.rod, self._model.gravity_base
+        result, truth = "ok", NO_CONTACT
+        if self._friction > 0.0:
+            ratio = (sliding * self._friction, 0.0)
+            contact_with_friction = solve_surface_force(
+                rod, gravity, s, self._angle + math.pi, force, ratio, "reference"
+            )
+            result, eq = contact_with_friction.result, contact_with_friction.equilibrium
+            if result == "ok":
+                on_axis = line_of_action(rod, eq, contact_with_friction.p_surface_base)
+                truth = TrueContact(
+                    on_axis,
+                    eq.p_at(on_axis),
+                    contact_with_friction.force_base,
+                    contact_with_friction.p_surface_base,
+                )
+        else:
+            contact = solve_frictionless(rod, gravity, s, self._angle, force, mode="reference")
+            result, eq = contact.result, contact.equilibrium
+            truth = TrueContact(s, eq.p_contact_base, contact.force_base, surface_point(rod, eq))
+        if result != "ok":
+            at = f"{force / MILLINEWTON:g} mN at s = {s / MM:.1f} mm"
+            raise InputError(f"sim: no equilibrium under {at} ({result}); reduce force_mN")
+        return eq.wrench_base, truth
+
+
+def safe_force(rod: Rod) -> float:
+    """Return the default force [N], or a smaller one for a probe that it would bend too far."""
+    s = max(POSITION) * rod.length
+    radius, base = float(np.interp(s, rod.s, rod.radius)), float(rod.radius[0])
+    softer_axis = min(rod.factors[1:3])
+    stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
+    return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)

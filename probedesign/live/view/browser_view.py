@@ -1,0 +1,179 @@
+"""Sink of `--view`: shows the run on a page that another process serves."""
+
+import importlib.util
+import json
+import os
+import pickle
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, get_args
+
+from probedesign.errors import InputError, MissingDependencyError
+from probedesign.estimation.estimator import Estimator
+from probedesign.live import Log
+from probedesign.live.processing.scheduler import CommandName, CommandQueue
+from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
+from probedesign.live.view.snapshot import BentShape
+from probedesign.live.view.state import Counts, ViewState
+
+PERIOD = 1.0 / 30.0
+"""Minimum interval between two frames [s]."""
+MAX_NOTE = 200
+"""Maximum number of characters of a mark."""
+LOCAL = ("127.0.0.1", "localhost", "::1")
+
+
+class BrowserView(ViewState):
+    """The page of a run, open until `close`.
+
+    It never blocks the run: a thread sends snapshots at most 30 times per second, and fewer if the page is slow.
+
+    Attributes:
+        url: address of the page.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        folder: Path,
+        commands: CommandQueue,
+        log: Log,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        counts: Counts = dict,
+    ) -> None:
+        """Open the page.
+
+        Args:
+            estimator: estimator of the probe.
+            folder: folder of the exported parts, if any.
+            commands: receives the commands of the user.
+            log: callback for messages to the user.
+            host: address to listen on.
+            port: port, or the first free one after it.
+            counts: returns the counters of the source: lost, dropped.
+
+        Raises:
+            InputError: the address cannot be used.
+            MissingDependencyError: viser is not installed.
+        """
+        if importlib.util.find_spec("viser") is None:
+            raise MissingDependencyError("--view needs viser; install probedesign[view]")
+        _check_address(host, port)
+        self._commands, self._log = commands, log
+        super().__init__(counts)
+        self._ended = threading.Event()
+        self._process = process = _start_process()
+        assert process.stdin is not None and process.stdout is not None
+        with suppress(BrokenPipeError):  # the next line reports the reason
+            self._send(process.stdin, scene_setup(estimator, folder, host, port, log))
+        self.url = self._wait_for_url(process.stdout)
+        who = (
+            "this machine only" if host in LOCAL else "the network: anyone there can tare and stop recordings"
+        )
+        log(f"view: {self.url}, open to {who}")
+        self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
+        self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
+        self._writer.start()
+        self._reader.start()
+
+    def close(self) -> None:
+        """Close the page."""
+        self._ended.set()
+        self._writer.join(timeout=1.0)
+        self._process.kill()
+        self._process.wait()
+
+    def _write(self, page: IO[bytes]) -> None:
+        while not self._ended.wait(PERIOD):
+            try:
+                self._send(page, self.snapshot())
+            except OSError:
+                return  # the reader reports the reason
+
+    def _send(self, page: IO[bytes], what: Any) -> None:
+        pickle.dump(what, page, protocol=pickle.HIGHEST_PROTOCOL)
+        page.flush()
+
+    def _wait_for_url(self, page: IO[bytes]) -> str:
+        """Return the address of the page when it is open.
+
+        Raises:
+            InputError: it cannot be opened.
+        """
+        message = _parse_message(page.readline())
+        if "url" not in message:
+            self._process.kill()
+            raise InputError(
+                f"--view: the page could not be opened: {message.get('error', 'its process ended')}"
+            )
+        return str(message["url"])
+
+    def _read(self, page: IO[bytes]) -> None:
+        why = "its process ended"
+        for line in page:
+            message = _parse_message(line)
+            why = message.get("error", why)
+            for name in get_args(CommandName):
+                if name == message.get("command"):
+                    self._commands.put(name, message.get("text", "")[:MAX_NOTE])
+        if not self._ended.is_set():
+            self._log(f"view: the page has closed: {why}; the run continues")
+
+
+def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: Log) -> SceneSetup:
+    """Return the static content of the page."""
+    model = estimator.model
+    parts, note = rigid_parts(model, folder)
+    if note:
+        log(f"view: {note}")
+    eq = estimator.free()
+    if not eq.ok:
+        raise InputError("--view: the free probe has no equilibrium under its own weight")
+    tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
+    free = BentShape(eq.s, eq.p_base, eq.R_base)
+    return SceneSetup(
+        f"{model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note
+    )
+
+
+def _start_process() -> "subprocess.Popen[bytes]":
+    """Start the process of the page; neither Ctrl-C nor a closing terminal ends it, only the end of its input."""
+    here = str(Path(__file__).parents[3])
+    paths = os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH", "")]))
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "probedesign.live.view"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": paths},
+        start_new_session=True,
+    )
+
+
+def _parse_message(line: bytes) -> dict[str, Any]:
+    try:
+        message = json.loads(line)
+    except ValueError:
+        message = None
+    return message if isinstance(message, dict) else {}
+
+
+def _check_address(host: str, port: int) -> None:
+    """Check that the address belongs to this machine; viser does not report other errors.
+
+    Raises:
+        InputError: it does not.
+    """
+    if not 0 < port < 65536:
+        raise InputError(f"--view-port {port} must be in 1 ... 65535")
+    try:
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(*found[:3]) as trial:
+            trial.bind(found[4])
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None

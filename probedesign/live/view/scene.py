@@ -1,0 +1,302 @@
+"""Content of the page without viser: probe mesh, rigid parts, covariance ellipsoid and chart data."""
+
+import json
+from collections import deque
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array, inverse, is_pose
+from probedesign.live.view.snapshot import STRIP, BentShape
+from probedesign.sensor import NANO17
+from probedesign.units import MILLINEWTON, MM
+
+MAX_STATIONS, RING_POINTS = 72, 36
+
+
+@dataclass(frozen=True)
+class TubeMesh:
+    """Closed mesh of a round or flattened probe around its bent centreline.
+
+    Attributes:
+        s: arclengths of the knots [m], (k,).
+        radius: half-width along the section's x axis at the knots, linear in between [m], (k,).
+        flatness: half-width along y divided by that along x.
+    """
+
+    s: Array
+    radius: Array
+    flatness: float = 1.0
+
+    @cached_property
+    def stations(self) -> Array:
+        """Arclengths of the rings [m]: uniform, plus the knots of the radius."""
+        even = np.linspace(self.s[0], self.s[-1], MAX_STATIONS)
+        knots = self.s if len(self.s) <= MAX_STATIONS else self.s[:: len(self.s) // MAX_STATIONS]
+        found: Array = np.unique(np.concatenate([even, knots, self.s[-1:]]))
+        return found
+
+    @cached_property
+    def faces(self) -> Array:
+        """Triangles, anticlockwise seen from outside, (j, 3): the rings, then a cap at each end."""
+        rings, ring = len(self.stations), np.arange(RING_POINTS)
+        after = (ring + 1) % RING_POINTS
+        first = RING_POINTS * np.arange(rings - 1)[:, None]
+        a, b = first + ring, first + after
+        side = np.stack([a, b, b + RING_POINTS, a, b + RING_POINTS, a + RING_POINTS], axis=-1).reshape(-1, 3)
+        base = rings * RING_POINTS  # the caps have their own rims, so that shading keeps the edge sharp
+        tip = base + RING_POINTS + 1
+        caps = [
+            np.stack([base + after, base + ring, np.full(RING_POINTS, base + RING_POINTS)], axis=1),
+            np.stack([tip + ring, tip + after, np.full(RING_POINTS, tip + RING_POINTS)], axis=1),
+        ]
+        return np.concatenate([side, *caps]).astype(np.uint32)
+
+    def vertices(self, shape: BentShape) -> Array:
+        """Return the points of the surface [m], (i, 3), in base axes."""
+        p, x, y = centreline(shape, self.stations)
+        angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS, endpoint=False)
+        round_x, round_y = np.cos(angle)[:, None], self.flatness * np.sin(angle)[:, None]
+        radius = np.interp(self.stations, self.s, self.radius)[:, None, None]
+        rings = p[:, None] + radius * (round_x * x[:, None] + round_y * y[:, None])
+        caps = [np.vstack([rings[end], p[end]]) for end in (0, -1)]
+        found: Array = np.concatenate([rings.reshape(-1, 3), *caps])
+        return found
+
+
+def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
+    """Return points and the section's x and y axes at arclengths s, each (k, 3).
+
+    Cubic between the nodes of the solution, from their tangents. The rod's axial strain, some thousandths, is
+    neglected: the result is for drawing, not for measuring.
+    """
+    i = np.clip(np.searchsorted(shape.s, s, side="right") - 1, 0, len(shape.s) - 2)
+    step = shape.s[i + 1] - shape.s[i]
+    t = ((s - shape.s[i]) / step)[:, None]
+    p0, p1 = shape.p_base[i], shape.p_base[i + 1]
+    m0, m1 = (step[:, None] * shape.R_base[j][:, :, 2] for j in (i, i + 1))
+    p = (
+        (1 + 2 * t) * (1 - t) ** 2 * p0
+        + t * (1 - t) ** 2 * m0
+        + t**2 * (3 - 2 * t) * p1
+        + t**2 * (t - 1) * m1
+    )
+    slope = 6 * t * (1 - t) * (p1 - p0) + (1 - t) * (1 - 3 * t) * m0 + t * (3 * t - 2) * m1
+    tangent = slope / np.linalg.norm(slope, axis=1, keepdims=True)
+    x = (1 - t) * shape.R_base[i][:, :, 0] + t * shape.R_base[i + 1][:, :, 0]
+    x = x - np.sum(x * tangent, axis=1, keepdims=True) * tangent
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return p, x, np.cross(tangent, x)
+
+
+EXPORTED = ("sensor_adapter", "clamp_ring", "flange_adapter")
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+HEADER = 84
+MAX_FACETS = 200_000
+CYLINDER_SIDES = 48
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """A rigid part that moves with the base.
+
+    Attributes:
+        name: name of the part.
+        vertices: points in base axes [m], (i, 3).
+        faces: triangles, (j, 3).
+    """
+
+    name: str
+    vertices: Array
+    faces: NDArray[np.integer]
+
+
+def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
+    """Return sensor, adapters and the probe's flange, and a note on them.
+
+    Args:
+        model: probe on the sensor.
+        folder: folder of the frozen probe, and possibly of its exported parts.
+    """
+    plain = [_sensor_part(model), _flange_part(model)]
+    try:
+        return plain + _exported(model, folder), ""
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        why = (
+            "there is no manifest.json"
+            if isinstance(error, FileNotFoundError)
+            else str(error) or "unreadable"
+        )
+        return [
+            *plain,
+            _adapter_part(model),
+        ], f"parts of {folder}: {' '.join(why.split())}; plain cylinders are drawn instead"
+
+
+def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
+    """Return the printed parts, in base axes.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError: they are missing, or not of this probe.
+    """
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    if manifest["fingerprint"] != model.fingerprint:
+        raise ValueError(f"they belong to probe {manifest['fingerprint']}, not {model.fingerprint}")
+    T_base_sensor = inverse(model.T_sensor_base)
+    parts = []
+    for name in EXPORTED:
+        T = np.asarray(manifest["parts"][name]["T_sensor_part"], dtype=float)
+        if not is_pose(T):
+            raise ValueError(f"the manifest has an invalid pose of {name}")
+        parts.append(_placed(name, read_stl(folder / f"{name}.stl"), T_base_sensor @ T))
+    return parts
+
+
+def read_stl(path: Path) -> Array:
+    """Return the corners of a binary STL's triangles [m], (j, 3, 3); the file is in millimetres.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is not a binary STL.
+    """
+    with path.open("rb") as file:
+        content = file.read(HEADER + MAX_FACETS * FACET.itemsize + 1)
+    count = int.from_bytes(content[80:HEADER], "little")
+    if len(content) != HEADER + count * FACET.itemsize or not 0 < count <= MAX_FACETS:
+        raise ValueError(f"{path.name} is not a binary STL")
+    corners = np.frombuffer(content, FACET, offset=HEADER)["corners"].astype(float) * MM
+    if not np.isfinite(corners).all():
+        raise ValueError(f"{path.name} has a non-finite corner")
+    return corners
+
+
+def _placed(name: str, corners: Array, T: Array) -> RigidPart:
+    vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return RigidPart(name, vertices @ T[:3, :3].T + T[:3, 3], faces.reshape(-1, 3))
+
+
+def _sensor_part(model: ProbeModel) -> RigidPart:
+    """Return the body of the Nano17; its tool face is the origin of the sensor frame."""
+    return _cylinder("sensor", NANO17.body_d, -NANO17.height, 0.0, inverse(model.T_sensor_base))
+
+
+def _flange_part(model: ProbeModel) -> RigidPart:
+    """Return the disc below the base, which is one piece with the probe."""
+    return _cylinder("flange", model.flange.diameter, -model.flange.thickness, 0.0, np.eye(4))
+
+
+def _adapter_part(model: ProbeModel) -> RigidPart:
+    """Return a cylinder from the sensor's face to the flange, as wide as the flange."""
+    bottom = float(inverse(model.T_sensor_base)[2, 3])
+    return _cylinder("adapter", model.flange.diameter, bottom, -model.flange.thickness, np.eye(4))
+
+
+def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:
+    """Return a cylinder along z from low to high [m]."""
+    angle = np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES, endpoint=False)
+    a = 0.5 * diameter * np.stack([np.cos(angle), np.sin(angle), np.zeros(CYLINDER_SIDES)], axis=1)
+    b = np.roll(a, -1, axis=0)
+    down, up = np.array([0.0, 0.0, low]), np.array([0.0, 0.0, high])
+    corners = [
+        np.stack([a + down, b + down, b + up], axis=1),
+        np.stack([a + down, b + up, a + up], axis=1),
+        np.stack([b + down, a + down, np.tile(down, (CYLINDER_SIDES, 1))], axis=1),
+        np.stack([a + up, b + up, np.tile(up, (CYLINDER_SIDES, 1))], axis=1),
+    ]
+    return _placed(name, np.concatenate(corners), T)
+
+
+@dataclass(frozen=True)
+class SceneSetup:
+    """Static content of the page.
+
+    Attributes:
+        title: title of the page.
+        host, port: address of the server; the next free port is used.
+        tube: mesh of the probe.
+        free: shape of the free probe.
+        parts: parts at its base.
+        gravity_base: gravity vector [m/s²], (3,).
+        note: note on what is drawn, if any.
+    """
+
+    title: str
+    host: str
+    port: int
+    tube: TubeMesh
+    free: BentShape
+    parts: tuple[RigidPart, ...]
+    gravity_base: Array
+    note: str = ""
+
+
+RADIUS_95 = 2.7955
+"""Half-axes of the 95 % ellipsoid in standard deviations: the root of the 95 % quantile of χ² with three degrees of
+freedom."""
+
+
+def ellipsoid(cov: Array) -> tuple[Array, Array]:
+    """Return the half-axes of the 95 % ellipsoid [m], (3,), and their directions as columns of a rotation, (3, 3)."""
+    variances, axes = np.linalg.eigh(cov)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    half_axes: Array = RADIUS_95 * np.sqrt(np.maximum(variances, 0.0))
+    return half_axes, axes
+
+
+CHART_SECONDS = 15.0
+CHART_POINTS = 450
+"""Points of a chart: 30 per second."""
+REDRAW_PERIOD = 0.1
+"""Minimum interval between redraws [s]: all points are sent each time."""
+S, STD, FORCE = STRIP.index("s"), STRIP.index("std_s"), STRIP.index("force")
+
+
+class StripCharts:
+    """Data of the strip charts over the last seconds; NaN where unknown."""
+
+    def __init__(self) -> None:
+        self._rows: deque[Array] = deque(maxlen=CHART_POINTS)
+        self._due = self._last_drawn = -np.inf
+
+    def add(self, strip: Array) -> bool:
+        """Add rows of `STRIP`, thinned; return whether to redraw. Decreasing time clears the charts."""
+        for row in strip:
+            if row[0] < self._due - 2.0 * CHART_SECONDS / CHART_POINTS:
+                self._rows.clear()
+                self._due = self._last_drawn = -np.inf
+            if row[0] >= self._due:
+                self._rows.append(row)
+                self._due = row[0] + 0.9 * CHART_SECONDS / CHART_POINTS
+        due = self._due >= self._last_drawn + REDRAW_PERIOD
+        if due:
+            self._last_drawn = self._due
+        return due
+
+    def lines(self) -> dict[str, tuple[Array, ...]]:
+        """Return the data of the charts, each after the times [s].
+
+        Position s [mm] with its 95 % interval, contact force [mN], and force [mN] and moment [N·mm] at the base.
+        """
+        rows = self._recent()
+        time, s, wide = rows[:, 0], rows[:, S] / MM, 1.96 * rows[:, STD] / MM
+        return {
+            "place": (time, s, s - wide, s + wide),
+            "push": (time, rows[:, FORCE] / MILLINEWTON),
+            "forces": (time, *(rows[:, 1:4] / MILLINEWTON).T),
+            "moments": (time, *(rows[:, 4:7] / MM).T),
+        }
+
+    def window(self) -> tuple[float, float]:
+        """Return the time range of the charts [s]."""
+        end = float(self._rows[-1][0]) if self._rows else 0.0
+        return max(end, CHART_SECONDS) - CHART_SECONDS, max(end, CHART_SECONDS)
+
+    def _recent(self) -> Array:
+        rows = np.array(self._rows).reshape(-1, len(STRIP))
+        recent: Array = rows[rows[:, 0] >= self.window()[0]]
+        return recent if len(recent) else np.full((1, len(STRIP)), np.nan)

@@ -1,0 +1,81 @@
+"""The messages of a recording are what ROS 2 says they are: rosbags is the independent reader."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_typestore
+
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.schemas import POSE, TEXT, UNCERTAIN_POSE, WRENCH
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+finite = st.floats(allow_nan=False)
+stamps = st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1)
+frames = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=12)
+
+
+@pytest.mark.parametrize("name", [WRENCH, POSE, UNCERTAIN_POSE, TEXT])
+def test_definitions_are_those_of_ros(name):
+    """Line by line, but for the order of the parts."""
+    theirs, _ = STORE.generate_msgdef(name, ros_version=2)
+    parts = [text.decode().strip().split("=" * 80) for text in (theirs.encode(), schemas.definition(name))]
+    assert {part.strip() for part in parts[0]} == {part.strip() for part in parts[1]}
+
+
+@given(stamps, frames, st.lists(finite, min_size=6, max_size=6))
+def test_a_wrench_is_read_by_others_and_by_us(stamp, frame, values):
+    data = schemas.stamped(frame, [stamp], [values]).tobytes()
+    theirs = STORE.deserialize_cdr(data, WRENCH)
+    assert theirs.header.stamp.sec * 10**9 + theirs.header.stamp.nanosec == stamp
+    force, torque = theirs.wrench.force, theirs.wrench.torque
+    assert [force.x, force.y, force.z, torque.x, torque.y, torque.z] == values
+    assert theirs.header.frame_id == frame
+    assert schemas.read_stamped(data, 6) == (stamp, frame, tuple(values))
+
+
+@pytest.mark.parametrize("little", [True, False])
+def test_what_others_write_is_read_in_either_byte_order(little):
+    types = STORE.types
+    vector, header = types["geometry_msgs/msg/Vector3"], types["std_msgs/msg/Header"]
+    stamp = types["builtin_interfaces/msg/Time"](5, 7)
+    wrench = types["geometry_msgs/msg/Wrench"](vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0))
+    data = STORE.serialize_cdr(types[WRENCH](header(stamp, "tool0"), wrench), WRENCH, little_endian=little)
+    assert schemas.read_stamped(data, 6) == (5_000_000_007, "tool0", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+
+
+def test_poses_are_read_by_others():
+    seven = [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
+    pose = STORE.deserialize_cdr(schemas.stamped("world", [1], [seven]).tobytes(), POSE).pose
+    assert (pose.position.z, pose.orientation.z, pose.orientation.w) == (3.0, 0.6, 0.8)
+    values = [*seven, *np.arange(36.0)]
+    told = STORE.deserialize_cdr(schemas.stamped("base", [1], [values]).tobytes(), UNCERTAIN_POSE).pose
+    assert told.pose.position.x == 1.0 and told.covariance.tolist() == list(range(36))
+
+
+@given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1))
+def test_texts_are_read_by_others_and_by_us(lines):
+    """Of one length, so that they can be laid out together: filled up with spaces, which JSON does not mind."""
+    length = max(len(line.encode()) for line in lines)
+    for line, data in zip(lines, schemas.texts(lines), strict=True):
+        told = schemas.read_text(data.tobytes())
+        assert STORE.deserialize_cdr(data.tobytes(), TEXT).data == told
+        assert told == line + (length - len(line.encode())) * " "
+
+
+def test_a_stamp_that_does_not_fit_is_the_nearest_that_does():
+    """ROS counts seconds in 32 bits; the exact time stands in the block."""
+    assert (
+        schemas.read_stamped(schemas.stamped("f", [9 * 10**18], [[0.0] * 6]).tobytes(), 6)[0]
+        == 2**31 * 10**9 - 1
+    )
+    assert schemas.nanoseconds(np.array([np.inf, -np.inf, np.nan])).tolist() == [9 * 10**18, -9 * 10**18, 0]
+
+
+@given(st.binary(max_size=80))
+def test_any_bytes_are_a_message_or_a_value_error(junk):
+    for reader in (lambda: schemas.read_stamped(junk, 6), lambda: schemas.read_text(junk)):
+        try:
+            reader()
+        except ValueError as error:
+            assert str(error).isprintable()
