@@ -1,12 +1,9 @@
 """Checks and means of readings as they come (compiled)."""
 
 import math
-from pathlib import Path
 
-from probedesign.rod.kernels.compiled import drop_stale, kernel
-from probedesign.rod.kernels.vectors import cross, dot
-
-drop_stale(Path(__file__).parent)
+from probedesign.rod.kernels.compiled import kernel
+from probedesign.rod.kernels.linalg import cross, dot
 
 
 @kernel

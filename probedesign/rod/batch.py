@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.rod import kernels
+from probedesign.rod.kernels.solve import scratch_buffers
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
-from probedesign.rod.workspace import workspace
 
 Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
 CHUNK = 256
@@ -175,14 +175,14 @@ def solve_batch(
     loads, of = _cases(several.length, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
     bodies = several.bodies
     n, k = len(loads), several.rods[0].columns_of(columns)
-    found, derivatives = np.empty((n, kernels.FOUND)), np.full((n, 15, k + 1), np.nan)
+    found, derivatives = np.empty((n, kernels.ROW_LENGTH)), np.full((n, 15, k + 1), np.nan)
     tol, until = TOLERANCES[mode]
     order, kinds = _by_kind(bodies, of)
     loads, of = loads[order], of[order]
     start = kernels.COLD
     if guess is not None:
         start = kernels.WARM_ONLY if guess_only else kernels.WARM
-        found[:, kernels.TIP : kernels.TIP + 6] = np.asarray(guess, dtype=float)[order]
+        found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6] = np.asarray(guess, dtype=float)[order]
     threads = threads or len(os.sched_getaffinity(0))
     chunk = min(CHUNK, max(-(-n // threads), LEAST))
 
@@ -198,7 +198,7 @@ def solve_batch(
             False,
             tol,
             until,
-            *workspace(k, 0, CHUNK),
+            *scratch_buffers(k, 0, CHUNK),
             found,
             derivatives,
         )
@@ -292,20 +292,20 @@ def _by_kind(bodies: kernels.Body, of: Array) -> tuple[Indices, list[tuple[int, 
 
 def _batch(found: Array, derivatives: Array, loads: Array, bodies: kernels.Body, of: Array) -> Batch:
     """The kernels' rows by name."""
-    status = found[:, kernels.STATUS].astype(int)
+    status = found[:, kernels.ROW_STATUS].astype(int)
     bad = status != kernels.OK
     mass = (bodies.constants[:, kernels.DENSITY] * bodies.volume_beyond[:, 0])[of]
-    moment = found[:, kernels.MOMENT : kernels.MOMENT + 3]
+    moment = found[:, kernels.ROW_MOMENT : kernels.ROW_MOMENT + 3]
     wrench = np.hstack([loads[:, 0:3] + mass[:, None] * loads[:, 3:6], moment])
-    for numbers in (wrench, found[:, kernels.RESIDUAL :], derivatives):
+    for numbers in (wrench, found[:, kernels.ROW_RESIDUAL :], derivatives):
         numbers[bad] = np.nan
     return Batch(
         result=np.array([RESULTS[code] for code in range(len(RESULTS))])[status],
-        margin=found[:, kernels.MARGIN],
-        residual=found[:, kernels.RESIDUAL],
-        tip=found[:, kernels.TIP : kernels.TIP + 6],
+        margin=found[:, kernels.ROW_MARGIN],
+        residual=found[:, kernels.ROW_RESIDUAL],
+        tip=found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6],
         wrench_base=wrench,
-        p_contact_base=found[:, kernels.CONTACT + 3 : kernels.CONTACT + 6],
+        p_contact_base=found[:, kernels.ROW_CONTACT + 3 : kernels.ROW_CONTACT + 6],
         d_moment=derivatives[:, :3, :-1],
         d_contact=derivatives[:, 3:, :-1],
         frame=derivatives[:, 3:, -1],

@@ -12,7 +12,7 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.workspace import FIRST, workspace
+from probedesign.rod.kernels.solve import SINGLE_ROD, scratch_buffers
 
 Mode = Literal["fast", "reference"]
 Columns = Literal["none", "load", "contact", "all"]
@@ -219,17 +219,17 @@ class Rod:
         load = self.load(gravity, force, s_contact, couple, tip_moment)
         k, room = self.columns_of(columns), _NODES[mode]
         start = kernels.COLD if guess is None else kernels.WARM_ONLY if guess_only else kernels.WARM
-        found, derivatives = np.empty((1, kernels.FOUND)), np.empty((1, 15, k + 1))
+        found, derivatives = np.empty((1, kernels.ROW_LENGTH)), np.empty((1, 15, k + 1))
         row = found[0]
         if guess is not None:
-            row[kernels.TIP : kernels.TIP + 6] = _tip(guess)
+            row[kernels.ROW_TIP : kernels.ROW_TIP + 6] = _tip(guess)
         while True:
-            work = workspace(k, room)
+            work = scratch_buffers(k, room)
             kernels.solve_cases(
                 0,
                 1,
                 self.stacked,
-                FIRST,
+                SINGLE_ROD,
                 load[None],
                 self.directed,
                 start,
@@ -239,16 +239,16 @@ class Rod:
                 found,
                 derivatives,
             )
-            status, count = int(row[kernels.STATUS]), int(row[kernels.COUNT])
+            status, count = int(row[kernels.ROW_STATUS]), int(row[kernels.ROW_COUNT])
             shape = work.nodes.reshape(room, -1)[:count]
             if status != kernels.OK or shape[-1, 0] == 0.0:
                 break
             room, start = 8 * room, kernels.WARM
-        d, tip = derivatives[0], row[kernels.TIP : kernels.TIP + 6]
+        d, tip = derivatives[0], row[kernels.ROW_TIP : kernels.ROW_TIP + 6]
         sensitivity = None
         if k and status == kernels.OK:
             sensitivity = Sensitivity(d[:3, :k], d[3:, :k], d[3:, k], work.turns, load, self.body)
-        margin, residual = float(row[kernels.MARGIN]), float(row[kernels.RESIDUAL])
+        margin, residual = float(row[kernels.ROW_MARGIN]), float(row[kernels.ROW_RESIDUAL])
         return Equilibrium(
             RESULTS[status], margin, residual, load, shape, tip, work.y, work.contact, self.body, sensitivity
         )

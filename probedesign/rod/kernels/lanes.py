@@ -13,14 +13,17 @@ from probedesign.rod.kernels import verner
 from probedesign.rod.kernels.compiled import inlined, inner
 from probedesign.rod.kernels.equations import (
     column_slopes,
+    compliance,
+    full_margin,
     full_slopes,
-    medium,
     rest_at,
     round_column_slopes,
+    round_compliance,
+    round_margin,
     round_slopes,
-    round_yields,
-    yielding,
+    section_properties,
 )
+from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus
 from probedesign.rod.kernels.steps import (
     C1,
     C2,
@@ -42,7 +45,6 @@ from probedesign.rod.kernels.steps import (
     P,
     T,
 )
-from probedesign.rod.kernels.vectors import add, cross, dot, minus, plus
 
 NEXT = np.int64(STATE)
 """Row where the state [t, m, p, d], which stands in the first ones, steps to."""
@@ -58,13 +60,14 @@ ERRORS, TIPS_ERRORS, WANTS_TIPS = TRIES + 1, TRIES + 4, TRIES + 10
 """Of t, m and p; of θ and v of each column; 1 where the tip's columns are wanted."""
 MARGIN, BEND, E1, E2 = WANTS_TIPS + 1, WANTS_TIPS + 2, WANTS_TIPS + 3, WANTS_TIPS + 6
 """Of stability so far; how far the rod turned; two normals of the tangent that do not turn about it."""
-TOL, SIZE, LENGTH, MOST, TIPS_ERROR, GOOD, FIRST_STEP = np.arange(E2 + 3, E2 + 10)
+TOL, SIZE, LENGTH, STEP_BUDGET, TIPS_ERROR, GOOD, FIRST_STEP = np.arange(E2 + 3, E2 + 10)
 """Error allowed a step, relative to the size; length of the body; most steps; the columns' error over what is allowed;
 1 where the step just tried is taken; the first step of the sweep that was good."""
 FORCE, GRAVITY, FRUSTUM, REST = FIRST_STEP + 1, FIRST_STEP + 4, FIRST_STEP + 7, FIRST_STEP + 22
 """The contact's force below it, else zero; gravity; `frustum_of`; `rest_of` without its first."""
 NOTED, NOTE, ROUND_NOTE = REST + 6, 22, 18
-"""At each stage [t, m, p', n, of the medium what bends a round rod]; then [e_y, what a rod of direction adds]."""
+"""Noted at each stage: [t, m, p', n, the properties that bend a round rod (6)]; then [e_y, the difference of the
+bending compliances] for any rod."""
 ROWS = NOTED + verner.STAGES * NOTE
 
 GOING, STOPPED, STUCK, READY = 0.0, 1.0, 2.0, 3.0
@@ -72,7 +75,7 @@ GOING, STOPPED, STUCK, READY = 0.0, 1.0, 2.0, 3.0
 MAX_TRIES = 60
 HUGE = 1e12
 """An error so large that nothing more is said by it."""
-LEAST_STEP = 1e-10
+MIN_STEP = 1e-10
 """Over the length."""
 
 
@@ -150,37 +153,37 @@ def round_lanes_step(lanes):
         force, gravity = row3(lanes, FORCE, lane), row3(lanes, GRAVITY, lane)
         t, m = row3(lanes, T, lane), row3(lanes, M, lane)
 
-        med = medium(s, frustum, force, gravity)
+        med = section_properties(s, frustum, force, gravity)
         t0, m0, p0 = round_slopes(t, m, med)
         _keep(lanes, lane, S0, t, m, p0, med)
 
         tj, mj = verner.stage1(t, h, t0), verner.stage1(m, h, m0)
-        med = medium(s + C1 * h, frustum, force, gravity)
+        med = section_properties(s + C1 * h, frustum, force, gravity)
         t1, m1, p1 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S1, tj, mj, p1, med)
 
         tj, mj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1)
-        med = medium(s + C2 * h, frustum, force, gravity)
+        med = section_properties(s + C2 * h, frustum, force, gravity)
         t2, m2, p2 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S2, tj, mj, p2, med)
 
         tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
-        med = medium(s + C3 * h, frustum, force, gravity)
+        med = section_properties(s + C3 * h, frustum, force, gravity)
         t3, m3, p3 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S3, tj, mj, p3, med)
 
         tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
-        med = medium(s + C4 * h, frustum, force, gravity)
+        med = section_properties(s + C4 * h, frustum, force, gravity)
         t4, m4, p4 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S4, tj, mj, p4, med)
 
         tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
-        end = medium(s + h, frustum, force, gravity)
+        end = section_properties(s + h, frustum, force, gravity)
         t5, m5, p5 = round_slopes(tj, mj, end)
         _keep(lanes, lane, S5, tj, mj, p5, end)
 
         tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
-        med = medium(s + C6 * h, frustum, force, gravity)
+        med = section_properties(s + C6 * h, frustum, force, gravity)
         t6, m6, p6 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S6, tj, mj, p6, med)
 
@@ -202,7 +205,7 @@ def round_lanes_step(lanes):
 @inlined
 def _stage_slopes(lanes, lane, s, j, t, m, d, frustum, rest, force, gravity):
     """Slopes of any rod at stage j, noted for the columns."""
-    med = medium(s, frustum, force, gravity)
+    med = section_properties(s, frustum, force, gravity)
     e = cross(t, d)
     t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
     _keep(lanes, lane, j, t, m, p1, med)
@@ -265,7 +268,7 @@ def _round_stage(lanes, lane, j):
     t, m, p1 = row3(lanes, row, lane), row3(lanes, row + 3, lane), row3(lanes, row + 6, lane)
     n, x, y = row3(lanes, row + 9, lane), row3(lanes, row + 12, lane), row3(lanes, row + 15, lane)
     med = (x[0], 0.0, x[1], x[2], y[0], 0.0, y[1], y[2], 3.0 * lanes[WIDE * (FRUSTUM + 14) + lane], n)
-    return t, m, p1, (0.0, 0.0, 0.0), med, round_yields(t, m, med)
+    return t, m, p1, (0.0, 0.0, 0.0), med, round_compliance(t, m, med)
 
 
 @inlined
@@ -275,24 +278,24 @@ def _stage(lanes, lane, j):
     t, m, p1, _e, (cx, _zero, gj, a, b, weight, c4, c5, three, n), _yields = _round_stage(lanes, lane, j)
     e, cyx = row3(lanes, row, lane), lanes[WIDE * (row + 3) + lane]
     med = (cx, cyx, gj, a, b, weight, c4, c5, three, n)
-    bend, beta, by_e, _turns, _points = yielding(t, m, e, med)
+    bend, beta, by_e, _turns, _points = compliance(t, m, e, med)
     return t, m, p1, e, med, (bend, beta, by_e)
 
 
 @inlined
 def _round_slopes(theta, v, stage):
     """θ' and v' of a turn of a round rod's tip."""
-    t, m, p1, _e, med, yields = stage
+    t, m, p1, _e, med, compliances = stage
     w = minus(v, cross(theta, m))
-    turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, yields)
+    turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, compliances)
     return turn, cross(med[9], q1)
 
 
 @inlined
 def _slopes(theta, v, stage):
     """The same of any rod."""
-    t, m, p1, e, med, yields = stage
-    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, yields)
+    t, m, p1, e, med, compliances = stage
+    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, compliances)
     return turn, cross(med[9], q1)
 
 
@@ -395,34 +398,15 @@ def _tips_error(lanes, lane, c, bend):
 
 
 @inlined
-def _round_margin(lanes, lane, e1, e2):
-    """How far the Jacobi fields of the free tip, seen in the carried section, are from vanishing.
-
-    They are the identity at the tip; where their determinant first vanishes lies a point conjugate to the
-    free end, and the second variation of the energy is positive as long as there is none before the clamp.
-    A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace.
-    """
-    a, b = row3(lanes, TIPS_NEXT, lane), row3(lanes, TIPS_NEXT + TURN, lane)
-    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
-    return _smaller(xx * yy - xy * yx, 0.5 * (xx + yy))
-
-
-@inlined
 def _full_margin(lanes, lane):
-    """The same of any rod: the determinant, negative too if two fields turned over within the step.
-
-    The step takes the fields A to B. Where two eigenvalues of B A^-1 turn negative, its determinant stays positive,
-    but its trace or the sum of its minors does not; unlike those of A or B they know no axes.
-    """
+    """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
     a, b, c = row3(lanes, TIPS, lane), row3(lanes, TIPS + TURN, lane), row3(lanes, TIPS + 2 * TURN, lane)
     x, y, z = (
         row3(lanes, TIPS_NEXT, lane),
         row3(lanes, TIPS_NEXT + TURN, lane),
         row3(lanes, TIPS_NEXT + 2 * TURN, lane),
     )
-    trace = dot(x, cross(b, c)) + dot(y, cross(c, a)) + dot(z, cross(a, b))
-    minors = dot(a, cross(y, z)) + dot(b, cross(z, x)) + dot(c, cross(x, y))
-    det = dot(x, cross(y, z))
+    trace, minors, det = full_margin(a, b, c, x, y, z)
     return det if _smaller(trace, minors) > 0.0 else -abs(det)
 
 
@@ -468,8 +452,8 @@ def judge(lanes, tips):
         h = h if keeps else tried * factor
         tries = 0.0 if good else lanes[WIDE * TRIES + lane] + 1.0
         steps = lanes[WIDE * STEPS + lane] + 1.0
-        stuck = (not good and (tries >= MAX_TRIES or -h < LEAST_STEP * length)) or steps > lanes[
-            WIDE * MOST + lane
+        stuck = (not good and (tries >= MAX_TRIES or -h < MIN_STEP * length)) or steps > lanes[
+            WIDE * STEP_BUDGET + lane
         ]
         first = lanes[WIDE * FIRST_STEP + lane]
         lanes[WIDE * FIRST_STEP + lane] = tried * _smaller(1.0, factor) if s == length else first
@@ -502,7 +486,9 @@ def take_tips(lanes, general):
             t, new = row3(lanes, T, lane), row3(lanes, NEXT, lane)
             e1 = _carried(row3(lanes, E1, lane), t, new)
             e2 = _carried(row3(lanes, E2, lane), t, new)
-            margin = _round_margin(lanes, lane, e1, e2)
+            a, b = row3(lanes, TIPS_NEXT, lane), row3(lanes, TIPS_NEXT + TURN, lane)
+            det, half_trace = round_margin(a, b, e1, e2)
+            margin = _smaller(det, half_trace)
             a, b = row3(lanes, E1, lane), row3(lanes, E2, lane)
             put_row3(
                 lanes,

@@ -2,7 +2,8 @@
 
 import math
 
-from probedesign.rod.kernels.body import (
+from probedesign.rod.kernels.compiled import inline_always, inlined, inner
+from probedesign.rod.kernels.equations import (
     BEND_X,
     CONE,
     COUPLE,
@@ -16,9 +17,16 @@ from probedesign.rod.kernels.body import (
     S_CONTACT,
     STEP_LIMIT,
     TIP_MOMENT,
+    frustum_of,
+    full_margin,
+    rest_at,
+    rest_of,
+    round_margin,
+    round_slopes,
+    section_properties,
+    turning,
 )
-from probedesign.rod.kernels.compiled import inlined, inner, merged
-from probedesign.rod.kernels.equations import frustum_of, medium, rest_at, rest_of, round_slopes, turning
+from probedesign.rod.kernels.linalg import cross, plus, put, take, times
 from probedesign.rod.kernels.steps import (
     BLOCK,
     BY_LOAD,
@@ -44,7 +52,6 @@ from probedesign.rod.kernels.steps import (
     free_columns_step,
     full_step,
 )
-from probedesign.rod.kernels.vectors import cross, dot, plus, put, take, times
 from probedesign.rod.kernels.verner import STAGES, C
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
@@ -116,7 +123,7 @@ def _reshape(s, h, i, in_root, blocks, chunks, body, work):
             blocks[o + WIDE * (BY_WEIGHT + j)] = by_weight
 
 
-@merged
+@inline_always
 def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
     """Step the columns over the stages of the state's step; those of force and couple are zero beyond the contact."""
     if chunks > 0:
@@ -147,7 +154,7 @@ def _jacobi_error(blocks, bend, tol):
     return worst
 
 
-@merged
+@inline_always
 def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on):
     """One accepted step towards `stop`: (new s, next step, tries), new s = NaN where none is accepted.
 
@@ -187,7 +194,7 @@ def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
     """Add to a column `change` times the state's slopes at s, seen as turn, moment and point."""
     t, m, d = take(y, T), take(y, M), take(y, D)
     force = times(on, take(load, FORCE))
-    med = medium(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
+    med = section_properties(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
     turn = turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
     _t1, m1, p1 = round_slopes(t, m, med)
     rows = (turn, m1, p1)
@@ -210,33 +217,14 @@ def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
 
 
 @inlined
-def _round_margin(e1, e2, blocks):
-    """How far the Jacobi fields of the free tip, seen in the carried section, are from vanishing.
-
-    They are the identity at the tip; where their determinant first vanishes lies a point conjugate to the
-    free end, and the second variation of the energy is positive as long as there is none before the clamp.
-    A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace.
-    """
-    a, b = take3(blocks, S0), take3(blocks, S1)
-    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
-    return min(xx * yy - xy * yx, 0.5 * (xx + yy))
-
-
-@inlined
 def _margin(blocks):
-    """The same of any rod: the determinant, negative too if two fields turned over within the step.
-
-    The step takes the fields A to B. Where two eigenvalues of B A^-1 turn negative, its determinant stays positive,
-    but its trace or the sum of its minors does not; unlike those of A or B they know no axes.
-    """
+    """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
     a, b, c = take3(blocks, S0), take3(blocks, S1), take3(blocks, S2)
     o = NEXT
     x = (blocks[WIDE * o], blocks[WIDE * (o + 1)], blocks[WIDE * (o + 2)])
     y = (blocks[WIDE * o + 1], blocks[WIDE * (o + 1) + 1], blocks[WIDE * (o + 2) + 1])
     z = (blocks[WIDE * o + 2], blocks[WIDE * (o + 1) + 2], blocks[WIDE * (o + 2) + 2])
-    trace = dot(x, cross(b, c)) + dot(y, cross(c, a)) + dot(z, cross(a, b))
-    minors = dot(a, cross(y, z)) + dot(b, cross(z, x)) + dot(c, cross(x, y))
-    det = dot(x, cross(y, z))
+    trace, minors, det = full_margin(a, b, c, x, y, z)
     return det if trace > 0.0 and minors > 0.0 else -abs(det)
 
 
@@ -324,6 +312,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
             _accept(blocks, chunks)
             e1 = take(out, D)
             e2 = cross(take(out, T), e1)
-            margin = min(margin, _round_margin(e1, e2, blocks))
+            det, half_trace = round_margin(take3(blocks, S0), take3(blocks, S1), e1, e2)
+            margin = min(margin, min(det, half_trace))
         for q in range(STATE):
             y[q] = work[q] = out[q]
