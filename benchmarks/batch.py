@@ -185,7 +185,7 @@ def _slowest(seconds: Array) -> float:
 def cut(rod: Rod, frusta: int) -> Rod:
     """The same cone in so many pieces."""
     s = np.linspace(0.0, rod.length, frusta + 1)
-    radius = np.interp(s, rod.s, rod.radius)
+    radius = rod.radius_at(s)
     return Rod(s, radius, rod.youngs_modulus, rod.shear_modulus, rod.density, rod.shear_coefficient)
 
 

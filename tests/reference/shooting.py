@@ -122,7 +122,7 @@ def rates(s: float, y: Array, rod: Rod, gravity: Array) -> Array:
         gravity: in base axes [m/s²], (3,).
     """
     R, n, m = y[3:12].reshape(3, 3), y[12:15], y[15:18]
-    r = np.interp(s, rod.s, rod.radius)
+    r = rod.radius_at(s)
     f_area, f_xx, f_yy, f_torsion = rod.factors
     area, inertia = f_area * np.pi * r**2, np.pi / 4.0 * r**4
     E, G, k = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient
