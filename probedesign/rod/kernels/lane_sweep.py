@@ -1,4 +1,4 @@
-"""A sweep in a lane: from the tip, over contact, knots and root, to the base."""
+"""Sweep in a lane: integrate from the tip over contact, knots and root to the base."""
 
 import math
 
@@ -72,15 +72,15 @@ TIP, LOAD_NOW, PASSED, KNOT, BEGIN, ALLOWED, WITHIN, OF_SIZE, WITH_TIPS, SEEN = 
     25,
     26,
 )
-"""In what a lane has in state of its sweep: the tip's section, the load, whether the contact lies behind, the frustum,
-the first step of the sweep before and the error that was allowed it; of the one to come the error allowed a step,
+"""Offsets in a case's solver state: the tip's section, the load, whether the contact is passed, the frustum, the
+first step of the sweep before and the error that was allowed it; of the one to come the error allowed a step,
 relative to how far the rod turns, at most 1, and whether it takes the tip's columns along; the state at the contact."""
 SWEEP = SEEN + STATE
 
 
 @inlined
 def body_of(bodies, b):
-    """One of the bodies whose arrays are stacked."""
+    """Return one of the bodies whose arrays are stacked."""
     return Body(
         bodies.knots[b],
         bodies.radii[b],
@@ -93,13 +93,13 @@ def body_of(bodies, b):
 
 @inlined
 def put_row(lanes, row, lane, x):
-    """One row of a lane."""
+    """Set one row of a lane."""
     lanes[WIDE * row + lane] = x
 
 
 @inlined
 def _pass_contact(lanes, lane, state, o):
-    """The couple acts from here on."""
+    """Add the couple at the contact, and apply its force from here on."""
     put_row3(lanes, M, lane, plus(row3(lanes, M, lane), take(state, o + LOAD_NOW + COUPLE)))
     put_row3(lanes, FORCE_ROW, lane, take(state, o + LOAD_NOW + FORCE))
     state[o + PASSED] = 1.0
@@ -109,7 +109,7 @@ def _pass_contact(lanes, lane, state, o):
 
 @inner
 def arrive(lanes, lane, state, o, body, general):
-    """At a stop: what holds from here on, and the next stop.
+    """Update a lane at a stop: force, frustum and the next stop.
 
     Returns:
         Whether this is the base.
@@ -138,13 +138,13 @@ def arrive(lanes, lane, state, o, body, general):
 
 @inlined
 def intend(state, o, within, of_size, with_tips):
-    """Have a sweep in state: the error allowed a step, relative to the size; 1 for the tip's columns, else 0."""
+    """Set the next sweep: the error allowed per step, relative to the size; 1 with the tip's columns, else 0."""
     state[o + WITHIN], state[o + OF_SIZE], state[o + WITH_TIPS] = within, of_size, with_tips
 
 
 @inlined
 def _first_step(state, o, length, allowed):
-    """As the sweep before this one would have begun, were it allowed this error."""
+    """Return the first step that the previous sweep would have taken with this error allowed."""
     first = -length / 6.0
     if state[o + ALLOWED] > 0.0:
         first = max(first, state[o + BEGIN] * (allowed / state[o + ALLOWED]) ** (1.0 / 6.0))
@@ -154,7 +154,7 @@ def _first_step(state, o, length, allowed):
 
 @inner
 def launch(lanes, lane, state, o, body, general):
-    """Start the sweep that a lane has in state, from the tip."""
+    """Start the sweep that the solver state describes, from the tip."""
     tol, size = state[o + WITHIN], state[o + OF_SIZE]
     t, d, length = take(state, o + TIP), take(state, o + TIP + 3), body.knots[-1]
     e = cross(t, d)
@@ -186,7 +186,7 @@ def launch(lanes, lane, state, o, body, general):
 
 @inline_always
 def tick(lanes, directed, tips):
-    """One step of every lane.
+    """Take one step in every lane.
 
     Args:
         directed: None for round straight rods, so that nobody compiles for others what he does not use; else 0.

@@ -1,8 +1,8 @@
-"""WIDE sweeps side by side, one to a lane of a vector register: a step of each, and what the steps are worth.
+"""Integrate WIDE rods side by side, one per lane of a vector register: a step of each, and its error control.
 
-All of a lane stands in one flat array, row by row: row r of lane l at r · WIDE + l. So the compiler sees that the
-lanes of a row lie side by side, and one instruction does the same for all of them. A lane knows nothing of the
-others; what it finds is the same to the bit beside any of them.
+All data are in one flat array, row by row: row r of lane l at r · WIDE + l. So the compiler sees that the lanes of a
+row are contiguous, and one instruction operates on all of them. Lanes are independent: the result of one is identical
+to the bit whatever the others compute.
 """
 
 import math
@@ -81,14 +81,14 @@ MIN_STEP = 1e-10
 
 @inlined
 def row3(lanes, row, lane):
-    """Three rows of a lane."""
+    """Return three rows of a lane."""
     o = WIDE * row + lane
     return (lanes[o], lanes[o + WIDE], lanes[o + 2 * WIDE])
 
 
 @inlined
 def put_row3(lanes, row, lane, x):
-    """Three rows of a lane."""
+    """Set three rows of a lane."""
     o = WIDE * row + lane
     lanes[o] = x[0]
     lanes[o + WIDE] = x[1]
@@ -97,7 +97,7 @@ def put_row3(lanes, row, lane, x):
 
 @inlined
 def _frustum(lanes, lane):
-    """As `frustum_of` gave it."""
+    """Return the result of `frustum_of` from a lane."""
     a, b = row3(lanes, FRUSTUM, lane), row3(lanes, FRUSTUM + 3, lane)
     c, d = row3(lanes, FRUSTUM + 6, lane), row3(lanes, FRUSTUM + 9, lane)
     finite = row3(lanes, FRUSTUM + 12, lane)
@@ -106,7 +106,7 @@ def _frustum(lanes, lane):
 
 @inlined
 def put_frustum(lanes, lane, frustum):
-    """From `frustum_of`."""
+    """Store the result of `frustum_of` in a lane."""
     above, r1, slope, beyond, cone, bends, shear, stretch, root, finite = frustum
     put_row3(lanes, FRUSTUM, lane, (above, r1, slope))
     put_row3(lanes, FRUSTUM + 3, lane, (beyond, cone, bends[0]))
@@ -117,7 +117,7 @@ def put_frustum(lanes, lane, frustum):
 
 @inlined
 def _keep(lanes, lane, j, t, m, p1, med):
-    """Note what the tip's columns need of stage j."""
+    """Store what the tip's columns need of stage j."""
     row = NOTED + NOTE * j
     put_row3(lanes, row, lane, t)
     put_row3(lanes, row + 3, lane, m)
@@ -129,7 +129,7 @@ def _keep(lanes, lane, j, t, m, p1, med):
 
 @inlined
 def _keep_direction(lanes, lane, j, e, med):
-    """And of a rod whose bending knows direction."""
+    """Store what they need besides for an anisotropic or curved rod."""
     row = NOTED + NOTE * j + ROUND_NOTE
     put_row3(lanes, row, lane, e)
     lanes[WIDE * (row + 3) + lane] = med[1]
@@ -137,7 +137,7 @@ def _keep_direction(lanes, lane, j, e, med):
 
 @inner
 def choose(lanes):
-    """How far each lane steps: to its stop if that is about as far as it would go."""
+    """Set the step of each lane: to its stop if that is about as far as the step."""
     for lane in range(WIDE):
         left = lanes[WIDE * STOP + lane] - lanes[WIDE * S + lane]
         h = lanes[WIDE * H + lane]
@@ -204,7 +204,7 @@ def round_lanes_step(lanes):
 
 @inlined
 def _stage_slopes(lanes, lane, s, j, t, m, d, frustum, rest, force, gravity):
-    """Slopes of any rod at stage j, noted for the columns."""
+    """Return the slopes of any rod at stage j, and store the stage for the columns."""
     med = section_properties(s, frustum, force, gravity)
     e = cross(t, d)
     t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
@@ -263,7 +263,7 @@ def full_lanes_step(lanes):
 
 @inlined
 def _round_stage(lanes, lane, j):
-    """What was noted of stage j of a round rod, and how that place bends."""
+    """Return what was stored of stage j of a round rod, with its compliance."""
     row = NOTED + NOTE * j
     t, m, p1 = row3(lanes, row, lane), row3(lanes, row + 3, lane), row3(lanes, row + 6, lane)
     n, x, y = row3(lanes, row + 9, lane), row3(lanes, row + 12, lane), row3(lanes, row + 15, lane)
@@ -273,7 +273,7 @@ def _round_stage(lanes, lane, j):
 
 @inlined
 def _stage(lanes, lane, j):
-    """The same of any rod."""
+    """Return what was stored of stage j of any rod, with its compliance."""
     row = NOTED + NOTE * j + ROUND_NOTE
     t, m, p1, _e, (cx, _zero, gj, a, b, weight, c4, c5, three, n), _yields = _round_stage(lanes, lane, j)
     e, cyx = row3(lanes, row, lane), lanes[WIDE * (row + 3) + lane]
@@ -284,7 +284,7 @@ def _stage(lanes, lane, j):
 
 @inlined
 def _round_slopes(theta, v, stage):
-    """θ' and v' of a turn of a round rod's tip."""
+    """Return θ' and v' of a rotation of a round rod's tip."""
     t, m, p1, _e, med, compliances = stage
     w = minus(v, cross(theta, m))
     turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, compliances)
@@ -293,7 +293,7 @@ def _round_slopes(theta, v, stage):
 
 @inlined
 def _slopes(theta, v, stage):
-    """The same of any rod."""
+    """Return θ' and v' of a rotation of any rod's tip."""
     t, m, p1, e, med, compliances = stage
     turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, compliances)
     return turn, cross(med[9], q1)
@@ -301,7 +301,7 @@ def _slopes(theta, v, stage):
 
 @inlined
 def _tip_column(slopes, lanes, lane, c, stages):
-    """Step column c of a lane over the stages noted; slopes: `_round_slopes` or `_slopes`."""
+    """Step column c of a lane over the stored stages; slopes: `_round_slopes` or `_slopes`."""
     s0, s1, s2, s3, s4, s5, s6, s7 = stages
     h, row = lanes[WIDE * TRIED + lane], TIPS + c
     a, v = row3(lanes, row, lane), row3(lanes, row + 3, lane)
@@ -327,7 +327,7 @@ def _tip_column(slopes, lanes, lane, c, stages):
 
 @inlined
 def _stages(stage, lanes, lane):
-    """All of them."""
+    """Return all stages of a lane."""
     s0, s1 = stage(lanes, lane, S0), stage(lanes, lane, S1)
     s2, s3 = stage(lanes, lane, S2), stage(lanes, lane, S3)
     s4, s5 = stage(lanes, lane, S4), stage(lanes, lane, S5)
@@ -336,7 +336,7 @@ def _stages(stage, lanes, lane):
 
 @inner
 def round_tips_step(lanes):
-    """Step the tip's columns of round rods over the stages of the state's step; turning about the tangent is none."""
+    """Step the tip's columns of round rods over the stored stages; the rotation about the tangent has none."""
     for lane in range(WIDE):
         stages = _stages(_round_stage, lanes, lane)
         _tip_column(_round_slopes, lanes, lane, COLUMN1, stages)
@@ -345,7 +345,7 @@ def round_tips_step(lanes):
 
 @inner
 def full_tips_step(lanes):
-    """The same of any rods, with all three."""
+    """Step all three columns of the tip of any rods over the stored stages."""
     for lane in range(WIDE):
         stages = _stages(_stage, lanes, lane)
         _tip_column(_slopes, lanes, lane, COLUMN1, stages)
@@ -365,14 +365,14 @@ def _smaller(a, b):
 
 @inlined
 def _root(x):
-    """About x^(1/6), by roots that every machine rounds alike: x^(1/8 + 1/32)."""
+    """Return about x^(1/6), as x^(1/8 + 1/32) by square roots, which every machine rounds alike."""
     eighth = math.sqrt(math.sqrt(math.sqrt(x)))
     return eighth * math.sqrt(math.sqrt(eighth))
 
 
 @inlined
 def _state_error(lanes, lane, bend):
-    """Largest error over what is allowed; huge where a number is none.
+    """Return the largest error over the error allowed; HUGE where a number is not finite.
 
     Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all, so that a
     bend of a micrometre keeps its digits; points to the body's own length.
@@ -385,7 +385,7 @@ def _state_error(lanes, lane, bend):
 
 @inlined
 def _tips_error(lanes, lane, c, bend):
-    """The same of column c of the tip; a thousand times looser.
+    """Return the same for column c of the tip, with a thousand times the tolerance.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
@@ -412,13 +412,13 @@ def _full_margin(lanes, lane):
 
 @inlined
 def _carried(e, t, new):
-    """The normal e of the tangent t carried to the tangent `new` without turning about it."""
+    """Return the normal e of the tangent t, transported to the tangent `new` without rotation about it."""
     return add(e, -dot(e, new) / (1.0 + dot(t, new)), plus(t, new))
 
 
 @inlined
 def _bend(lanes, lane):
-    """By how much a moment of 1 N·m bends a body that is all as thin as here [rad]."""
+    """Return the rotation [rad] by 1 N·m of a body with the section here over its whole length."""
     a, b = row3(lanes, FRUSTUM, lane), row3(lanes, FRUSTUM + 3, lane)
     r = a[1] + a[2] * (a[0] - lanes[WIDE * S + lane])
     return b[2] * lanes[WIDE * LENGTH + lane] / (r * r * r * r)
@@ -426,7 +426,7 @@ def _bend(lanes, lane):
 
 @inner
 def judge_tips(lanes, general):
-    """How wrong the columns' steps are."""
+    """Set the columns' error of each lane."""
     for lane in range(WIDE):
         bend = _bend(lanes, lane)
         error = _larger(_tips_error(lanes, lane, COLUMN1, bend), _tips_error(lanes, lane, COLUMN2, bend))
@@ -437,7 +437,7 @@ def judge_tips(lanes, general):
 
 @inner
 def judge(lanes, tips):
-    """Which steps are good enough, and what the next ones are by what was wrong with these."""
+    """Accept or reject the step of each lane, and choose its next step from the error."""
     for lane in range(WIDE):
         s, h, tried = lanes[WIDE * S + lane], lanes[WIDE * H + lane], lanes[WIDE * TRIED + lane]
         stop, length = lanes[WIDE * STOP + lane], lanes[WIDE * LENGTH + lane]
@@ -469,14 +469,14 @@ def judge(lanes, tips):
 
 @inlined
 def _take3(lanes, lane, row, to, good):
-    """Three rows to where they stepped, if that is good."""
+    """Set three rows to the result of the step if it is accepted."""
     a, b = row3(lanes, to, lane), row3(lanes, row, lane)
     put_row3(lanes, row, lane, (a[0] if good else b[0], a[1] if good else b[1], a[2] if good else b[2]))
 
 
 @inner
 def take_tips(lanes, general):
-    """Columns to where they stepped, and what that says of stability."""
+    """Set the columns to the result of accepted steps, and update the stability margin."""
     for lane in range(WIDE):
         good = lanes[WIDE * GOOD + lane] > 0.0
         before = lanes[WIDE * MARGIN + lane]
@@ -512,7 +512,7 @@ def take_tips(lanes, general):
 
 @inner
 def take_states(lanes, general):
-    """States to where they stepped."""
+    """Set the states to the result of accepted steps."""
     for lane in range(WIDE):
         good = lanes[WIDE * GOOD + lane] > 0.0
         new, before = row3(lanes, NEXT, lane), lanes[WIDE * BEND + lane]

@@ -50,9 +50,10 @@ AGAIN, FOUND, LOST = 0, 1, 2
 (TURNS, UNTIL, REACH, AWAY, FIRST, STATUS, TURNED, STABLE, TOTAL, AT, AT_OLD, AT_OLDER, GOAL, SHARE) = range(
     SWEEP, SWEEP + 14
 )
-"""In state of Newton: sweeps so far, the turn [rad] that is small enough, how far the tip may come from its guess,
-how far it came, the guess's misfit [rad], what came of it, how far the rod turned, the margin of stability; of the
-path: steps of all its sweeps, the shares of the load found last, the one tried, how much to add."""
+"""Offsets in the solver state of Newton's method: sweeps so far, the turn [rad] that is small enough, how far the
+tip may come from its guess, how far it came, the guess's misfit [rad], what came of it, how far the rod turned, the
+margin of stability; of the path: steps of all its sweeps, the shares of the load found last, the one tried, how much
+to add."""
 GUESS, INVERSE, WAY, WHOLE = SHARE + 1, SHARE + 7, SHARE + 16, SHARE + 34
 """The tip guessed, (6,); the matrix that gives the tip's turn from the base's misfit, (9,); the tips found last,
 (18,); the whole load, (LOAD,)."""
@@ -62,7 +63,7 @@ NEWTON = MOMENT_FIRST + 1
 
 @inlined
 def turn_tip(tip, o, turn):
-    """Turn the section that stands in an array from o on by a rotation vector [rad]."""
+    """Rotate the section stored in an array from o on by a rotation vector [rad]."""
     angle = math.sqrt(dot(turn, turn))
     if angle > 0.0:
         co, si = math.cos(angle), math.sin(angle) / angle
@@ -75,7 +76,7 @@ def turn_tip(tip, o, turn):
 
 @inlined
 def put_section(tip, o, t, d):
-    """[t, d] made a unit tangent and a unit normal of it."""
+    """Store [t, d], made a unit tangent and a unit normal of it."""
     t = times(1.0 / math.sqrt(dot(t, t)), t)
     d = add(d, -dot(d, t), t)
     put(tip, o, t)
@@ -84,7 +85,7 @@ def put_section(tip, o, t, d):
 
 @inlined
 def prepare(tip, t, d, thetas, general, inverse, o):
-    """From the tip's columns at the base: the matrix that gives the tip's turn from the base's misfit.
+    """Compute, from the tip's columns at the base, the matrix that maps the base's residual to the tip's rotation.
 
     The misfit is what the base's tangent t and x axis d lack: (t_x, t_y, d_y), the last only of a rod that is not
     round and straight. Row by row the turn, in base axes, into `inverse` from o on.
@@ -118,34 +119,34 @@ def prepare(tip, t, d, thetas, general, inverse, o):
 
 @inlined
 def misfit(t, d, general):
-    """What the base's tangent and x axis lack of its clamp, as numbers that vanish there: (t_x, t_y, d_y)."""
+    """Return the residual of the base's tangent and x axis, zero where it is clamped: (t_x, t_y, d_y)."""
     return (t[0], t[1], d[1] if general else 0.0)
 
 
 @inlined
 def is_clamped(t, d, general, most):
-    """Whether the base stands in its clamp within `most` [rad], and not the other way round."""
+    """Return whether the base is clamped within `most` [rad], and not the other way round."""
     r = misfit(t, d, general)
     return t[2] > 0.0 and (not general or d[0] > 0.0) and dot(r, r) <= most * most
 
 
 @inlined
 def wanted_turn(t, d, general, inverse, o):
-    """Newton's turn of the tip."""
+    """Return the rotation of the tip by Newton's method."""
     r = misfit(t, d, general)
     return (-dot(take(inverse, o), r), -dot(take(inverse, o + 3), r), -dot(take(inverse, o + 6), r))
 
 
 @inlined
 def is_judged(load, o):
-    """Dead forces and gravity have a potential; a dead moment has none, so no second variation judges it."""
+    """Return whether stability is tested: dead forces and gravity have a potential, a dead moment has none."""
     m = take(load, o + TIP_MOMENT)
     return m[0] == 0.0 and m[1] == 0.0 and m[2] == 0.0
 
 
 @inlined
 def begin_newton(state, o, until, reach):
-    """From the tip in state, until the next turn would be below `until` [rad].
+    """Start Newton's method from the stored tip, until the next rotation would be below `until` [rad].
 
     Gives up as soon as the tip has left its guess by more than `reach` [rad]; a guess that nothing predicted
     (`reach` negative) is first turned once, which is the linear answer, and that is what must not be left.
@@ -159,7 +160,7 @@ def begin_newton(state, o, until, reach):
 
 @inlined
 def _distance(state, o, general):
-    """How far the tip's section is from its guess."""
+    """Return the distance of the tip's section from its guess."""
     dt = add(take(state, o + TIP), -1.0, take(state, o + GUESS))
     dd = add(take(state, o + TIP + 3), -1.0, take(state, o + GUESS + 3))
     return math.sqrt(dot(dt, dt) + (dot(dd, dd) if general else 0.0))
@@ -167,7 +168,7 @@ def _distance(state, o, general):
 
 @inner
 def newton(lanes, lane, state, o, general):
-    """Look at a finished sweep: turn the tip, and say whether to sweep again."""
+    """Evaluate a finished sweep: rotate the tip, and return AGAIN, FOUND or LOST."""
     state[o + TOTAL] += lanes[WIDE * STEPS + lane]
     if lanes[WIDE * EVENT + lane] == STUCK:
         state[o + STATUS] = STEP_LIMIT
@@ -213,7 +214,7 @@ def newton(lanes, lane, state, o, general):
 
 @inlined
 def set_load_fraction(state, o, share):
-    """The share of the load: all of it grows together, or the tip moment first and the rest after it."""
+    """Set the fraction of the load: all of it together, or the tip moment first and then the rest."""
     moment_first = state[o + MOMENT_FIRST] > 0.0
     rest = max(0.0, 2.0 * share - 1.0) if moment_first else share
     first = min(1.0, 2.0 * share) if moment_first else share
@@ -228,7 +229,7 @@ def set_load_fraction(state, o, share):
 
 @inlined
 def _extrapolate(state, o):
-    """The tip's section at the share tried, by the parabola through the last three found.
+    """Predict the tip's section at the fraction tried by the parabola through the last three solutions.
 
     Equal shares stand for points that are not there yet.
     """
@@ -248,7 +249,7 @@ def _extrapolate(state, o):
 
 @inlined
 def _next_share(state, o, until):
-    """Set out for the next share of the load."""
+    """Start the next fraction of the load."""
     state[o + GOAL] = min(1.0, state[o + AT] + state[o + SHARE])
     set_load_fraction(state, o, state[o + GOAL])
     _extrapolate(state, o)
@@ -258,7 +259,7 @@ def _next_share(state, o, until):
 
 @inner
 def begin_path(state, o, until):
-    """Set out from the tip in state, that of no load, for the whole load at once."""
+    """Start the load path from the stored tip, that of no load, trying the whole load at once."""
     for q in range(18):
         state[o + WAY + q] = state[o + TIP + q % 6]
     state[o + AT], state[o + AT_OLD], state[o + AT_OLDER], state[o + SHARE], state[o + TOTAL] = (
@@ -273,7 +274,7 @@ def begin_path(state, o, until):
 
 @inner
 def follow(state, o, outcome, until):
-    """What comes of Newton on a share of the load: a longer step along the path, or a shorter one instead."""
+    """Evaluate Newton's method at a fraction of the load: lengthen the step along the path, or shorten it."""
     at, goal = state[o + AT], state[o + GOAL]
     if outcome == FOUND:
         for q in range(12):
@@ -313,20 +314,21 @@ UNLOADED, GUESSED, PATH, POLISH, RETAKE, JUDGE = range(6)
 """What a sweep is for: the shape without load, Newton from a guess, Newton along the path, its last digits, Newton's
 matrix anew for those, the margin of stability to the last digit."""
 PHASE, START, CAREFUL, TOLERANCE, RESIDUAL, BEFORE, POLISHES, GROWTH = range(NEWTON, NEWTON + 8)
-"""In state of the search: its phase, where it starts from, whether this is the second try along the path, the sweeps'
-tolerance, misfit at the base now and before [rad], sweeps of polishing, how much a turn of the tip grows."""
+"""Offsets in the solver state of the search: its phase, where it starts from, whether this is the second try along
+the path, the sweeps' tolerance, misfit at the base now and before [rad], sweeps of polishing, how much a turn of the
+tip grows."""
 SOLVER_STATE = NEWTON + 8
 
 
 @inlined
 def tip_growth(theta, growth):
-    """The larger of a growth and of how much larger than at the tip a unit turn of it is at the base."""
+    """Return the larger of `growth` and the magnification of a unit rotation of the tip at the base."""
     return max(growth, max(abs(theta[0]), max(abs(theta[1]), abs(theta[2]))))
 
 
 @inner
 def begin_search(state, o, load, start, body, tol):
-    """Take up a case; the tip in state is its guess unless `start` is COLD."""
+    """Start a case; the stored tip is its guess unless `start` is COLD."""
     for q in range(LOAD):
         state[o + WHOLE + q] = load[q]
     state[o + START], state[o + CAREFUL], state[o + MOMENT_FIRST] = start, 0.0, 0.0
@@ -342,7 +344,7 @@ def begin_search(state, o, load, start, body, tol):
 
 @inner
 def _begin_path(state, o, body, tol):
-    """Set out from no load: where the rod stands straight, or as it is curved by nature."""
+    """Start from no load: from the straight rod, or from its shape at rest."""
     general = body.constants[GENERAL] != 0.0
     judged = is_judged(state, o + WHOLE)
     careful = state[o + CAREFUL] > 0.0
@@ -363,7 +365,7 @@ def _begin_path(state, o, body, tol):
 
 @inner
 def begin_polish(state, o, tol):
-    """From a tip NEAR the equilibrium, with Newton's matrix there."""
+    """Start the final iterations from a tip NEAR the equilibrium, with Newton's matrix there."""
     state[o + PHASE], state[o + BEFORE], state[o + POLISHES] = POLISH, math.inf, 0.0
     state[o + TOLERANCE] = tol / min(state[o + GROWTH], MAX_GROWTH)
     intend(state, o, state[o + TOLERANCE], state[o + TURNED], 0.0)
@@ -371,21 +373,21 @@ def begin_polish(state, o, tol):
 
 @inlined
 def _again(state, o, of_size, with_tips):
-    """Sweep once more: the search is not over."""
+    """Request one more sweep."""
     intend(state, o, state[o + TOLERANCE], of_size, with_tips)
     return False
 
 
 @inlined
 def _done(state, o, status):
-    """The search ends here."""
+    """End the search with a status."""
     state[o + STATUS] = status
     return True
 
 
 @inner
 def seek(lanes, lane, state, o, body, tol):
-    """Look at a finished sweep on the way to the whole load, and have the next in state.
+    """Evaluate a finished sweep on the way to the whole load, and set the next one.
 
     Returns:
         Whether the tip is NEAR or lost, as state[STATUS] says.
@@ -421,13 +423,13 @@ def seek(lanes, lane, state, o, body, tol):
 
 @inlined
 def _is_unsure(state, o):
-    """Whether the path's sweeps leave the stability open."""
+    """Return whether the sweeps of the path leave the stability undecided."""
     return is_judged(state, o + WHOLE) and state[o + STABLE] < SAFE_MARGIN
 
 
 @inner
 def polish(lanes, lane, state, o, body, until, near_enough):
-    """Look at a finished sweep near the equilibrium, and have the next in state.
+    """Evaluate a finished sweep near the equilibrium, and set the next one.
 
     Args:
         until: residual allowed at the base [rad]; near_enough: misfit [rad] from which one more turn leads home, none

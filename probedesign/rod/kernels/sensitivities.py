@@ -55,7 +55,7 @@ def _theta(columns, o):
 
 @inner
 def _solved_tips(columns, stride, lane):
-    """Turns of the tip about its three axes that take back what a column turns the base by."""
+    """Return the rotations of the tip about its three axes that cancel a column's rotation of the base."""
     a, b, c = _theta(columns, S0), _theta(columns, S1), _theta(columns, S2)
     x = _theta(columns, lane // WIDE * stride + lane % WIDE)
     det = dot(a, cross(b, c))
@@ -64,7 +64,7 @@ def _solved_tips(columns, stride, lane):
 
 @inlined
 def _total(columns, stride, lane, row, turns):
-    """Three rows of a column with the tip turned so that the base stays."""
+    """Return three rows of a column with the tip rotated so that the base remains fixed."""
     o = WIDE * row
     a, b, c = _theta(columns, o), _theta(columns, o + 1), _theta(columns, o + 2)
     x = _theta(columns, o + lane // WIDE * stride + lane % WIDE)
@@ -73,18 +73,18 @@ def _total(columns, stride, lane, row, turns):
 
 @inner
 def sensitivities(y, blocks, contact, body, load, turns, derivatives):
-    """Total derivatives of what the base feels and of where the contact is.
+    """Fill in the total derivatives of the base moment and of the contact's frame and position.
 
     Args:
         y, blocks, contact: as `solve` left them.
-        turns: (3, k) turns of the tip's section about its axes, for the columns elsewhere.
+        turns: filled, rotations of the tip's section about its axes, for derivatives at other arclengths, (3, k).
         derivatives: (15, k + 1): of the base moment (3), of the contact's [t, x axis, position from the base,
             y axis] (12); in its last column those twelve themselves.
 
     The contact moves along the body with s_contact, so that column also holds the slopes there.
     """
     k = turns.shape[1]
-    # The x axis of a round section was started anyhow at the tip: turned about the tangent, it is e_x at the base.
+    # The x axis of a round section is arbitrary at the tip; a rotation about the tangent makes it e_x at the base.
     norm = math.hypot(y[9], y[10])
     co, si = y[9] / norm, -y[10] / norm
     t, d = take(contact, T), take(contact, D)
@@ -127,7 +127,7 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
 
 @kernel
 def states_at(s, nodes, count, body, load, work, blocks, result):
-    """States and columns at arclengths s (j,), one step from the node above each.
+    """Fill in states and columns at arclengths s (j,), by one step from the node above each.
 
     Args:
         nodes: as `solve` filled them, `count` rows.
@@ -170,7 +170,7 @@ def states_at(s, nodes, count, body, load, work, blocks, result):
 def linear_equilibrium(
     tip, load, body, tol, size, work, nodes, blocks, y, contact, turns, derivatives, change
 ):
-    """Sweep from a guessed tip; what the base lacks of its clamp is taken back to first order everywhere.
+    """Sweep from a guessed tip, and correct the residual at the base to first order everywhere.
 
     Args:
         tip: [t, d], (6,).
@@ -179,11 +179,11 @@ def linear_equilibrium(
         work, nodes, blocks, y, contact: as in `sweep`; nodes may be empty, blocks not.
         turns: (3, k).
         derivatives: as in `sensitivities`, (15, k + 1): by k parameters at the equilibrium, the last column
-            [base moment, contact's frame] at it; all to first order in the misfit.
-        change: turn of the tip that leads to the equilibrium, in base axes, (3,).
+            [base moment, contact's frame] at it; all to first order in the residual.
+        change: rotation of the tip that leads to the equilibrium, in base axes, (3,).
 
     Returns:
-        Status, misfit at the base [rad], margin of stability, how far the rod turned.
+        Status, residual at the base [rad], stability margin, largest rotation of the rod.
     """
     status, _count, margin, size, _steps = sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact)
     if status != OK:
@@ -218,7 +218,7 @@ def linear_equilibrium(
 
 @inner
 def tips_turn(tip, turns, step, way):
-    """Turn of the tip, in base axes, (3,), as the parameters take a step, (k,)."""
+    """Fill in the rotation of the tip, in base axes, (3,), for a step of the parameters, (k,)."""
     t, d = take(tip, 0), take(tip, 3)
     e = cross(t, d)
     turn = (0.0, 0.0, 0.0)
@@ -231,7 +231,7 @@ def tips_turn(tip, turns, step, way):
 
 @inner
 def _column(columns, row, lane):
-    """Three rows of one of the tip's columns."""
+    """Return three rows of one of the tip's columns."""
     return (
         columns[WIDE * row + lane],
         columns[WIDE * (row + 1) + lane],
@@ -241,7 +241,7 @@ def _column(columns, row, lane):
 
 @inner
 def _turned(columns, row, q0, q1, q2):
-    """Three rows under a turn of the tip about its three axes."""
+    """Return three rows under a rotation of the tip about its three axes."""
     a, b, c = _column(columns, row, 0), _column(columns, row, 1), _column(columns, row, 2)
     return (
         q0 * a[0] + q1 * b[0] + q2 * c[0],

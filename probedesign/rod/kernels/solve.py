@@ -49,7 +49,7 @@ SEEKING, POLISHING = 0, 1
 
 @inlined
 def parts(scratch):
-    """The lanes, which state each lane is of, what a last sweep works in, the states."""
+    """Return views of the scratch memory: lanes, case of each lane, work of a last sweep, solver states."""
     a = WIDE * ROWS
     b = a + WIDE
     return scratch[:a], scratch[a:b], scratch[b:FIXED], scratch[FIXED:]
@@ -57,7 +57,7 @@ def parts(scratch):
 
 @inlined
 def _wants_tips(lanes, seats):
-    """Whether a lane at work wants its tip's columns."""
+    """Return whether a busy lane integrates the tip's columns."""
     wanted = False
     for lane in range(WIDE):
         wanted = wanted or (seats[lane] >= 0.0 and lanes[WIDE * WANTS_TIPS + lane] > 0.0)
@@ -68,13 +68,13 @@ def _wants_tips(lanes, seats):
 def through(
     stage, count, lanes, seats, states, bodies, which, loads, directed, start, tol, until, near_enough
 ):
-    """All cases of a group through one stage.
+    """Run all cases of a group through one stage.
 
     Args:
         count: of cases; which, loads: theirs.
         directed: see `tick`.
         seats: the case of each lane, -1: none, (WIDE,).
-        states: of each case, its tip's guess where there is one, (group · CASE,).
+        states: solver state of each case, with its tip's guess if there is one, (group · CASE,).
     """
     waiting, busy, general = 0, 0, directed is not None
     for lane in range(WIDE):
@@ -117,7 +117,7 @@ def through(
 
 @inline_always
 def report(state, o, work, body, load, tol, until, nodes, blocks, y, contact):
-    """Sweep a case once more, with what is asked for beside base and contact.
+    """Sweep a case once more, with the outputs beside base and contact.
 
     Args:
         state: the case's, from o on; its tip is turned a little more where it has to.
@@ -153,7 +153,7 @@ def report(state, o, work, body, load, tol, until, nodes, blocks, y, contact):
 
 @inlined
 def dot_of(r):
-    """|r|²."""
+    """Return |r|²."""
     return r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
 
 
@@ -175,7 +175,7 @@ NEAR_ENOUGH = 200.0
 
 @inlined
 def _write(row, state, o, y, contact, status, margin, residual, count):
-    """An answer by its place in the row."""
+    """Store a result in its row."""
     row[ROW_STATUS], row[ROW_MARGIN], row[ROW_RESIDUAL], row[ROW_COUNT] = status, margin, residual, count
     for q in range(6):
         row[ROW_TIP + q] = state[o + TIP + q]
@@ -190,7 +190,7 @@ def solve_cases(
     first, last, bodies, which, loads, directed, start, chained, tol, until, scratch, nodes, blocks, y, contact, turns,
     found, derivatives,
 ):  # fmt: skip
-    """Equilibria of the cases first ... last - 1.
+    """Solve for the equilibria of the cases first ... last - 1.
 
     Args:
         bodies: Body of stacked arrays, one row a rod; which: the rod of each case, (n,).

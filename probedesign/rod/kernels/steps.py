@@ -46,7 +46,7 @@ C1, C2, C3, C4, C6 = (float(verner.C[j]) for j in (1, 2, 3, 4, 6))
 
 @inlined
 def _keep(work, j, t, m, p1, e, med, on):
-    """Note what the columns need of stage j."""
+    """Store what the columns need of stage j."""
     o = NOTED + ROW * j
     put(work, o, t)
     put(work, o + 3, m)
@@ -61,7 +61,7 @@ def _keep(work, j, t, m, p1, e, med, on):
 
 @inlined
 def _stage_slopes(s, j, t, m, d, work, frustum, rest, force, gravity, on):
-    """Slopes of any rod at stage j, noted for the columns."""
+    """Return the slopes of any rod at stage j, and store the stage for the columns."""
     med = section_properties(s, frustum, force, gravity)
     e = cross(t, d)
     t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
@@ -124,7 +124,7 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
 
 @inlined
 def _stage(work, j):
-    """What was noted of stage j: t, m, p', e and the section_properties."""
+    """Return what was stored of stage j: t, m, p', e and the section properties."""
     o = NOTED + ROW * j
     med = (
         work[o + 15],
@@ -143,7 +143,7 @@ def _stage(work, j):
 
 @inlined
 def _free(work, j):
-    """The same with what bending of the place does, for columns without forcing."""
+    """Return stage j with its compliance, for columns without forcing."""
     t, m, p1, e, med = _stage(work, j)
     bend, beta, by_e, _turns, _points = compliance(t, m, e, med)
     return t, m, p1, e, med, (bend, beta, by_e)
@@ -151,7 +151,7 @@ def _free(work, j):
 
 @inlined
 def _noted(work, j):
-    """The same with what its softening would do and whether the contact lies beyond, for the other columns."""
+    """Return stage j with its compliance, the derivatives of that, and whether the contact is beyond."""
     t, m, p1, e, med = _stage(work, j)
     bend, beta, by_e, turns, points = compliance(t, m, e, med)
     return t, m, p1, e, med, (bend, beta, by_e), (turns, points), work[NOTED + ROW * j + 24]
@@ -159,7 +159,7 @@ def _noted(work, j):
 
 @inlined
 def _free_slopes(theta, v, stage):
-    """Slopes of a column without forcing at a stage."""
+    """Return the slopes of a column without forcing at a stage."""
     t, m, p1, e, med, compliances = stage
     turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, compliances)
     return turn, cross(med[9], q1), q1
@@ -167,14 +167,14 @@ def _free_slopes(theta, v, stage):
 
 @inlined
 def _row3(block, row, lane):
-    """Three rows of one lane."""
+    """Return three rows of one lane."""
     o = WIDE * row
     return (block[o + lane], block[o + WIDE + lane], block[o + 2 * WIDE + lane])
 
 
 @inlined
 def _put3(block, row, lane, x):
-    """Three rows of one lane."""
+    """Set three rows of one lane."""
     o = WIDE * row
     block[o + lane] = x[0]
     block[o + WIDE + lane] = x[1]
@@ -183,7 +183,7 @@ def _put3(block, row, lane, x):
 
 @inlined
 def _finish(block, lane, h, a, v, q, ka, kv, kq):
-    """Note where one column steps to and its error; ka, kv, kq: its slopes at the stages."""
+    """Store the result of a step of one column and its error; ka, kv, kq: its slopes at the stages."""
     a0, a2, a3, a4, a5, a6, a7 = ka
     v0, v2, v3, v4, v5, v6, v7 = kv
     q0, q2, q3, q4, q6, q7 = kq
@@ -224,7 +224,7 @@ def free_columns_step(h, block, work):
 
 @inlined
 def _forced_slopes(theta, v, stage, j, block, lane, gravity):
-    """Slopes of a column that moves load or section, at stage j."""
+    """Return the slopes of a column that changes load or section, at stage j."""
     t, m, p1, e, med, compliances, softens, on = stage
     force, g = _row3(block, BY_LOAD, lane), _row3(block, BY_LOAD + 3, lane)
     by_weight = block[WIDE * (BY_WEIGHT + j) + lane]

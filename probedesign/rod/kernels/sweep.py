@@ -1,4 +1,4 @@
-"""One integration from the free tip to the clamp with all that is asked for on the way: shape, columns, margin."""
+"""Integrate one rod from the free tip to the clamp, with shape, columns and stability margin."""
 
 import math
 
@@ -64,13 +64,13 @@ MAX_STEPS = 1000
 
 @inlined
 def lane_of(j):
-    """Lane of PARAMETERS[j]."""
+    """Return the lane of PARAMETERS[j]."""
     return L_FORCE + j if j < 3 else L_S_CONTACT if j == 3 else L_COUPLE + j - 4
 
 
 @inner
 def begin(tip, blocks, chunks):
-    """Columns at the tip: unit turns about its axes, and what each parameter moves; tip [t, ..., d]."""
+    """Set the columns at the tip: unit rotations about its axes, and unit parameters; tip [t, ..., d]."""
     t, d = take(tip, T), take(tip, tip.shape[0] - 3)
     for q in range(chunks * BLOCK):
         blocks[q] = 0.0
@@ -92,7 +92,7 @@ def begin(tip, blocks, chunks):
 
 @inner
 def _reshape(s, h, i, in_root, blocks, chunks, body, work):
-    """What the lanes of density and diameters do to radius and weight at each stage of the step from s by h."""
+    """Set the change of radius and weight by density and diameters at each stage of the step from s by h."""
     below, above = body.knots[i], body.knots[i + 1]
     r0, r1 = body.radii[i], body.radii[i + 1]
     rho, cone = body.constants[DENSITY], body.constants[CONE]
@@ -139,7 +139,7 @@ def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
 
 @inlined
 def _jacobi_error(blocks, bend, tol):
-    """Largest error of the tip's columns over what is allowed; a thousand times looser than the state's.
+    """Return the largest error of the tip's columns over a thousand times the state's tolerance.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
@@ -156,7 +156,7 @@ def _jacobi_error(blocks, bend, tol):
 
 @inline_always
 def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on):
-    """One accepted step towards `stop`: (new s, next step, tries), new s = NaN where none is accepted.
+    """Take one accepted step towards `stop`; return new s, next step and tries, new s = NaN if none is accepted.
 
     Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all
     (`size`), so that a bend of a micrometre keeps its digits; points to the body's own length.
@@ -191,7 +191,7 @@ def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size
 
 @inner
 def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
-    """Add to a column `change` times the state's slopes at s, seen as turn, moment and point."""
+    """Add to a column `change` times the state's slopes at s, as rotation, moment and point."""
     t, m, d = take(y, T), take(y, M), take(y, D)
     force = times(on, take(load, FORCE))
     med = section_properties(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
@@ -206,7 +206,7 @@ def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
 
 @inner
 def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
-    """State and columns over the contact: the couple acts, and the place moves with s_contact."""
+    """Pass the contact: add the couple to the state, and the motion of the contact to the columns."""
     if chunks > 0:
         _add_slopes(L_S_CONTACT, 1.0, s, i, in_root, y, blocks, body, load, 0.0)
     put(y, M, plus(take(y, M), take(load, COUPLE)))
@@ -230,13 +230,13 @@ def _margin(blocks):
 
 @inlined
 def take3(blocks, lane):
-    """θ of one of the first columns."""
+    """Return θ of one of the first columns."""
     return (blocks[lane], blocks[WIDE + lane], blocks[2 * WIDE + lane])
 
 
 @inlined
 def _accept(blocks, chunks):
-    """Columns to where they stepped."""
+    """Set the columns to the result of the step."""
     for c in range(chunks):
         o = c * BLOCK
         for q in range(WIDE * COLUMN):
@@ -245,7 +245,7 @@ def _accept(blocks, chunks):
 
 @inlined
 def _note(y, blocks, chunks, row):
-    """State and columns into a row."""
+    """Store state and columns in a row."""
     for q in range(STATE):
         row[q] = y[q]
     for c in range(chunks):
