@@ -16,8 +16,8 @@ from benchmarks.timing import interleaved, print_table, shown
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.batch import CHUNK, solve_batch
+from probedesign.rod.kernels.solve import scratch_buffers
 from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
-from probedesign.rod.workspace import workspace
 
 CASES = 100_000
 ALONE = 10_000
@@ -70,14 +70,14 @@ class Kernel:
         stacks = (np.stack(arrays) for arrays in zip(*(rod.body for rod in cases.rods), strict=True))
         self.bodies = kernels.Body(*(np.ascontiguousarray(stack) for stack in stacks))
         self.loads, self.which = cases.loads, cases.which
-        self.found = np.empty((len(self.loads), kernels.FOUND))
+        self.found = np.empty((len(self.loads), kernels.ROW_LENGTH))
         self.derivatives = np.empty((len(self.loads), 15, 1))
 
     def solve(self, first: int, last: int) -> None:
         """The cases first ... last - 1."""
         kernels.solve_cases(
             first, last, self.bodies, self.which, self.loads, None, kernels.COLD, False, *TOLERANCES["fast"],
-            *workspace(0, 0, CHUNK), self.found, self.derivatives,
+            *scratch_buffers(0, 0, CHUNK), self.found, self.derivatives,
         )  # fmt: skip
 
     def seconds(self, n: int, threads: int) -> float:
@@ -92,7 +92,7 @@ class Kernel:
     def each(self, n: int) -> Array:
         """Seconds of each of the first n cases, the call itself taken off: the better of two."""
         best = np.full(n, np.inf)
-        work = workspace(0, 0)
+        work = scratch_buffers(0, 0)
         fixed = (self.bodies, self.which, self.loads, None, kernels.COLD, False, *TOLERANCES["fast"], *work)
 
         def once(first: int, last: int) -> float:
@@ -117,10 +117,10 @@ def measure(cases: Cases, n: int = CASES) -> Batch:
     for count in threads:
         seconds[count] = min(kernel.seconds(n, count) for _ in range(ROUNDS))
         answers.append(kernel.found.copy())
-    status = answers[0][:, kernels.STATUS]
+    status = answers[0][:, kernels.ROW_STATUS]
     good = status == kernels.OK
     same = all(
-        np.array_equal(found[:, kernels.STATUS], status) and np.array_equal(found[good], answers[0][good])
+        np.array_equal(found[:, kernels.ROW_STATUS], status) and np.array_equal(found[good], answers[0][good])
         for found in answers
     )
     start = time.perf_counter()
@@ -185,7 +185,7 @@ def _slowest(seconds: Array) -> float:
 def cut(rod: Rod, frusta: int) -> Rod:
     """The same cone in so many pieces."""
     s = np.linspace(0.0, rod.length, frusta + 1)
-    radius = np.interp(s, rod.s, rod.radius)
+    radius = rod.radius_at(s)
     return Rod(s, radius, rod.youngs_modulus, rod.shear_modulus, rod.density, rod.shear_coefficient)
 
 

@@ -138,7 +138,7 @@ def print_compared(found: Sequence[dict[str, Found | None]]) -> None:
         [row(name, found) for name in found[0]],
     )
     print("  error: largest distance from the converged centreline (Rod.solve in reference mode, "
-          "itself within 1e-11 L of probedesign/rod/plain.py; tests/rod/test_plain.py)\n"
+          "itself within 1e-11 L of tests/reference/shooting.py; tests/rod/test_shooting.py)\n"
           "  target: of every load, and ours at equal or better error")  # fmt: skip
 
 

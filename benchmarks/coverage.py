@@ -319,7 +319,7 @@ def run_single(case: Case, probe: str, n: int, seed: int) -> Tally:
     touches = readings.touches
     wrenches = readings.wrench + scatter
     for i in np.flatnonzero(touches.ok & (limits < LIMIT)):
-        if model.reads(model.to_sensor(wrenches[i], model.gravity_base)):
+        if model.in_range(model.to_sensor(wrenches[i], model.gravity_base)):
             tally.add(located(estimator, wrenches[i]), readings.point[i], float(limits[i]))
     return tally
 
@@ -334,7 +334,7 @@ def _touches(
     rod = model.rod
     fraction, newtons = rng.uniform(*PLACES, 200 * n), np.exp(rng.uniform(*np.log(forces), 200 * n))
     s = fraction * rod.length
-    stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * np.interp(s, rod.s, rod.radius)
+    stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
     held = newtons * s * s < STRENGTH * stiffness
     counts = newtons > 0.9 * s * model.noise.force / LIMIT
     rows = np.flatnonzero(held & counts)[:n]

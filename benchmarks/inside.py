@@ -14,11 +14,23 @@ from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.kernels.equations import frustum_of, rest_of
 from probedesign.rod.kernels.lane_sweep import tick
-from probedesign.rod.kernels.lanes import LENGTH, MOST, SIZE, TIPS, TOL, WANTS_TIPS, D, H, S, T, put_frustum
+from probedesign.rod.kernels.lanes import (
+    LENGTH,
+    SIZE,
+    STEP_BUDGET,
+    TIPS,
+    TOL,
+    WANTS_TIPS,
+    D,
+    H,
+    S,
+    T,
+    put_frustum,
+)
+from probedesign.rod.kernels.linalg import put, take
+from probedesign.rod.kernels.solve import scratch_buffers
 from probedesign.rod.kernels.steps import NEXT, forced_columns_step, free_columns_step, full_step
-from probedesign.rod.kernels.vectors import put, take
 from probedesign.rod.rod import TOLERANCES, Rod
-from probedesign.rod.workspace import workspace
 
 COPIES = 100
 """Of one case in one call, so that the call itself costs nothing."""
@@ -78,11 +90,11 @@ class Part(NamedTuple):
 def solver(rod: Rod, load: Load, asked: Asked, copies: int = COPIES) -> Callable[[], int]:
     """Copies of one case, solved in one call of the kernel; from a neighbour, each of them from the same."""
     loads = np.tile(rod.load(GRAVITY, load.force, load.s), (copies, 1))
-    found, derivatives = np.empty((copies, kernels.FOUND)), np.empty((copies, 15, asked.columns + 1))
-    which, work = np.zeros(copies, dtype=np.int64), workspace(asked.columns, asked.room, asked.group)
+    found, derivatives = np.empty((copies, kernels.ROW_LENGTH)), np.empty((copies, 15, asked.columns + 1))
+    which, work = np.zeros(copies, dtype=np.int64), scratch_buffers(asked.columns, asked.room, asked.group)
     beside = rod.solve(GRAVITY, BESIDE * load.force, load.s).tip
     start = kernels.WARM_ONLY if asked.warm else kernels.COLD
-    tips = found[:, kernels.TIP : kernels.TIP + 6]
+    tips = found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6]
     case = (0, copies, rod.stacked, which, loads, rod.directed, start, False, asked.tol, asked.tol / 10.0)
 
     def solve() -> int:
@@ -91,7 +103,7 @@ def solver(rod: Rod, load: Load, asked: Asked, copies: int = COPIES) -> Callable
         return done
 
     solve()
-    if (found[:, kernels.STATUS] != kernels.OK).any():
+    if (found[:, kernels.ROW_STATUS] != kernels.OK).any():
         raise ArithmeticError("a case of the benchmark has no equilibrium")
     return solve
 
@@ -99,11 +111,11 @@ def solver(rod: Rod, load: Load, asked: Asked, copies: int = COPIES) -> Callable
 def counted(rod: Rod, load: Array, asked: Asked, beside: Array | None = None) -> tuple[int, dict[str, int]]:
     """Operations of one solve as the source says them, and calls of each function; load as the kernels take it."""
     n = kernels.WIDE  # of the same case, so that no lane works on nothing
-    found, derivatives = np.zeros((n, kernels.FOUND)), np.zeros((n, 15, asked.columns + 1))
+    found, derivatives = np.zeros((n, kernels.ROW_LENGTH)), np.zeros((n, 15, asked.columns + 1))
     if beside is not None:
-        found[:, kernels.TIP : kernels.TIP + 6] = beside
+        found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6] = beside
     start = kernels.COLD if beside is None else kernels.WARM_ONLY
-    work = workspace(asked.columns, asked.room, n)
+    work = scratch_buffers(asked.columns, asked.room, n)
     for numbers in work:
         numbers[:] = 0.0  # memory as it comes may hold what is no number
     done, calls = count(kernels.solve_cases, 0, n, rod.stacked, np.zeros(n, dtype=np.int64), np.tile(load, (n, 1)),
@@ -155,7 +167,7 @@ def _sought(trips: int, tips: bool, body: Any, lanes: Any) -> None:
             (LENGTH, length),
             (TOL, 1.0),
             (SIZE, 1.0),
-            (MOST, 1e9),
+            (STEP_BUDGET, 1e9),
             (WANTS_TIPS, 1.0),
         ):
             lanes[kernels.WIDE * row + lane] = value

@@ -157,9 +157,7 @@ def _measured(name: str, contact: FrictionlessContact | None, truth: Truth, shar
     trial = MeasuredTest(name, np.eye(4), model.gravity_base, None if contact else np.zeros(3),
                   wrench_base=wrench, cov_wrench=cov)  # fmt: skip
     if contact is not None:
-        reach = np.interp(eq.s_contact, truth.rod.s, truth.rod.radius) / np.hypot(
-            1.0, truth.rod.taper_at(eq.s_contact)
-        )
+        reach = truth.rod.radius_at(eq.s_contact) / np.hypot(1.0, truth.rod.taper_at(eq.s_contact))
         touched = eq.p_contact_base - reach * contact.force_base / np.linalg.norm(contact.force_base)
         place = T[:3, :3] @ touched + T[:3, 3] + kind.touch * rng.normal(size=3)
         trial = replace(trial, s_contact=eq.s_contact + kind.s * rng.normal(), std_s=kind.s, p_touch_world=place,

@@ -10,7 +10,7 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.frames import Array
-from probedesign.rod.surface_force import solve_surface_force
+from probedesign.rod.contact import solve_surface_force
 
 FORCES = (1e-2, 0.5)
 """[N]."""

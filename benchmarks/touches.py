@@ -16,7 +16,7 @@ from probedesign.estimation.multistart import placed
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.probe import build_probe
-from probedesign.rod.surface_force import SurfaceForce, solve_surface_force
+from probedesign.rod.contact import SurfaceForce, solve_surface_force
 
 ROOT = Path(__file__).parents[1]
 TABLE_I = ROOT / "tests/data/table1.csv"
@@ -106,7 +106,7 @@ def random_touches(decade: tuple[float, float], rng: np.random.Generator) -> Ite
         model, gravity = random_model(rng), 9.81 * direction(rng)
         rod, s = model.rod, float(rng.uniform(*PLACE)) * model.rod.length
         force = float(np.exp(rng.uniform(*np.log(decade))))
-        stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * np.interp(s, rod.s, rod.radius)
+        stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
         if force * s * s > MOST_BENT * stiffness:
             continue
         found = touch(model, gravity, s, float(rng.uniform(-np.pi, np.pi)), force)

@@ -79,10 +79,10 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "flexible_mass_kg": model.mass,
         "hanging": {
             "frame": "sensor",
-            "volume_m3": model.hanging.volume,
-            "mass_kg": model.hanging.mass,
-            "p_com_m": model.hanging.p_com.tolist(),
-            "inertia_kg_m2": model.hanging.inertia.tolist(),
+            "volume_m3": model.payload.volume,
+            "mass_kg": model.payload.mass,
+            "p_com_m": model.payload.p_com.tolist(),
+            "inertia_kg_m2": model.payload.inertia.tolist(),
         },
         "T_sensor_base": model.T_sensor_base.tolist(),
         "gravity_base_m_s2": model.gravity_base.tolist(),
@@ -225,7 +225,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         ),
         gravity_base=_numbers(data["gravity_base_m_s2"], 3),
         T_sensor_base=_numbers(data["T_sensor_base"], 4, 4),
-        hanging=MassProperties(
+        payload=MassProperties(
             hanging["volume_m3"],
             hanging["mass_kg"],
             _numbers(hanging["p_com_m"], 3),
@@ -248,7 +248,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
         raise InputError(
             f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})"
         )
-    if not (0.0 <= float(model.hanging.mass) < 10.0 and model.averaging_samples >= 1):
+    if not (0.0 <= float(model.payload.mass) < 10.0 and model.averaging_samples >= 1):
         raise InputError("hanging.mass_kg or sensor.averaging_samples makes no sense")
     if not is_pose(model.T_sensor_base):
         raise InputError("T_sensor_base is not a rigid pose")
@@ -310,7 +310,7 @@ def _numbers(values: Any, *shape: int) -> Array:
 def _sections(rod: Rod) -> dict[str, list[float]]:
     """Section properties along s, as a person would check them by hand; xx bends about x, yy about y."""
     s = np.unique(np.concatenate([rod.s, np.linspace(0.0, rod.length, SECTION_STATIONS)]))
-    r = np.interp(s, rod.s, rod.radius)
+    r = rod.radius_at(s)
     of_area, of_xx, of_yy, of_torsion = rod.factors
     area, xx, yy = of_area * np.pi * r**2, of_xx * np.pi / 4.0 * r**4, of_yy * np.pi / 4.0 * r**4
     torsion = of_torsion * np.pi / 2.0 * r**4

@@ -92,7 +92,7 @@ class Probe:
             rod=self.rod,
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,
-            hanging=mount_mass_properties(self.geometry, adapter, d.density.value),
+            payload=mount_mass_properties(self.geometry, adapter, d.density.value),
             wrench_range=np.array([*calibration.force_range, *calibration.moment_range]),
             noise=averaged_noise(calibration, d.sensor.averaging_samples),
             averaging_samples=d.sensor.averaging_samples,

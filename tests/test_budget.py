@@ -20,7 +20,7 @@ from probedesign.prediction.monte_carlo import Plan, drawn_errors, sample
 from probedesign.prediction.predict import predict, predict_touch
 from probedesign.prediction.worlds import Worlds, printed
 from probedesign.probe import build_probe
-from probedesign.rod.surface_force import solve_surface_force
+from probedesign.rod.contact import solve_surface_force
 
 DESIGNS = Path(__file__).parents[1] / "designs"
 GRAVITY = np.array([9.81, 0.0, 0.0])

@@ -20,7 +20,7 @@ from probedesign.prediction.press_schedule import PressSchedule
 from probedesign.prediction.quantile import radius_95
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
-from probedesign.rod.surface_force import solve_surface_force
+from probedesign.rod.contact import solve_surface_force
 from probedesign.search.grid import tables_of
 from probedesign.sensor import Noise
 

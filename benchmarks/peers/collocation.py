@@ -20,11 +20,11 @@ def solve_by_bvp(
 
     def weight(at: Array) -> Array:
         """ρ V(s) g of a single frustum."""
-        r, r1, h = np.interp(at, rod.s, rod.radius), rod.radius[-1], rod.length - at
+        r, r1, h = rod.radius_at(at), rod.radius[-1], rod.length - at
         return rod.density * np.pi / 3.0 * h * (r * r + r * r1 + r1 * r1) * gravity[:, None]
 
     def part(at: Array, y: Array, n: Array) -> Array:
-        radius = np.interp(at, rod.s, rod.radius)
+        radius = rod.radius_at(at)
         A = np.pi * radius * radius
         EI, GJ = E * A * radius * radius / 4.0, G * A * radius * radius / 2.0
         (x, yy, z, w), m = y[3:7], scale * y[7:10]

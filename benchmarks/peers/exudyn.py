@@ -48,7 +48,7 @@ def build(rod: Rod, gravity: Array, force: Array, s_contact: float, elements: in
     system = container.AddSystem()
     nodes = [system.AddNode(item.NodeRigidBodyEP(referenceCoordinates=[at, 0, 0, 1, 0, 0, 0])) for at in s]
     for i, middle in enumerate((s[:-1] + s[1:]) / 2.0):
-        section = _section(rod, float(np.interp(middle, rod.s, rod.radius)))
+        section = _section(rod, float(rod.radius_at(middle)))
         ends = [nodes[i], nodes[i + 1]]
         system.AddObject(
             item.ObjectBeamGeometricallyExact(nodeNumbers=ends, length=s[i + 1] - s[i], sectionData=section)

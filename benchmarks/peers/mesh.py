@@ -21,7 +21,7 @@ def stations(rod: Rod, s_contact: float, elements: int, behind: float = 0.0) -> 
 
 def nodal_weights(rod: Rod, s: Array, gravity: Array) -> Array:
     """Weight of the frusta between s [N], (k, 3): each on its two ends so that its centre of mass stays."""
-    r0, r1 = np.interp(s[:-1], rod.s, rod.radius), np.interp(s[1:], rod.s, rod.radius)
+    r0, r1 = rod.radius_at(s[:-1]), rod.radius_at(s[1:])
     squares = r0 * r0 + r0 * r1 + r1 * r1
     mass = rod.density * np.pi / 3.0 * np.diff(s) * squares
     far = (r0 * r0 + 2.0 * r0 * r1 + 3.0 * r1 * r1) / (4.0 * squares)  # centre of mass over the length

@@ -27,7 +27,7 @@ def shoot_rk45(rod: Rod, gravity: Array, force: Array, s_contact: float, s: Arra
 
     def rates(at: float, y: Array) -> Array:
         R, n, m = y[3:12].reshape(3, 3), y[12:15], y[15:18]
-        radius = np.interp(at, rod.s, rod.radius)
+        radius = rod.radius_at(at)
         A = np.pi * radius * radius
         EI, GJ = E * A * radius * radius / 4.0, G * A * radius * radius / 2.0
         v = n @ R / (kG * A, kG * A, E * A)

@@ -15,8 +15,8 @@ from probedesign.estimation.observation import Observation
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.kernels.solve import scratch_buffers
 from probedesign.rod.rod import Rod
-from probedesign.rod.workspace import workspace
 
 STATIONS = 33
 """Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimation)."""
@@ -56,17 +56,17 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
     stations = np.linspace(0.0, rod.flank_end, count)
     loads = np.tile(rod.load(gravity, force, 0.0), (count, 1))
     loads[:, -1] = stations
-    found = np.empty((count, kernels.FOUND))
+    found = np.empty((count, kernels.ROW_LENGTH))
     reached = kernels.solve_cases(
         0, count, rod.stacked, np.zeros(count, dtype=np.int64), loads, rod.directed, kernels.COLD, True,
-        SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *workspace(0, 0), found, np.empty((count, 15, 1)),
+        SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *scratch_buffers(0, 0), found, np.empty((count, 15, 1)),
     )  # fmt: skip
-    if found[reached - 1, kernels.STATUS] != kernels.OK:
+    if found[reached - 1, kernels.ROW_STATUS] != kernels.OK:
         reached -= 1
-    tips = found[:reached, kernels.TIP : kernels.TIP + 6]
-    there = found[:reached, kernels.CONTACT : kernels.CONTACT + 3]
+    tips = found[:reached, kernels.ROW_TIP : kernels.ROW_TIP + 6]
+    there = found[:reached, kernels.ROW_CONTACT : kernels.ROW_CONTACT + 3]
     reached = _pushed(force, tips[:1, :3], there)
-    moments = found[:reached, kernels.MOMENT : kernels.MOMENT + 3]
+    moments = found[:reached, kernels.ROW_MOMENT : kernels.ROW_MOMENT + 3]
     misfit = ((moments - moment) ** 2).sum(axis=1)
     return stations[:reached], misfit, tips[:reached]
 

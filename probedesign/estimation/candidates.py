@@ -7,7 +7,6 @@ good for a start, not for an estimate.
 """
 
 import math
-from pathlib import Path
 
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -20,15 +19,21 @@ from probedesign.estimation.surface_contact_kernel import (
     offset_along,
     radius_and_slope,
 )
-from probedesign.rod.kernels.body import CONE, DENSITY, ROOT_REACH
-from probedesign.rod.kernels.compiled import drop_stale, inner
-from probedesign.rod.kernels.equations import frustum_of, medium, rest_at, rest_of, turning
+from probedesign.rod.kernels.compiled import inner
+from probedesign.rod.kernels.equations import (
+    CONE,
+    DENSITY,
+    ROOT_REACH,
+    frustum_of,
+    rest_at,
+    rest_of,
+    section_properties,
+    turning,
+)
+from probedesign.rod.kernels.linalg import add, cross, dot, put, take, times
 from probedesign.rod.kernels.newton import put_section
 from probedesign.rod.kernels.steps import STATE as WIDTH
 from probedesign.rod.kernels.steps import D, M, P, T, full_step
-from probedesign.rod.kernels.vectors import add, cross, dot, put, take, times
-
-drop_stale(Path(__file__).parent)
 
 STATIONS = 33
 """Stations evaluated at equal distances along the probe, as many as `arclength_scan.py` has at most."""
@@ -184,7 +189,7 @@ def _hang(body, s, t, d, gravity, knot_moments):
     i = 0
     while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
         i += 1
-    med = medium(s, frustum_of(body, i, s < body.constants[ROOT_REACH]), (0.0, 0.0, 0.0), gravity)
+    med = section_properties(s, frustum_of(body, i, s < body.constants[ROOT_REACH]), (0.0, 0.0, 0.0), gravity)
     m = times(_hanging(body, s, knot_moments), cross(t, gravity))
     return turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
 

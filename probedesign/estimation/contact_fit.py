@@ -9,9 +9,7 @@ the misfit of the base wrench whitened by its covariance, and the prior on frict
 """
 
 import math
-from pathlib import Path
 
-from probedesign.estimation.linalg_kernel import scale_and_factor, solve_scaled
 from probedesign.estimation.surface_contact_kernel import (
     AROUND,
     BY_TOUCH,
@@ -28,10 +26,9 @@ from probedesign.estimation.surface_contact_kernel import (
     linearise,
     plan_move,
 )
-from probedesign.rod.kernels.body import OK
-from probedesign.rod.kernels.compiled import drop_stale, inner
-
-drop_stale(Path(__file__).parent)
+from probedesign.rod.kernels.compiled import inner
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.linalg import scale_and_factor, solve_scaled
 
 FITTED, AT_END, STALLED, LOST = 0, 1, 2, 3
 """What became of a fit: a least misfit; one held by an end of the probe; no lower misfit to be found though this is

@@ -1,18 +1,18 @@
-"""Contact, no contact, touch lost: a sequential test on readings that gravity has been taken off.
+"""Detect contact and its end by a sequential test on gravity-compensated readings.
 
-Means over 1, 4, 16 ... samples are tested as they fill up: a hard touch shows in one sample, a light one in many.
-Of each length, whitened by the sensor's noise and by what the free probe has been seen to do besides (it sways as
-the robot moves), the squared length is Hotelling's
+Means over 1, 4, 16 ... samples are tested as they fill up: a hard touch is significant in one sample, a light one in
+many. Each mean is whitened by the sensor's noise and by the observed motion of the free probe, which sways as the robot
+moves. Its squared length is Hotelling's
 
     T² = zᵀ S⁻¹ z,   (ν - 5)/(6 ν) T² ~ F(6, ν - 5),
 
-and its threshold is where the chance of a false alarm, over all lengths together, is that of one in
-`hours_between_alarms`. A bias that drifts is followed while the probe is free.
+and its threshold gives one false alarm in `hours_between_alarms`, over all lengths together. A drifting bias is tracked
+while the probe is free. The arithmetic is compiled and takes a bounded time per sample.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,34 +20,186 @@ from scipy.special import chdtri
 from scipy.stats import f as fisher
 
 from probedesign.errors import InputError
-from probedesign.estimation.detector_kernel import (
-    CONTACT,
-    DOUBT,
-    FREE,
-    INVALID,
-    LENGTHS,
-    LOST,
-    Memory,
-    advance,
-)
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
+from probedesign.rod.kernels.compiled import inner, kernel
+
+LENGTHS = (1, 4, 16, 64, 256, 1024)
+"""Samples of each mean."""
+RATIO = 4
+FREE, CONTACT, LOST, INVALID = 0, 1, 2, 3
+STATE_NOW, DETECTED_BY, BIAS_VARIANCE, WALK = 0, 1, 2, 3
+
+
+class DetectorState(NamedTuple):
+    """State of the test between samples; arrays by length are in the order of `LENGTHS`.
+
+    Attributes:
+        whiten: of a sample, (6, 6).
+        thresholds: of T² for each length, (6,).
+        released: T² below which a touch is over.
+        gain: of the bias.
+        prior_weight: weight of the identity in the covariances, and the number of means that they average over.
+        state: the last code, the index of the length that detected the contact, the variance of the bias since it was
+            last tracked, and its increase per sample, both over the variance of a sample, (4,).
+        bias: whitened, (6,).
+        sums: running sums for each length, (6, 6); counts: number of parts in them, (6,).
+        scatter: Cholesky factor of S for each length, (6, 6, 6); moments: what S is made from, (6, 6, 6).
+    """
+
+    whiten: Array
+    thresholds: Array
+    released: float
+    gain: float
+    prior_weight: float
+    state: Array
+    bias: Array
+    sums: Array
+    counts: Array
+    scatter: Array
+    moments: Array
+
+    @classmethod
+    def fresh(
+        cls, whiten: Array, thresholds: Array, released: float, gain: float, prior_weight: float, walk: float
+    ) -> "DetectorState":
+        """Return the state of a free probe."""
+        lengths = len(LENGTHS)
+        eye = np.tile(np.eye(6), (lengths, 1, 1))
+        return cls(whiten, thresholds, released, gain, prior_weight, np.array([0.0, 0.0, 0.0, walk]), np.zeros(6),
+                   np.zeros((lengths, 6)), np.zeros(lengths), eye.copy(), eye.copy())  # fmt: skip
+
+
+@inner
+def square(z, factor):
+    """Return zᵀ S⁻¹ z by forward substitution with S's Cholesky factor."""
+    y0 = z[0] / factor[0, 0]
+    y1 = (z[1] - factor[1, 0] * y0) / factor[1, 1]
+    y2 = (z[2] - factor[2, 0] * y0 - factor[2, 1] * y1) / factor[2, 2]
+    y3 = (z[3] - factor[3, 0] * y0 - factor[3, 1] * y1 - factor[3, 2] * y2) / factor[3, 3]
+    y4 = (z[4] - factor[4, 0] * y0 - factor[4, 1] * y1 - factor[4, 2] * y2 - factor[4, 3] * y3) / factor[4, 4]
+    y5 = (
+        z[5]
+        - factor[5, 0] * y0
+        - factor[5, 1] * y1
+        - factor[5, 2] * y2
+        - factor[5, 3] * y3
+        - factor[5, 4] * y4
+    ) / factor[5, 5]
+    return y0 * y0 + y1 * y1 + y2 * y2 + y3 * y3 + y4 * y4 + y5 * y5
+
+
+@inner
+def learn(j, z, share, moments, scatter):
+    """Update the exponentially weighted covariance of means of length j with one more, and factor it."""
+    for a in range(6):
+        for b in range(6):
+            moments[j, a, b] += share * (z[a] * z[b] - moments[j, a, b])
+    # Never less than the sensor's own noise, so that a quiet period does not raise the false alarm rate.
+    for a in range(6):
+        for b in range(a + 1):
+            value = max(moments[j, a, b], 1.0) if a == b else moments[j, a, b]
+            for q in range(b):
+                value -= scatter[j, a, q] * scatter[j, b, q]
+            if a == b:
+                scatter[j, a, a] = np.sqrt(max(value, 0.5))
+            else:
+                scatter[j, a, b] = value / scatter[j, b, b]
+
+
+@kernel
+def advance(
+    samples,
+    whiten,
+    thresholds,
+    released,
+    gain,
+    prior_weight,
+    state,
+    bias,
+    sums,
+    counts,
+    scatter,
+    moments,
+    codes,
+):
+    """Process samples (n, 6) in order; fill in their codes (n,).
+
+    Returns:
+        The code of the last one.
+    """
+    lengths = thresholds.shape[0]
+    white = np.empty(6)
+    z = np.empty(6)
+    code = FREE
+    for i in range(samples.shape[0]):
+        finite = True
+        for a in range(6):
+            white[a] = -bias[a]
+            for b in range(a + 1):
+                white[a] += whiten[a, b] * samples[i, b]
+            finite = finite and np.isfinite(white[a])
+        if not finite:
+            codes[i] = code = INVALID
+            continue
+        in_contact = state[STATE_NOW] == CONTACT
+        code = CONTACT if in_contact else FREE
+        state[BIAS_VARIANCE] += state[WALK]
+        for a in range(6):
+            sums[0, a] += white[a]
+        counts[0] += 1.0
+        j, n = 0, 1.0
+        while j < lengths and counts[j] >= (1.0 if j == 0 else RATIO):
+            # The bias drifts untracked during contact and between its updates: the variance of a free mean includes
+            # that, also at the end of a contact.
+            root = np.sqrt(n * (1.0 + n * state[BIAS_VARIANCE]))
+            for a in range(6):
+                z[a] = sums[j, a] / root
+            far = square(z, scatter[j])
+            if in_contact:
+                if j == int(state[DETECTED_BY]) and far < released:
+                    state[STATE_NOW], code = FREE, LOST
+            elif far > thresholds[j] and code == FREE:
+                state[STATE_NOW], state[DETECTED_BY], code = CONTACT, j, CONTACT
+            elif code == FREE:
+                learn(j, z, 1.0 / prior_weight, moments, scatter)
+                if j == lengths - 1:
+                    ratio = n * state[BIAS_VARIANCE] + gain / (1.0 - gain)  # over a mean's noise
+                    for a in range(6):
+                        bias[a] += ratio / (ratio + 1.0) * sums[j, a] / n
+                    state[BIAS_VARIANCE] /= ratio + 1.0
+            if j + 1 < lengths:
+                for a in range(6):
+                    sums[j + 1, a] += sums[j, a]
+                counts[j + 1] += 1.0
+            for a in range(6):
+                sums[j, a] = 0.0
+            counts[j] = 0.0
+            j, n = j + 1, n * RATIO
+        if code == LOST or (code == CONTACT and not in_contact):
+            for j in range(lengths):  # samples before the change do not belong to the new state
+                counts[j] = 0.0
+                for a in range(6):
+                    sums[j, a] = 0.0
+        codes[i] = code
+    return code
+
 
 Touching = Literal["free", "contact", "lost", "out_of_range"]
 """`lost` is reported once, for the first reading after a touch."""
-_SAID: dict[int, Touching] = {FREE: "free", CONTACT: "contact", LOST: "lost", INVALID: "out_of_range"}
-TRUSTED = 400.0
-"""Weight of the sensor's own noise beside what the free probe is seen to do, in means; and how many of those are
-remembered."""
-RELEASED = 1e-4
-"""Chance that the mean of a free probe still counts as touched."""
+_STATES: dict[int, Touching] = {FREE: "free", CONTACT: "contact", LOST: "lost", INVALID: "out_of_range"}
+PRIOR_WEIGHT = 400.0
+"""Weight of the sensor's own noise against the observed motion of the free probe, in means, and the number of means
+that the covariance averages over."""
+RELEASE_CHANCE = 1e-4
+"""Probability that the mean of a free probe still counts as contact."""
 DRIFT_STEPS = 0.05
-"""How far the bias walks in a second, in steps of the sensor's resolution. Assumed; 0.2 steps from touch to touch."""
+"""Random walk of the bias in one second, in steps of the sensor's resolution. Assumed; 0.2 steps between touches."""
 
 
 @dataclass
 class Detector:
-    """The test, for samples as the sensor gives them: not averaged.
+    """Sequential contact test for samples as the sensor delivers them, not averaged.
 
     Attributes:
         model: the probe.
@@ -58,35 +210,35 @@ class Detector:
     model: ProbeModel
     rate: float = 7000.0
     hours_between_alarms: float = 1.0
-    _memory: Memory = field(init=False, repr=False)
+    _state: DetectorState = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Raises InputError where a number makes no sense."""
+        """Raise InputError for a number that is not positive and finite."""
         for name, value in (("rate", self.rate), ("hours_between_alarms", self.hours_between_alarms)):
             if not 0.0 < value < math.inf:
                 raise InputError(f"{name} = {value} must be positive and finite")
         sample = self.model.noise_base() * self.model.averaging_samples
         whiten = np.linalg.inv(np.linalg.cholesky(sample))
-        self._memory = Memory.fresh(
-            whiten, self._thresholds(), float(chdtri(6, RELEASED)), self._gain(), TRUSTED,
+        self._state = DetectorState.fresh(
+            whiten, self._thresholds(), float(chdtri(6, RELEASE_CHANCE)), self._gain(), PRIOR_WEIGHT,
             DRIFT_STEPS**2 / self.rate,
         )  # fmt: skip
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """Return over how many samples the means are."""
+        """Return the numbers of samples of the means."""
         return LENGTHS
 
     def _thresholds(self) -> Array:
         """Return the threshold of T² for each length."""
         tests_an_hour = 3600.0 * self.rate / np.array(LENGTHS)
         chance = 1.0 / self.hours_between_alarms / tests_an_hour / len(LENGTHS)
-        nu = TRUSTED
+        nu = PRIOR_WEIGHT
         found = 6.0 * nu / (nu - 5.0) * fisher.isf(np.minimum(chance, 0.5), 6, nu - 5.0)
         return np.asarray(found, dtype=float)
 
     def _gain(self) -> float:
-        """Return the share of the longest mean's misfit that the bias follows: Kalman's steady state for a walk."""
+        """Return the gain of the bias by the longest mean: the steady state of a Kalman filter for a random walk."""
         seconds = LENGTHS[-1] / self.rate
         walk, seen = DRIFT_STEPS**2 * seconds, 1.0 / LENGTHS[-1]
         ahead = 0.5 * (walk + math.sqrt(walk * walk + 4.0 * walk * seen))
@@ -101,7 +253,7 @@ class Detector:
         sample = np.ascontiguousarray(wrench, dtype=float)
         if sample.shape != (6,):
             raise InputError(f"wrench has shape {sample.shape}; it must be (6,)")
-        return _SAID[int(advance(sample[None], *self._memory, np.empty(1, dtype=np.int64)))]
+        return _STATES[int(advance(sample[None], *self._state, np.empty(1, dtype=np.int64)))]
 
     def run(self, wrenches: ArrayLike) -> list[Touching]:
         """Process many samples, (n, 6)."""
@@ -110,29 +262,29 @@ class Detector:
             raise InputError(f"wrenches have shape {samples.shape}; they must be (n, 6)")
         codes = np.empty(len(samples), dtype=np.int64)
         if len(samples):
-            advance(samples, *self._memory, codes)
-        return [_SAID[code] for code in codes.tolist()]
+            advance(samples, *self._state, codes)
+        return [_STATES[code] for code in codes.tolist()]
 
     def calibrate(self, wrenches: ArrayLike) -> None:
-        """Learn how a probe sways that is known to be free, as while the robot moves it, (n, 6).
+        """Estimate the motion of a probe that is known to be free, such as while the robot moves it, (n, 6).
 
-        A sway that was not calibrated is reported as touches.
+        Without this calibration the motion is reported as contact.
         """
-        thresholds = self._memory.thresholds.copy()
-        self._memory.thresholds[:] = np.inf
+        thresholds = self._state.thresholds.copy()
+        self._state.thresholds[:] = np.inf
         try:
             self.run(wrenches)
         finally:
-            self._memory.thresholds[:] = thresholds
+            self._state.thresholds[:] = thresholds
 
     def rest(self, seconds: float) -> None:
-        """Account for a gap without samples [s], in which the bias may have walked."""
-        self._memory.state[DOUBT] += DRIFT_STEPS**2 * seconds
+        """Account for a gap without samples [s], in which the bias may have drifted."""
+        self._state.state[BIAS_VARIANCE] += DRIFT_STEPS**2 * seconds
 
     @property
     def bias(self) -> Array:
         """Return the tracked bias of the free probe, at the base [N, N·m], (6,)."""
-        return np.asarray(np.linalg.solve(self._memory.whiten, self._memory.bias), dtype=float)
+        return np.asarray(np.linalg.solve(self._state.whiten, self._state.bias), dtype=float)
 
     def detectable(self, wrench_by_force: Array, samples: int) -> float:
         """Return the smallest force [N] that is detected with probability 0.5 within so many samples.
@@ -144,8 +296,8 @@ class Detector:
         fitting = [j for j, length in enumerate(LENGTHS) if length <= samples]
         if not fitting:
             raise InputError(f"samples = {samples} must be 1 or more")
-        per_newton = self._memory.whiten @ wrench_by_force
+        per_newton = self._state.whiten @ wrench_by_force
         longest = fitting[-1]
-        return math.sqrt(float(self._memory.thresholds[longest]) / LENGTHS[longest]) / float(
+        return math.sqrt(float(self._state.thresholds[longest]) / LENGTHS[longest]) / float(
             np.linalg.norm(per_newton)
         )

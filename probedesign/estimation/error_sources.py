@@ -156,7 +156,7 @@ class ErrorSources:
             self.turns,
             float(t.root_radii * model.rod.radius[0]),
             np.full(6, t.gain),
-            np.ascontiguousarray(base_from_sensor @ model.hanging_by_gravity),
+            np.ascontiguousarray(base_from_sensor @ model.payload_by_gravity),
             np.ascontiguousarray(wrench_map(model.T_sensor_base)),
             base_from_sensor,
             np.ascontiguousarray(self.reference),

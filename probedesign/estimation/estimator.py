@@ -1,6 +1,7 @@
 """Where a probe is touched: detection, one of the methods, and the result code."""
 
 import math
+import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -251,11 +252,11 @@ class Estimator:
             and math.sqrt(force @ force) > MIN_FORCE * self._std_force(readings)
         )
 
-    def since_tare(self, seconds: float) -> "Estimator":
-        """Return the estimator for readings so long after the tare [s]: a bias walks as the root of time.
+    def with_tare_age(self, seconds: float) -> "Estimator":
+        """Return the estimator for readings this long after the tare [s]: the bias grows with the root of time.
 
-        A tolerance `drift_steps` is taken for the bias after `SETTLED` seconds, which gives the detector's walk. The
-        age is rounded up to that, or twice, four times, ... as long; the last such estimator is kept.
+        The tolerance `drift_steps` applies `SETTLED` seconds after the tare. The age is rounded up to `SETTLED` times a
+        power of two; the last such estimator is cached.
         """
         if self.priors.drift_steps == 0.0 or not seconds > SETTLED:
             return self
@@ -267,6 +268,11 @@ class Estimator:
             self._last_aged.clear()
             self._last_aged[doublings] = aged
         return aged
+
+    def since_tare(self, seconds: float) -> "Estimator":
+        """Call `with_tare_age`: the former name, removed in the next release."""
+        warnings.warn("Estimator.since_tare was renamed with_tare_age", DeprecationWarning, stacklevel=2)
+        return self.with_tare_age(seconds)
 
     def _std_force(self, readings: int) -> float:
         """Return the standard deviation of each axis of the force [N], by noise and drift of so many readings."""

@@ -43,7 +43,7 @@ def _candidate(problem: Problem, eq: Equilibrium) -> Candidate:
     surface = surface_point(rod, eq)
     out = (surface - eq.p_contact_base) / max(float(np.linalg.norm(surface - eq.p_contact_base)), 1e-300)
     # Where around the section the force acts follows from its direction, which friction turns.
-    radius = float(np.interp(eq.s_contact, rod.s, rod.radius))
+    radius = float(rod.radius_at(eq.s_contact))
     lean = radius * min(problem.friction, 1.0)
     cov_surface = cov.cov_p + lean**2 * (np.eye(3) - np.outer(out, out))
     return Candidate(
@@ -73,7 +73,7 @@ def surface_point(rod: Rod, eq: Equilibrium) -> Array:
     s = eq.s_contact
     tan = rod.taper_at(s)
     cos2 = 1.0 / (1.0 + tan * tan)
-    radius = float(np.interp(s, rod.s, rod.radius)) * cos2
+    radius = float(rod.radius_at(s)) * cos2
     there = min(s + radius * tan, rod.length)
     R = eq.R_at(there)
     inward = eq.load[0:3] - R[:, 2] * float(R[:, 2] @ eq.load[0:3])

@@ -54,7 +54,7 @@ def _can_be_read(model: ProbeModel, reading: Reading, moments: MomentsAbout | No
     """Whether no channel that counts is beyond the sensor."""
     read = model.to_sensor(reading.wrench, reading.gravity)
     of = slice(0, 6) if moments is None else slice(3, 6)
-    return bool((np.abs(read[of]) <= model.readable[of]).all())
+    return bool((np.abs(read[of]) <= model.saturation_limit[of]).all())
 
 
 def _checked(

@@ -19,18 +19,8 @@ system.
 """
 
 import math
-from pathlib import Path
 
 from probedesign.estimation.contact_fit import MIN_FRICTION
-from probedesign.estimation.linalg_kernel import (
-    backward,
-    covariance_of,
-    eliminate,
-    factor,
-    forward,
-    invert_lower,
-    scale_and_factor,
-)
 from probedesign.estimation.surface_contact_kernel import (
     AROUND,
     BY_TOUCH,
@@ -46,10 +36,17 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
 )
 from probedesign.estimation.uncertainty_kernel import error_columns
-from probedesign.rod.kernels.body import OK
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
-
-drop_stale(Path(__file__).parent)
+from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.linalg import (
+    backward,
+    covariance_of,
+    eliminate,
+    factor,
+    forward,
+    invert_lower,
+    scale_and_factor,
+)
 
 BIAS, FRICTION = 6, 2
 LOCAL = UNKNOWNS + 1

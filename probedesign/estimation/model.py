@@ -1,4 +1,4 @@
-"""All that estimation knows of a probe: the rod, what hangs on the sensor, the sensor itself. No design, no CAD."""
+"""Model of a probe for estimation: the rod, the payload of the sensor and the sensor; no design, no CAD."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from probedesign.estimation.tolerances import Tolerances
 
 FULL_SCALE = 1e-3
-"""Of the range: a channel that close to its end is taken for saturated. A step of the resolution is 1/3840 of it."""
+"""Fraction of the range: a channel closer to its end counts as saturated. The resolution is 1/3840 of the range."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class ProbeModel:
         rod: the flexible part from s = 0, clamped.
         gravity_base: default gravity in base axes [m/s²], (3,).
         T_sensor_base: pose of the base in the sensor frame, (4, 4).
-        hanging: mass properties of all that hangs on the sensor below s = 0 (flange, adapter, screws),
-            in the sensor frame.
+        payload: mass properties of the rigid parts on the sensor below s = 0 (flange, adapter, screws), in the sensor
+            frame.
         wrench_range: largest reading of each channel [N, N·m], (6,).
         noise: standard deviations of one reading, the mean of averaging_samples samples.
         averaging_samples: how many the noise is counted for.
@@ -56,7 +56,7 @@ class ProbeModel:
     rod: Rod
     gravity_base: Array
     T_sensor_base: Array
-    hanging: MassProperties
+    payload: MassProperties
     wrench_range: Array
     noise: Noise
     averaging_samples: int = 1
@@ -84,14 +84,14 @@ class ProbeModel:
 
     def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
         """Return the wrench that the rigid parts between sensor face and s = 0 exert on the sensor, (6,)."""
-        weight: Array = self.hanging_by_gravity @ np.asarray(gravity_base, dtype=float)
+        weight: Array = self.payload_by_gravity @ np.asarray(gravity_base, dtype=float)
         return weight
 
     @cached_property
-    def hanging_by_gravity(self) -> Array:
+    def payload_by_gravity(self) -> Array:
         """Return the derivative of that wrench by gravity in base axes, (6, 3)."""
         R = self.T_sensor_base[:3, :3]
-        return np.stack([self.hanging.wrench(R[:, i]) for i in range(3)], axis=1)
+        return np.stack([self.payload.wrench(R[:, i]) for i in range(3)], axis=1)
 
     @cached_property
     def _sensor_from_base(self) -> Array:
@@ -114,12 +114,14 @@ class ProbeModel:
         carried: Array = own @ self._base_from_sensor.T
         return carried
 
-    def reads(self, wrench_sensor: Array) -> bool:
+    def in_range(self, wrench_sensor: Array) -> bool:
         """Return whether a reading (6,) is possible: finite and within every channel's range."""
-        return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.readable).all())
+        return bool(
+            np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.saturation_limit).all()
+        )
 
     @cached_property
-    def readable(self) -> Array:
+    def saturation_limit(self) -> Array:
         """Return the largest reading of each channel that does not count as saturated [N, N·m], (6,)."""
         return np.asarray(self.wrench_range, dtype=float) * (1.0 - FULL_SCALE)
 
@@ -138,12 +140,12 @@ class ProbeModel:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self._noise_base)), dtype=float)
 
     @cached_property
-    def sight(self) -> tuple[Array, Array, Array, Array]:
-        """Return what `observe` needs: the map of wrenches to the sensor (6, 6), what hangs there by gravity (6, 3),
-        the range (6,), and the whitening of one reading (6, 6)."""
+    def observation_map(self) -> tuple[Array, Array, Array, Array]:
+        """Return the arguments of `observe`: the map of wrenches to the sensor (6, 6), the payload's wrench by gravity
+        (6, 3), the saturation limit (6,) and the whitening of one reading (6, 6)."""
         contiguous = np.ascontiguousarray
-        return (contiguous(self._sensor_from_base), contiguous(self.hanging_by_gravity),
-                contiguous(self.readable), contiguous(self.whiten))  # fmt: skip
+        return (contiguous(self._sensor_from_base), contiguous(self.payload_by_gravity),
+                contiguous(self.saturation_limit), contiguous(self.whiten))  # fmt: skip
 
     def with_noise(self, noise: Noise) -> "ProbeModel":
         """Return the model with another noise."""

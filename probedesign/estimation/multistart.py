@@ -5,7 +5,6 @@ where it is touched, so the weights are then taken at the place found, and the f
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -61,11 +60,9 @@ from probedesign.estimation.uncertainty_kernel import (
     posterior,
     whitening,
 )
-from probedesign.rod.kernels.body import OK
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
-from probedesign.rod.kernels.vectors import minus, take, times
-
-drop_stale(Path(__file__).parent)
+from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.linalg import minus, take, times
 
 MAX_STARTS = 8
 """Places that one reading is fitted from at most, the likeliest ones."""

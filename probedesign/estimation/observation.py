@@ -1,4 +1,4 @@
-"""What an estimate is made from: one reading at the base, or the mean of a window of them."""
+"""Observations for estimation: one wrench reading at the base or the mean of a window, with its covariance."""
 
 import math
 from dataclasses import dataclass
@@ -6,13 +6,71 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation_kernel import CHI2, SEEN, SENSOR, SIZE, WEIGHT, WHITEN, observe
 from probedesign.frames import Array
+from probedesign.rod.kernels.compiled import kernel
 
 NUMERICAL = 1e-6
-"""Error of the fast solve's base moment, relative: no reading is compared with it more closely."""
+"""Relative error of the fast solver's base moment, the lower bound of a reading's standard deviation."""
 NEGLIGIBLE = 1e-2
-"""Standard deviations of the moment that this error may make without being counted."""
+"""Fraction of the moment's standard deviation below which this error is neglected."""
+
+
+WRENCH, WEIGHT, CHI2, SIZE, SENSOR, WHITEN, OBSERVATION_SIZE = 0, 6, 9, 10, 11, 12, 48
+"""Offsets of the mean wrench (6), the flexible part's weight (3), the misfit of the free probe, the size of the moment,
+the misfit of a sensor that reads zero, and the mean's whitening (6, 6); and the size of all."""
+
+
+@kernel
+def observe(
+    window, gravity, free, mass, sensor_from_base, payload, limit, whiten, force_noise, moment_noise, row
+):
+    """Evaluate a window of readings.
+
+    Args:
+        window: base wrenches, (n, 6).
+        gravity: base axes [m/s²], (3,).
+        free: the free probe's wrench, (6,).
+        mass: of the flexible part [kg].
+        sensor_from_base: map of wrenches, (6, 6); payload: its wrench on the sensor, by gravity, (6, 3).
+        limit: saturation limit of each channel, (6,).
+        whiten: of one reading, lower triangular, (6, 6).
+        force_noise, moment_noise: standard deviations of one reading's channels [N], [N·m].
+        row: filled, (OBSERVATION_SIZE,).
+
+    Returns:
+        Whether all of them are finite and below the saturation limit.
+    """
+    n = window.shape[0]
+    for i in range(6):
+        row[WRENCH + i] = 0.0
+    for k in range(n):
+        for i in range(6):
+            reading = 0.0
+            for j in range(6):
+                reading += sensor_from_base[i, j] * window[k, j]
+            for j in range(3):
+                reading += payload[i, j] * gravity[j]
+            if not abs(reading) <= limit[i] or not math.isfinite(window[k, i]):
+                return False
+            row[WRENCH + i] += window[k, i] / n
+    for q in range(3):
+        row[WEIGHT + q] = mass * gravity[q]
+    root, chi2, sensor_chi2 = math.sqrt(n), 0.0, 0.0
+    for i in range(6):
+        reading = 0.0
+        for j in range(6):
+            reading += sensor_from_base[i, j] * row[WRENCH + j]
+        for j in range(3):
+            reading += payload[i, j] * gravity[j]
+        sensor_chi2 += n * (reading / (force_noise if i < 3 else moment_noise)) ** 2
+        off = 0.0
+        for j in range(6):
+            row[WHITEN + 6 * i + j] = root * whiten[i, j]
+            off += root * whiten[i, j] * (row[WRENCH + j] - free[j])
+        chi2 += off * off
+    row[CHI2], row[SENSOR] = chi2, sensor_chi2
+    row[SIZE] = math.sqrt(row[WRENCH + 3] ** 2 + row[WRENCH + 4] ** 2 + row[WRENCH + 5] ** 2)
+    return True
 
 
 def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
@@ -56,16 +114,23 @@ class Observation:
             gravity: base axes [m/s²], (3,).
             free: the free probe's wrench under it, (6,).
         """
-        seen = np.empty(SEEN)
+        row = np.empty(OBSERVATION_SIZE)
         if not observe(
-            window, gravity, free, model.mass, *model.sight, model.noise.force, model.noise.moment, seen
+            window,
+            gravity,
+            free,
+            model.mass,
+            *model.observation_map,
+            model.noise.force,
+            model.noise.moment,
+            row,
         ):
             return None
-        whiten, readings = seen[WHITEN:].reshape(6, 6), len(window)
-        numerical, chi2 = NUMERICAL * float(seen[SIZE]), float(seen[CHI2])
+        whiten, readings = row[WHITEN:].reshape(6, 6), len(window)
+        numerical, chi2 = NUMERICAL * float(row[SIZE]), float(row[CHI2])
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
-            whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, seen[:WEIGHT], readings)))
-        return cls(seen[:WEIGHT], whiten, gravity, seen[WEIGHT:CHI2], chi2, float(seen[SENSOR]))
+            whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, row[:WEIGHT], readings)))
+        return cls(row[:WEIGHT], whiten, gravity, row[WEIGHT:CHI2], chi2, float(row[SENSOR]))
 
     @property
     def cov(self) -> Array:

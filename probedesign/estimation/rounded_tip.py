@@ -130,6 +130,6 @@ def _sphere(rod: Rod) -> tuple[float, float]:
     """Return the arclength of the sphere's centre and its radius [m], from the flank and the end of the rod."""
     tan = rod.taper_at(rod.flank_end)
     sin = tan / math.hypot(1.0, tan)
-    blunt = float(np.interp(rod.flank_end, rod.s, rod.radius)) - tan * (rod.length - rod.flank_end)
+    blunt = float(rod.radius_at(rod.flank_end)) - tan * (rod.length - rod.flank_end)
     R = blunt * math.sqrt(1.0 - sin * sin) / (1.0 - sin)
     return rod.length - R, R

@@ -17,12 +17,11 @@ makes of them is solved for in the linearisation: with θ the section's turn,
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 
-from probedesign.estimation.linalg_kernel import put3, take3
-from probedesign.rod.kernels.body import (
+from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels.equations import (
     ALL_COLUMNS,
     BEND_X,
     CONTACT_COLUMNS,
@@ -34,14 +33,11 @@ from probedesign.rod.kernels.body import (
     OK,
     S_CONTACT,
 )
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
-from probedesign.rod.kernels.linear import linear_equilibrium
+from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus, put3, take, take3, times
 from probedesign.rod.kernels.newton import turn_tip
+from probedesign.rod.kernels.sensitivities import linear_equilibrium
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, M
 from probedesign.rod.kernels.steps import WORK as STEP_WORK
-from probedesign.rod.kernels.vectors import add, cross, dot, minus, plus, take, times
-
-drop_stale(Path(__file__).parent)
 
 S, PHI, NORMAL, AROUND, ALONG = range(5)
 UNKNOWNS = 5

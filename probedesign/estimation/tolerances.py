@@ -42,7 +42,7 @@ class Tolerances:
 
     Attributes:
         drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
-            resolution; `Estimator.since_tare` lets it grow with the root of time.
+            resolution; `Estimator.with_tare_age` lets it grow with the root of time.
         walk_steps: of the step that the bias takes from one reading of a fusion to the next, in the same steps.
         youngs_modulus, shear_modulus, density: relative, each by itself.
         youngs_modulus_by_diameter: no standard deviation: the power of the base diameter with which E goes where all

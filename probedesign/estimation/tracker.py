@@ -204,8 +204,8 @@ class Tracker:
         T = np.ascontiguousarray(T_world_base, dtype=float)
         if wrench.shape != (6,) or T.shape != (4, 4) or not self._time < time < math.inf:
             return FusedEstimate("out_of_range")
-        reach, hanging, most, _ = self.estimator.model.sight
-        if not tracker_kernel.admit(wrench, T, self._gravity_world, reach, hanging, most, self._gravity):
+        to_sensor, payload, limit, _ = self.estimator.model.observation_map
+        if not tracker_kernel.admit(wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity):
             return FusedEstimate("out_of_range")
         free = self.estimator.free(self._gravity)
         if not free.ok:

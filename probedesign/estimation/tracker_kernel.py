@@ -1,22 +1,19 @@
 """Checks and means of readings as they come (compiled)."""
 
 import math
-from pathlib import Path
 
-from probedesign.rod.kernels.compiled import drop_stale, kernel
-from probedesign.rod.kernels.vectors import cross, dot
-
-drop_stale(Path(__file__).parent)
+from probedesign.rod.kernels.compiled import kernel
+from probedesign.rod.kernels.linalg import cross, dot
 
 
 @kernel
-def admit(wrench, T, gravity_world, sensor_from_base, hanging, most, gravity):
+def admit(wrench, T, gravity_world, sensor_from_base, payload, limit, gravity):
     """Whether such a reading can be: finite, within the sensor's range, at a pose that is one.
 
     Args:
         wrench: at the base, (6,); T: of the base in the world, (4, 4).
         gravity_world: [m/s²], (3,).
-        sensor_from_base, hanging, most: as in `observe`.
+        sensor_from_base, payload, limit: as in `observe`.
         gravity: in base axes, filled, (3,).
     """
     for i in range(3):
@@ -36,8 +33,8 @@ def admit(wrench, T, gravity_world, sensor_from_base, hanging, most, gravity):
         for j in range(6):
             read += sensor_from_base[i, j] * wrench[j]
         for j in range(3):
-            read += hanging[i, j] * gravity[j]
-        if not abs(read) <= most[i] or not math.isfinite(wrench[i]):
+            read += payload[i, j] * gravity[j]
+        if not abs(read) <= limit[i] or not math.isfinite(wrench[i]):
             return False
     return True
 

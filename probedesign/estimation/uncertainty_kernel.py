@@ -10,21 +10,11 @@ with H and X the derivatives of wrench and point by the touch. `tests/reference/
 """
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from probedesign.estimation.contact_fit import RESIDUALS, normal_equations, residuals
-from probedesign.estimation.linalg_kernel import (
-    covariance_of,
-    factor,
-    invert_lower,
-    put3,
-    scale_and_factor,
-    solve_scaled,
-    take3,
-)
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -48,11 +38,22 @@ from probedesign.estimation.surface_contact_kernel import (
     radius_and_slope,
 )
 from probedesign.frames import Array
-from probedesign.rod.kernels.body import BEND_X, BEND_Y, OK
-from probedesign.rod.kernels.compiled import drop_stale, inner, kernel
-from probedesign.rod.kernels.vectors import add, cross, plus, take, times
-
-drop_stale(Path(__file__).parent)
+from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
+from probedesign.rod.kernels.linalg import (
+    add,
+    covariance_of,
+    cross,
+    factor,
+    invert_lower,
+    plus,
+    put3,
+    scale_and_factor,
+    solve_scaled,
+    take,
+    take3,
+    times,
+)
 
 ROOT, GAINS = 1, 6
 """Columns after those of the rod and of the turns: compliance of the root, and gain of each channel of the sensor."""

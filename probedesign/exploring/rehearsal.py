@@ -30,7 +30,7 @@ from probedesign.rod.friction import (
     CoulombSolver,
     draw_friction,
 )
-from probedesign.rod.obstacle import Press, press_against_line
+from probedesign.rod.obstacle import ObstacleContact, press_against_line
 from probedesign.rod.rod import Mode, Rod
 from probedesign.units import MILLINEWTON, MM
 
@@ -196,11 +196,11 @@ class _Bench:
     def start(self, spot: Spot) -> Array:
         """Where the base is when the free probe, as it is known, comes to the edge [m], (3,)."""
         s = spot.fraction * self.rod.length
-        radius = float(np.interp(s, self.rod.s, self.rod.radius))
+        radius = float(self.rod.radius_at(s))
         start: Array = spot.p_world - self.R @ self.free.p_at(s) - radius * spot.towards
         return start
 
-    def press(self, spot: Spot, p_base: Array, true: bool) -> Press:
+    def press(self, spot: Spot, p_base: Array, true: bool) -> ObstacleContact:
         """The probe against the edge without friction, the base having come there straight."""
         point, along, travel = self._seen(spot, p_base)
         rod, mode = self._rod(true)
@@ -369,6 +369,6 @@ def _clearance(bench: _Bench, spot: Spot, p_base: Array, eq: Equilibrium, s_cont
     rod = bench.true
     s = np.linspace(s_contact, rod.length, 30)[1:]
     axis = p_base + np.array([bench.R @ eq.p_at(float(at)) for at in s])
-    room = (spot.p_world - axis) @ spot.towards - np.interp(s, rod.s, rod.radius)
+    room = (spot.p_world - axis) @ spot.towards - rod.radius_at(s)
     within = axis[:, 1] <= spot.card.corners[:, 1].max()
     return float(room[within].min()) if within.any() else np.inf

@@ -93,7 +93,7 @@ def _fusion(series: Series, estimator: Estimator, priors: Tolerances, gravity_wo
             *((dwell, False) for dwell in last)]  # fmt: skip
     for dwell, _ in kept:
         read = model.to_sensor(dwell.wrench, dwell.gravity)
-        if not (np.isfinite(read).all() and (np.abs(read) <= model.readable).all()):
+        if not (np.isfinite(read).all() and (np.abs(read) <= model.saturation_limit).all()):
             return None
         if not estimator.free(dwell.gravity).ok:
             return None

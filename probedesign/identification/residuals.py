@@ -259,7 +259,7 @@ class SolvedTest:
         The section rotates with its tangent; a change of its twist, which round rods do not have, is neglected.
         """
         rod, R, section = self.values.rod, self.eq.R_at(s), self.values.common.model.cross_section
-        radius = section.reach(side) * np.interp(s, rod.s, rod.radius)[:, None]
+        radius = section.reach(side) * rod.radius_at(s)[:, None]
         offset = radius * (np.cos(side) * R[:, :, 0] + np.sin(side) * R[:, :, 1])
         low, high = np.maximum(s - _TANGENT_STEP, 0.0), np.minimum(s + _TANGENT_STEP, rod.length)
         across = (low <= self.eq.s_contact) & (self.eq.s_contact < high)  # the shear jumps at the load
@@ -285,7 +285,7 @@ class SolvedTest:
         """Return the vector from the axis to the touched surface, against the force [m], (3,), with derivatives by
         the parameters of the rod's sensitivities, (3, k)."""
         rod, s, size = self.values.rod, self.eq.s_contact, float(np.linalg.norm(self.force)) or 1.0
-        u, slope, radius = self.force / size, rod.taper_at(s), float(np.interp(s, rod.s, rod.radius))
+        u, slope, radius = self.force / size, rod.taper_at(s), float(rod.radius_at(s))
         reach = radius / np.hypot(1.0, slope)
         d = np.zeros((3, kernels.ALL_COLUMNS + len(rod.s)))
         d[:, 0:3] = -reach / size * (np.eye(3) - np.outer(u, u))

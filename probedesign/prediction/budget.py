@@ -205,5 +205,5 @@ def by_s_of(rod: Rod, s: float) -> Array:
     tan = rod.taper_at(s)
     found = np.zeros(UNKNOWNS)
     found[S] = 1.0 + tan * tan
-    found[ALONG] = float(np.interp(s, rod.s, rod.radius)) * (1.0 + tan * tan)
+    found[ALONG] = float(rod.radius_at(s)) * (1.0 + tan * tan)
     return found

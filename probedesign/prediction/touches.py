@@ -112,10 +112,7 @@ class Touches:
     def free_centre(self) -> Array:
         """Where the free probe has the centreline's points that are touched [m], (n, 3)."""
         rod = self.estimator.model.rod
-        at = [
-            s - float(np.interp(s, rod.s, rod.radius)) * rod.taper_at(s)
-            for s in np.nan_to_num(self.touch[:, S])
-        ]
+        at = [s - float(rod.radius_at(s)) * rod.taper_at(s) for s in np.nan_to_num(self.touch[:, S])]
         return self.estimator.free().p_at(np.clip(at, 0.0, rod.length))
 
     @cached_property

@@ -104,7 +104,7 @@ def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
     if trial.shape is None:
         return np.zeros((0, 3))
     across, s = lateral_axis(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
-    radius = np.interp(s, model.rod.s, model.rod.radius) * model.cross_section.reach(across * math.pi / 2.0)
+    radius = model.rod.radius_at(s) * model.cross_section.reach(across * math.pi / 2.0)
     aside = radius[:, None] * trial.shape.R_at(s)[:, :, across]
     line = trial.shape.p_at(s)
     return np.concatenate([line + aside, (line - aside)[::-1]])

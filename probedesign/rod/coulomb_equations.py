@@ -15,7 +15,7 @@ from probedesign.rod.rod import Rod
 Numbers = NDArray[Any]
 """Real or complex: derivatives are taken by complex steps."""
 _BLEND = 0.005
-"""Half-width over which the normal turns at a knot [rod lengths], at most a quarter of the frusta beside it."""
+"""Half-width over which the normal rotates at a knot [rod lengths], at most a quarter of the adjacent frusta."""
 
 
 class SurfaceProfile(NamedTuple):
@@ -23,7 +23,7 @@ class SurfaceProfile(NamedTuple):
 
     Attributes:
         s, radius: at the knots, (K,).
-        at_s, tan: tan α at the ends of where it turns, straight between, (j,).
+        at_s, tan: knots of tan α, linear between them, (j,).
     """
 
     s: Array
@@ -81,32 +81,34 @@ def coulomb_residuals(
     e, h = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
     a, normal = cos * (t - tan * e), cos * (e + tan * t)
     arm = radius * e
-    couple = C - _cross(arm, F)
+    couple = C - cross(arm, F)
     apart = p + arm - point[:, None]
     slide_a, slide_h = (s - before[0]) / cos, radius * (angle - before[1])
     edge = way
     if direction is not None:
         line = direction[:, None]
         apart = apart - way * line
-        edge = _dot(normal, line)
-        slide_a = slide_a - (way - before[2]) * _dot(a, line)
-        slide_h = slide_h - (way - before[2]) * _dot(h, line)
+        edge = dot(normal, line)
+        slide_a = slide_a - (way - before[2]) * dot(a, line)
+        slide_h = slide_h - (way - before[2]) * dot(h, line)
     if stiffness is None:
         law = (slide_a, slide_h)
     else:
-        F_a, F_h = _dot(F, a), _dot(F, h)
+        F_a, F_h = dot(F, a), dot(F, h)
         law = (F_a, F_h)
         if friction > 0.0:
             tau_a, tau_h = F_a + stiffness * slide_a, F_h + stiffness * slide_h
-            limit = -friction * _dot(F, normal) / np.sqrt(tau_a * tau_a + tau_h * tau_h + 1e-300)
+            limit = -friction * dot(F, normal) / np.sqrt(tau_a * tau_a + tau_h * tau_h + 1e-300)
             law = (F_a - limit * tau_a, F_h - limit * tau_h)
     return np.stack([*couple, *apart, edge, *law])
 
 
-def _dot(a: Numbers, b: Numbers) -> Numbers:
+def dot(a: Numbers, b: Numbers) -> Numbers:
+    """Return the dot products of columns, (m,); complex steps pass through, unlike in `np.vdot`."""
     product: Numbers = (a * b).sum(axis=0)
     return product
 
 
-def _cross(a: Numbers, b: Numbers) -> Numbers:
+def cross(a: Numbers, b: Numbers) -> Numbers:
+    """Return the cross products of columns, (3, m)."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

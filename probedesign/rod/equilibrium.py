@@ -1,4 +1,4 @@
-"""What a solve returns: the bent rod, what its base feels, and how both answer to the load."""
+"""Result of a solve: the bent rod, its base wrench, and the sensitivities of both."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,15 +15,15 @@ from probedesign.rod import kernels
 class Sensitivity:
     """Exact first derivatives by `kernels.PARAMETERS` and each knot's log diameter, in base axes.
 
-    Only the first columns of them where only those were asked for.
+    With `columns` "load" or "contact" there are the first columns only.
 
     Attributes:
-        d_moment: of the base moment, (3, k).
-        d_contact: of the contact's [tangent, section x axis, position, section y axis], (12, k).
-        frame: those four themselves, (12,).
-        turns: of the tip's section about its own axes x, y and tangent, (3, k).
-        load: the load they were taken at.
-        body: the rod they were taken for.
+        d_moment: derivatives of the base moment, (3, k).
+        d_contact: derivatives of the contact's [tangent, section x axis, position, section y axis], (12, k).
+        frame: those four vectors, (12,).
+        turns: rotations of the tip's section about its own axes x, y and tangent, (3, k).
+        load: at which they are evaluated.
+        body: of the rod.
     """
 
     d_moment: Array
@@ -35,13 +35,13 @@ class Sensitivity:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the columns are by."""
+        """Return the parameters' names, one per column."""
         knots = tuple(f"log_diameter_{i}" for i in range(len(self.body.knots)))
         return (*kernels.PARAMETERS, *knots)[: self.d_moment.shape[1]]
 
     @cached_property
     def d_wrench(self) -> Array:
-        """Of the base wrench [force; moment], (6, k); force = F + ρ V g in closed form."""
+        """Return the derivatives of the base wrench [force; moment], (6, k); force = F + ρ V g in closed form."""
         k = self.d_moment.shape[1]
         mass = float(self.body.constants[kernels.DENSITY] * self.body.volume_beyond[0])
         gravity = self.load[3:6]
@@ -56,24 +56,25 @@ class Sensitivity:
 
     @property
     def d_position(self) -> Array:
-        """Of the contact point on the centreline [m per unit], (3, k)."""
+        """Return the derivatives of the contact point on the centreline [m per unit], (3, k)."""
         return self.d_contact[6:9]
 
     @cached_property
     def d_wrench_by_base_pose(self) -> Array:
-        """Of the base wrench, in base axes, by a small motion [δx; δθ] of the base under world-fixed loads, (6, 6).
+        """Return the derivative of the base wrench, in base axes, by a motion [δx; δθ] of the base, (6, 6).
 
-        Seen from the base, force, couple and gravity turn the other way, δF = -δθ × F; needs all columns.
+        The loads are fixed in the world: seen from the base, force, couple and gravity rotate by -δθ, δF = -δθ × F.
+        Needs all columns.
         """
         return np.hstack([np.zeros((6, 3)), self._by_turn(self.d_wrench)])
 
     @cached_property
     def d_position_by_base_pose(self) -> Array:
-        """Of the contact point, in axes at rest that agree with the base's, by [δx; δθ] of the base, (3, 6)."""
+        """Return the derivative of the contact point by [δx; δθ] of the base, in axes fixed in the world, (3, 6)."""
         return np.hstack([np.eye(3), self._by_turn(self.d_position) - skew(self.frame[6:9])])
 
     def _by_turn(self, columns: Array) -> Array:
-        """Columns by the load's vectors into columns by a turn of the base."""
+        """Return the columns by a rotation of the base from those by the load's vectors."""
         if columns.shape[1] < kernels.ALL_COLUMNS:
             raise InputError('derivatives by the base pose need columns = "all"')
         F, g, C = self.load[0:3], self.load[3:6], self.load[9:12]
@@ -86,13 +87,13 @@ class Equilibrium:
 
     Attributes:
         result: "ok", "not_converged" or "unstable".
-        margin: of stability: least determinant of the free tip's Jacobi fields along the rod, 1 unloaded, 0 where
-            the second variation of the energy ceases to be positive (docs/decisions/0001).
-        residual: misfit of the base's tangent [rad].
-        load: [force, gravity, tip moment, couple, s_c] it was solved for, (13,).
+        margin: stability margin, the smallest determinant of the free tip's Jacobi fields along the rod; 1 unloaded, 0
+            where the second variation of the energy ceases to be positive (docs/decisions/0001).
+        residual: error of the tangent at the base [rad].
+        load: [force, gravity, tip moment, couple, s_c], (13,).
         nodes: rows [s, t, m, p from the tip, d, columns], tip to base.
         tip: the tip's section [tangent, x axis], (6,): the guess for a neighbouring load.
-        sensitivity: first derivatives, where they were asked for.
+        sensitivity: first derivatives; None without columns.
     """
 
     result: str
@@ -108,22 +109,22 @@ class Equilibrium:
 
     @property
     def ok(self) -> bool:
-        """Whether there is an answer."""
+        """Return whether `result` is "ok"."""
         return self.result == "ok"
 
     @property
     def stable(self) -> bool:
-        """Whether the second variation of the energy is positive."""
+        """Return whether the second variation of the energy is positive."""
         return self.margin > 0.0
 
     @property
     def s_contact(self) -> float:
-        """Where the force acts [m]."""
+        """Return the arclength where the force acts [m]."""
         return float(self.load[12])
 
     @cached_property
     def wrench_base(self) -> Array:
-        """What the rod does to its mount about the base origin: [N, N, N, N·m, N·m, N·m], (6,)."""
+        """Return the wrench of the rod on its mount about the base origin [N, N, N, N·m, N·m, N·m], (6,)."""
         if not self.ok:
             return np.full(6, np.nan)
         mass = self.body.constants[kernels.DENSITY] * self.body.volume_beyond[0]
@@ -131,41 +132,41 @@ class Equilibrium:
 
     @cached_property
     def p_contact_base(self) -> Array:
-        """Point of the centreline where the force acts [m], (3,)."""
+        """Return the point of the centreline where the force acts [m], (3,)."""
         return self.contact[6:9] - self.y[6:9] if self.ok else np.full(3, np.nan)
 
     @cached_property
     def tip_tangent(self) -> Array:
-        """Tangent at the tip, (3,)."""
+        """Return the tangent at the tip, (3,)."""
         return self.nodes[0, 1:4].copy() if self.ok else np.full(3, np.nan)
 
     @cached_property
     def s(self) -> Array:
-        """Arclengths of the nodes, base to tip [m], (k,)."""
+        """Return the arclengths of the nodes, base to tip [m], (k,)."""
         return self.nodes[::-1, 0].copy() if self.ok else np.empty(0)
 
     @cached_property
     def p_base(self) -> Array:
-        """Centreline at the nodes [m], (k, 3)."""
+        """Return the centreline at the nodes [m], (k, 3)."""
         return self.nodes[::-1, 7:10] - self.y[6:9] if self.ok else np.empty((0, 3))
 
     @cached_property
     def R_base(self) -> Array:
-        """Orientation of the sections at the nodes, (k, 3, 3); columns are their x, y and tangent."""
+        """Return the orientation of the sections at the nodes, (k, 3, 3); columns are their x, y and tangent."""
         return self._frames(self.nodes[::-1, 1:13]) if self.ok else np.empty((0, 3, 3))
 
     @cached_property
     def m_base(self) -> Array:
-        """Internal moment at the nodes [N·m], (k, 3)."""
+        """Return the internal moment at the nodes [N·m], (k, 3)."""
         return self.nodes[::-1, 4:7].copy() if self.ok else np.empty((0, 3))
 
     @cached_property
     def n_base(self) -> Array:
-        """Internal force at the nodes [N], (k, 3); at s_contact itself the force is counted."""
+        """Return the internal force at the nodes [N], (k, 3); at s_contact it includes the contact force."""
         return self.n_at(self.s)
 
     def n_at(self, s: ArrayLike) -> Array:
-        """Internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g; NaN off the rod."""
+        """Return the internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g; NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         weight = self.body.constants[kernels.DENSITY] * _volume_beyond(self.body, s)
         n: Array = weight[:, None] * self.load[3:6]
@@ -174,27 +175,27 @@ class Equilibrium:
         return n
 
     def p_at(self, s: ArrayLike) -> Array:
-        """Centreline at any arclength s [m]: (3,) for a number, (j, 3) for an array; exact as the solve itself."""
+        """Return the centreline at any arclength s [m]: (3,) or (j, 3); as accurate as at the nodes."""
         states = self.states_at(s)[:, 6:9] - self.y[6:9]
         return states[0] if np.ndim(s) == 0 else states
 
     def R_at(self, s: ArrayLike) -> Array:
-        """Orientation of the section at any arclength s [m]: (3, 3) for a number, (j, 3, 3) for an array."""
+        """Return the orientation of the section at any arclength s [m]: (3, 3) for a number, (j, 3, 3) for an array."""
         frames = self._frames(self.states_at(s))
         return frames[0] if np.ndim(s) == 0 else frames
 
     def d_p_at(self, s: ArrayLike) -> Array:
-        """Derivatives of the centreline at fixed arclengths s [m], (j, 3, k), by what `sensitivity` is by."""
+        """Return the derivatives of the centreline at fixed arclengths s [m] by the parameters, (j, 3, k)."""
         if self.sensitivity is None:
             raise InputError('derivatives of the centreline need columns = "load", "contact" or "all"')
         return self._by_parameters(self._at(s))
 
     def states_at(self, s: ArrayLike) -> Array:
-        """Kernel states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod."""
+        """Return the kernels' states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod."""
         return self._at(s)[:, : kernels.STATE]
 
     def _at(self, s: ArrayLike) -> Array:
-        """States and columns at arclengths s [m], as in the nodes; NaN off the rod."""
+        """Return states and columns at arclengths s [m], as in the nodes; NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
         width = self.nodes.shape[1]
         rows = np.full((len(s), width - 1), np.nan)
@@ -210,7 +211,7 @@ class Equilibrium:
         return rows
 
     def _by_parameters(self, rows: Array) -> Array:
-        """The points' columns of such rows with the base held: (j, 3, k)."""
+        """Return the derivatives of the points for a fixed base, (j, 3, k)."""
         assert self.sensitivity is not None
         turns, k = self.sensitivity.turns, self.sensitivity.turns.shape[1]
         lanes = [kernels.lane_of.py_func(j) for j in range(k)]
@@ -219,7 +220,7 @@ class Equilibrium:
         return moved
 
     def _frames(self, states: Array) -> Array:
-        """Sections' frames, turned about the tangent so that the base's is the identity."""
+        """Return the sections' frames, rotated about the tangent so that the base's is the identity."""
         t, d = states[:, 0:3], states[:, 9:12]
         across = np.cross(t, d)
         turn = -np.arctan2(self.y[10], self.y[9])
@@ -228,14 +229,14 @@ class Equilibrium:
 
 
 def _lanes(columns: Array) -> Array:
-    """Columns as the kernels lay them, WIDE together, as (j, 9, lanes)."""
+    """Return the kernels' blocks of WIDE columns as (j, 9, lanes)."""
     blocks = columns.reshape(len(columns), -1, kernels.COLUMN, kernels.WIDE)
     lanes: Array = np.moveaxis(blocks, 1, 2).reshape(len(columns), kernels.COLUMN, -1)
     return lanes
 
 
 def _volume_beyond(body: kernels.Body, s: Array) -> Array:
-    """Volume from s to the tip [m³]."""
+    """Return the volume from s to the tip [m³]."""
     i = np.clip(np.searchsorted(body.knots, s, side="right") - 1, 0, len(body.knots) - 2)
     h = body.knots[i + 1] - s
     r, r1 = np.interp(s, body.knots, body.radii), body.radii[i + 1]

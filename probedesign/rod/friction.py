@@ -3,7 +3,7 @@
 A force F acts at the point x = p(s) + r(s) e(φ) of the deformed surface, e(φ) = R(s) [cos φ, sin φ, 0], whose outward
 unit normal is N = cos α e + sin α t with tan α = -dr/ds. The rod bears F on its centreline at s together with the
 couple C = (x - p) × F. The couple depends on the deformed section and the section on the couple, so both are solved
-for together, by Newton's method with the rod's exact sensitivities.
+for together by Newton's method with the rod's exact sensitivities.
 
 The object is a sharp point, or a straight edge that touches the rod where both are tangent, N · d = 0. It moves along
 a path in base axes, x = X. In a step of that path the object slides over the rod by the backward-Euler increment
@@ -21,8 +21,8 @@ is tried and kept inside the cone (return mapping); otherwise slip is solved (P.
 Mechanics, 2nd ed., 2006, ch. 5.2 and 9; P. Alart, A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991).
 
 Friction is modelled on the flank, whose normal turns smoothly over a short length at the knots of a profile, as the
-frictionless contact turns at once. At the rim and the flat end of a blunt tip it is not: there the result is "on_end"
-and `probedesign.rod.obstacle` has the contact without friction.
+frictionless contact turns abruptly. At the rim and the flat end of a blunt tip it is not: there the result is "on_end"
+and `probedesign.rod.obstacle` solves the contact without friction.
 """
 
 import math
@@ -34,10 +34,10 @@ from numpy.typing import ArrayLike
 
 from probedesign.errors import InputError
 from probedesign.frames import Array
-from probedesign.rod.approach import FreeRod, Nearest, Obstacle
 from probedesign.rod.coulomb_equations import SurfaceProfile, coulomb_residuals
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.rod import Mode, Rod
+from probedesign.rod.obstacle.first_contact import FirstContactQuery, NearestPoint, Obstacle
+from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
 
 ASSUMED_FRICTION = 0.5
 """Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
@@ -50,21 +50,21 @@ MAX_FRICTION = 3.0
 _U = 9
 """Unknowns: force (3), couple (3), s, φ, λ."""
 _CLOSE = {"fast": 1e-8, "reference": 1e-11}
-"""Residual allowed, in rod lengths and relative to the force: what the rod's own solve leaves."""
+"""Residual allowed, in rod lengths and relative to the force: the accuracy of the rod's own solve."""
 _MIN_FORCE = 1e-6
-"""In E I / L²; below it forces are held to an absolute residual."""
+"""In E I / L²; below it, the residual of forces is absolute."""
 _MAX_ITERATIONS = 15
 _IMAGINARY = 1e-30
 _STEP = 0.005
 """Longest step of the object [rod lengths]: bounds how far the sliding direction turns in one increment."""
 _MIN_STEP = 1e-6
-"""Shortest step [rod lengths] before the contact is given up."""
+"""Smallest step [rod lengths]; if it fails, the path ends."""
 _LOST_STEP = 5e-4
-"""Step [rod lengths] from which a lost contact is believed: longer ones are cut."""
+"""Step [rod lengths] up to which a lost contact is accepted; longer steps are repeated shorter."""
 _MAX_TURN = 0.2
-"""Of the tip and of the normal in one step [rad]: keeps the branch."""
+"""Rotation of the tip and of the normal in one step [rad]: stays on the branch."""
 _MAX_SLIDE = 0.02
-"""In one step [rod lengths]: beyond, the rod has snapped past the object."""
+"""Slide in one step [rod lengths]: beyond, the rod has snapped past the object."""
 
 
 @dataclass(frozen=True)
@@ -107,34 +107,34 @@ class CoulombContact:
 
     @property
     def ok(self) -> bool:
-        """Whether there is a contact."""
+        """Return whether there is a contact."""
         return self.result == "ok"
 
     @property
     def p_surface_base(self) -> Array:
-        """Touched point, which is the object's own [m], (3,)."""
+        """Return the touched point, a point of the object [m], (3,)."""
         if self.direction is None:
             return self.object_point
         return self.object_point + self.way * self.direction
 
     @property
     def magnitude(self) -> float:
-        """|F| [N]."""
+        """Return |F| [N]."""
         return float(np.linalg.norm(self.force_base))
 
     @property
     def normal_force(self) -> float:
-        """F_n = -F · N [N], positive where the object pushes."""
+        """Return F_n = -F · N [N], positive where the object pushes."""
         return -float(self.force_base @ self.normal)
 
     @property
     def tangential_force_base(self) -> Array:
-        """F_t, part of the force in the tangent plane [N], (3,)."""
+        """Return F_t, the part of the force in the tangent plane [N], (3,)."""
         return np.asarray(self.force_base + self.normal_force * self.normal)
 
     @property
     def tangential_force(self) -> float:
-        """|F_t| [N]."""
+        """Return |F_t| [N]."""
         return float(np.linalg.norm(self.tangential_force_base))
 
 
@@ -156,20 +156,19 @@ class CoulombSolver:
         """Raise InputError for a friction below 0 or a section that is not round."""
         if not self.friction >= 0.0:
             raise InputError(f"friction = {self.friction} must not be negative")
-        if not np.allclose(self.rod.factors[1:], self.rod.factors[1], rtol=1e-9):
-            raise InputError("only a rod of round section has the surface that is pressed here")
+        require_round_section(self.rod)
 
     def press(
         self, gravity: ArrayLike, point: ArrayLike, travel: ArrayLike, direction: ArrayLike | None = None
     ) -> CoulombContact:
-        """Contact after an object has come along a straight path from where it touches nothing.
+        """Return the contact after an object has moved along a straight path that starts clear of the rod.
 
         The first contact carries no force, at the geometric touching point of the free rod.
 
         Args:
             gravity: in base axes [m/s²], (3,).
             point: where the object is now, in base axes [m], (3,).
-            travel: way that it has come relative to the base [m], (3,).
+            travel: displacement of the object relative to the base up to now [m], (3,).
             direction: of a straight edge, of any length, (3,); None for a sharp point.
 
         Returns:
@@ -184,27 +183,31 @@ class CoulombSolver:
     def touch(
         self, gravity: ArrayLike, point: ArrayLike, travel: ArrayLike, direction: ArrayLike | None = None
     ) -> CoulombContact:
-        """First contact on a straight path, without force yet.
+        """Return the first contact on a straight path, which carries no force.
 
         Args: see `press`.
 
         Returns:
-            The contact, whose `object_point` is where the object was then.
+            The contact; its `object_point` is the position of the object at that time.
         """
-        g, p, v = _vector("gravity", gravity), _vector("point", point), _vector("travel", travel)
+        g, p, v = (
+            finite_vector("gravity", gravity),
+            finite_vector("point", point),
+            finite_vector("travel", travel),
+        )
         d = None if direction is None else _unit(direction)
         free = self.rod.solve(g, mode=self.mode)
         blank = self._without(free.result if not free.ok else "no_contact", free, g, p, d)
         if not free.ok:
             return blank
         obstacle = Obstacle(p, v, d)
-        met = FreeRod(self.rod, free).first_touch(obstacle)
+        met = FirstContactQuery(self.rod, free).first_contact(obstacle)
         if met is None:
             return blank
         part, near = met
         if part == 0.0:
             raise InputError(
-                "the path must start clear of the rod: travel further, or in the other direction"
+                "the path must start clear of the rod; use a longer travel or the opposite direction"
             )
         if near.on_end or near.s >= self.rod.length * (1.0 - 1e-9):
             return replace(blank, result="on_end")
@@ -217,23 +220,23 @@ class CoulombSolver:
         direction: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
     ) -> CoulombContact:
-        """Contact after the object has moved on along a straight path in base axes.
+        """Return the contact after a further straight motion of the object in base axes.
 
         Args:
-            last: where it begins.
-            point: where the object is then [m], (3,).
-            direction: of its edge then; unchanged if None.
-            gravity: then [m/s²], (3,); unchanged if None.
+            last: contact at the start.
+            point: of the object at the end [m], (3,).
+            direction: of its edge at the end; unchanged if None.
+            gravity: at the end [m/s²], (3,); unchanged if None.
 
         Returns:
             The contact; the last one itself if that was not "ok".
         """
         if not last.ok:
             return last
-        end = _vector("point", point)
+        end = finite_vector("point", point)
         d0, g0 = last.direction, last.gravity
         d1 = d0 if direction is None or d0 is None else _unit(direction)
-        g1 = g0 if gravity is None else _vector("gravity", gravity)
+        g1 = g0 if gravity is None else finite_vector("gravity", gravity)
         length = self.rod.length
         way = float(np.linalg.norm(end - last.object_point)) / length
         if d0 is not None and d1 is not None:
@@ -244,7 +247,7 @@ class CoulombSolver:
         whole = 1.0 / math.ceil(way / _STEP)
         at, step, here = 0.0, whole, last
         while at < 1.0:
-            goal = 1.0 if at + 1.01 * step >= 1.0 else at + step  # no sliver is left for the last
+            goal = 1.0 if at + 1.01 * step >= 1.0 else at + step  # so that no very short step remains
             d = None if d0 is None or d1 is None else _unit((1.0 - goal) * d0 + goal * d1)
             found = self._increment(
                 here, last.object_point + goal * (end - last.object_point), d, g0 + goal * (g1 - g0)
@@ -263,13 +266,15 @@ class CoulombSolver:
     def _without(
         self, result: str, eq: Equilibrium, gravity: Array, point: Array, direction: Array | None
     ) -> CoulombContact:
-        """No contact."""
+        """Return a result without contact."""
         none = np.full(3, np.nan)
         return CoulombContact(result, "", eq, gravity, self.friction, math.nan, math.nan, 0.0, point, direction,
                               none, none, none, none)  # fmt: skip
 
-    def _begun(self, blank: CoulombContact, obstacle: Obstacle, part: float, near: Nearest) -> CoulombContact:
-        """Touching point of the free rod to the last digit: x = X along the path, and N · d = 0 of an edge."""
+    def _begun(
+        self, blank: CoulombContact, obstacle: Obstacle, part: float, near: NearestPoint
+    ) -> CoulombContact:
+        """Refine the touched point of the free rod to x = X along the path and, for an edge, N · d = 0."""
         free, length, d = blank.equilibrium, self.rod.length, obstacle.direction
         line = np.zeros(3) if d is None else d
 
@@ -317,7 +322,7 @@ class CoulombSolver:
     def _increment(
         self, last: CoulombContact, point: Array, direction: Array | None, gravity: Array
     ) -> CoulombContact | str:
-        """One step of Coulomb's law: the contact, or why there is none."""
+        """Solve one step of Coulomb's law; return the contact or the reason why there is none."""
         x = self._unknowns(last)
         goal = replace(last, object_point=point, direction=direction, gravity=gravity)
         moved = float(np.linalg.norm(point - last.object_point)) / self.rod.length
@@ -340,13 +345,15 @@ class CoulombSolver:
         if not slipped.normal_force > 0.0:
             return "no_contact"
         along = float(slipped.slide @ slipped.tangential_force_base)
-        least = -10.0 * _CLOSE[self.mode] * self.rod.length * slipped.tangential_force  # rounding of no slide
-        if self.friction > 0.0 and not along >= least:
+        min_work = (
+            -10.0 * _CLOSE[self.mode] * self.rod.length * slipped.tangential_force
+        )  # rounding of no slide
+        if self.friction > 0.0 and not along >= min_work:
             return "not_converged"
         return self._checked(last, slipped)
 
     def _checked(self, last: CoulombContact, found: CoulombContact) -> CoulombContact | str:
-        """The contact, if it is the last one's continuation."""
+        """Return the contact if it continues the last one, else "far"."""
         turn = float(np.linalg.norm(found.normal - last.normal))
         turn = max(turn, float(np.linalg.norm(found.equilibrium.tip_tangent - last.equilibrium.tip_tangent)))
         far = turn > _MAX_TURN or float(np.linalg.norm(found.slide)) > _MAX_SLIDE * self.rod.length
@@ -360,7 +367,7 @@ class CoulombSolver:
         stiffness: float | None,
         guess: CoulombContact | None = None,
     ) -> CoulombContact | str:
-        """Contact in one state: stick without a `stiffness` k of the slip law, slip with it."""
+        """Solve for the contact in one state: stick if `stiffness` (k of the slip law) is None, else slip."""
         length, unit = self._units
         tip = (guess or last).equilibrium.tip
         before = self._unknowns(last)[6:9]
@@ -401,7 +408,7 @@ class CoulombSolver:
                 return "not_converged"
             if not np.isfinite(change).all():
                 return "not_converged"
-            # The surface curves: place and angle are not led further than the linearisation holds.
+            # The surface is curved: place and angle move no further than the linearisation is valid.
             shrink = min(1.0, 0.05 / max(abs(change[6]), 1e-300), 0.5 / max(abs(change[7]), 1e-300))
             x, tip = x - shrink * change, eq.tip
         return "not_converged"
@@ -409,7 +416,7 @@ class CoulombSolver:
     def _contact(
         self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, state: str
     ) -> CoulombContact:
-        """What was found, with its units."""
+        """Return the contact with its units."""
         length, unit = self._units
         assert eq.sensitivity is not None
         f = eq.sensitivity.frame
@@ -429,14 +436,14 @@ class CoulombSolver:
         )  # fmt: skip
 
     def _unknowns(self, at: CoulombContact) -> Array:
-        """Of a contact, without dimension, (9,)."""
+        """Return the unknowns of a contact, without dimension, (9,)."""
         length, unit = self._units
         place = (at.s / length, at.angle, at.way / length)
         return np.concatenate([at.force_base / unit, at.couple_base / (unit * length), place])
 
     @cached_property
     def _units(self) -> tuple[float, float]:
-        """The length [m], and E I(0) / L² [N]."""
+        """Return the length [m] and E I(0) / L² [N]."""
         stiffness = self.rod.youngs_modulus * math.pi / 4.0 * float(self.rod.radius[0]) ** 4
         return self.rod.length, stiffness / self.rod.length**2
 
@@ -459,18 +466,8 @@ def draw_friction(friction: float, spread: float, rng: np.random.Generator) -> f
     return float(friction * math.exp(spread * rng.standard_normal()))
 
 
-def _vector(name: str, value: ArrayLike) -> Array:
-    try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} = {value!r} must be three finite numbers")
-    return vector
-
-
 def _unit(direction: ArrayLike) -> Array:
-    vector = _vector("direction", direction)
+    vector = finite_vector("direction", direction)
     norm = float(np.linalg.norm(vector))
     if not norm > 0.0:
         raise InputError(f"direction = {direction!r} must not be zero")

@@ -1,4 +1,4 @@
-"""An elastic rod, clamped at s = 0: arrays in, equilibria out."""
+"""An elastic Cosserat rod, clamped at s = 0, and its static equilibrium."""
 
 import math
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.workspace import FIRST, workspace
+from probedesign.rod.kernels.solve import SINGLE_ROD, scratch_buffers
 
 Mode = Literal["fast", "reference"]
 Columns = Literal["none", "load", "contact", "all"]
 
 TOLERANCES: dict[str, tuple[float, float]] = {"fast": (5e-7, 2e-8), "reference": (1e-13, 1e-12)}
-"""Error allowed a step [rad], residual allowed at the base [rad]. Fast keeps the centreline within 1 µm and
+"""Error allowed per step [rad], residual allowed at the base [rad]. "fast" keeps the centreline within 1 µm and
 the base moment within 1e-6 of the reference (tests/rod/test_accuracy.py)."""
 RESULTS = {
     kernels.OK: "ok",
@@ -27,10 +27,10 @@ RESULTS = {
     kernels.STEP_LIMIT: "not_converged",
 }
 _NODES = {"fast": 64, "reference": 512}
-"""Room for the shape at first; more where a rod needs more steps."""
+"""Nodes allocated for the shape at first; eight times as many where a rod needs more steps."""
 
 ROOT_CENTRE = 0.375
-"""Where the compliance that a bonded root lacks is centred, in base radii (docs/decisions/0006)."""
+"""Centre of the missing compliance of a bonded root [base radii] (docs/decisions/0006)."""
 FINITE_BEND, FINITE_STRETCH = 0.369, 0.374
 """c₄ and c₅ of a full round neo-Hookean section with ν = 0.49 in finite bending (docs/decisions/0006)."""
 
@@ -49,16 +49,16 @@ class Rod:
         shear_modulus: G [Pa].
         density: [kg/m³].
         shear_coefficient: k.
-        rigid_length: bending compliance that a bonded root lacks, as a length of rigid rod [m]; negative where
-            the root yields. Spread smoothly over the first two base radii.
-        inextensible: neither stretches nor shears (Euler's elastica), for comparisons with tables.
-        factors: of A, I_xx, I_yy and J, over those of a full round section of that radius.
+        rigid_length: missing bending compliance of a bonded root, as a length of rigid rod [m], distributed smoothly
+            over the first two base radii; negative for a compliant root.
+        inextensible: whether stretch and shear are excluded (Euler's elastica), for comparison with tables.
+        factors: A, I_xx, I_yy and J over those of a full round section of the same radius.
         rest_curvature: of the unloaded rod at the knots, in section axes, the last one its twist [1/m], (K, 3);
             linear between; none if None.
-        finite_strain: whether sections stiffen and stretch as neo-Hookean ones do in large bending; only of a
-            full round rod.
-        rounded_from: where the rounding of the tip begins [m]; None for a blunt tip. The normals of a round end
-            all meet the axis before it, so no touch acts further out.
+        finite_strain: whether sections stiffen and stretch like neo-Hookean ones in large bending; full round
+            sections only.
+        rounded_from: arclength where the rounding of the tip begins [m]; None for a blunt tip. The normals of a round
+            end all meet the axis before it, so no frictionless contact acts beyond.
     """
 
     s: Array
@@ -105,7 +105,7 @@ class Rod:
         )
         _require(
             not self.finite_strain or tuple(self.factors) == (1.0, 1.0, 1.0, 1.0),
-            "finite_strain is known of full round sections only",
+            "finite_strain is modelled for full round sections only",
         )
         _require(not (self.finite_strain and self.inextensible), "finite_strain needs a rod that stretches")
         if self.rest_curvature is not None:
@@ -117,25 +117,30 @@ class Rod:
 
     @property
     def length(self) -> float:
-        """[m]."""
+        """Return the length [m]."""
         return float(self.s[-1])
 
     @property
     def flank_end(self) -> float:
-        """The furthest arclength at which a touch without friction acts [m]."""
+        """Return the largest arclength at which a frictionless contact acts [m]."""
         return self.length if self.rounded_from is None else self.rounded_from
 
+    def radius_at(self, s: ArrayLike) -> Array:
+        """Return the radius at arclength s [m], of the shape of s."""
+        radius: Array = np.interp(np.asarray(s, dtype=float), self.s, self.radius)
+        return radius
+
     def taper_at(self, s: float) -> float:
-        """tan α = -dr/ds of the frustum that arclength s [m] lies in (the lower one at a knot)."""
+        """Return tan α = -dr/ds of the frustum at arclength s [m]; of the lower one at a knot."""
         i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, len(self.s) - 2))
         return float((self.radius[i] - self.radius[i + 1]) / (self.s[i + 1] - self.s[i]))
 
     @property
     def root(self) -> tuple[float, float]:
-        """Depth and reach [m] of the bonded root, f(s) = 1 - depth (1 - s/reach)³; reach -1 where there is none.
+        """Return depth and reach [m] of the bonded root, f(s) = 1 - depth (1 - s/reach)³; reach -1 without
+        one.
 
-        ∫(1 - f) ds = rigid_length, centred at ROOT_CENTRE base radii unless so much is missing that f would
-        fall below a tenth.
+        ∫(1 - f) ds = rigid_length, centred at ROOT_CENTRE base radii unless f would fall below 0.1.
         """
         if self.rigid_length == 0.0:
             return 0.0, -1.0
@@ -144,7 +149,7 @@ class Rod:
 
     @cached_property
     def body(self) -> kernels.Body:
-        """The same as arrays for the kernels."""
+        """Return the rod as arrays for the kernels."""
         s, r = np.ascontiguousarray(self.s, dtype=float), np.ascontiguousarray(self.radius, dtype=float)
         area, xx, yy, torsion = self.factors
         cones = area * np.pi / 3.0 * np.diff(s)
@@ -167,17 +172,17 @@ class Rod:
 
     @cached_property
     def stacked(self) -> kernels.Body:
-        """The same as one row of many."""
+        """Return the rod as a batch of one."""
         return kernels.Body(*(array[None] for array in self.body))
 
     @cached_property
     def directed(self) -> int | None:
-        """How the kernels are told whether bending knows direction: None if it does not."""
+        """Return the kernels' flag for anisotropic or curved rods: 0 for those, None for round straight ones."""
         return 0 if self.body.constants[kernels.GENERAL] else None
 
     @property
     def mass(self) -> float:
-        """[kg]."""
+        """Return the mass [kg]."""
         return float(self.density * self.body.volume_beyond[0])
 
     def solve(
@@ -193,43 +198,43 @@ class Rod:
         guess_only: bool = False,
         columns: Columns = "none",
     ) -> Equilibrium:
-        """Static equilibrium under gravity, a dead point force and dead moments at the contact and at the tip.
+        """Solve for the static equilibrium under gravity, a dead point force and dead moments at contact and tip.
 
-        Cold, the load grows from nothing and the equilibrium is followed, so the answer is the branch
-        connected to the unloaded rod; with a guess, Newton starts there first.
+        Without a guess the load is increased from zero and the equilibrium is followed, so the solution is on the
+        branch connected to the unloaded rod. With a guess, Newton's method starts there first.
 
         Args:
             gravity: in base axes [m/s²], (3,).
             force: in base axes, on the centreline [N], (3,).
             s_contact: where force and couple act [m]; the tip if None.
-            couple: in base axes [N·m], (3,): that of a force beside the centreline.
-            tip_moment: in base axes [N·m], (3,); no equilibrium under one is judged for stability.
+            couple: in base axes [N·m], (3,), of a force off the centreline.
+            tip_moment: in base axes [N·m], (3,); equilibria under one are not tested for stability.
             mode: "fast" or "reference".
             guess: `tip` of a neighbouring equilibrium, (6,), or its tangent alone, (3,).
-            guess_only: give up where the guess does not lead to an answer, instead of starting cold.
-            columns: which exact sensitivities to carry along: "none", "load" (force and s_contact), "contact"
-                (with the couple) or "all" (with gravity, E, G, density, every and each knot's diameter).
+            guess_only: return without a solution where the guess fails, instead of starting from no load.
+            columns: parameters of the exact sensitivities: "none", "load" (force and s_contact), "contact" (also the
+                couple) or "all" (also gravity, E, G, density, and the diameter of all knots and of each).
 
         Returns:
-            The equilibrium; its `result` is "ok", "not_converged" or "unstable"; numbers come only with "ok".
+            The equilibrium; its `result` is "ok", "not_converged" or "unstable", its numbers are finite only with "ok".
 
         Raises:
-            InputError: an argument is not finite or s_contact lies off the rod.
+            InputError: an argument is not finite or s_contact is off the rod.
         """
         load = self.load(gravity, force, s_contact, couple, tip_moment)
         k, room = self.columns_of(columns), _NODES[mode]
         start = kernels.COLD if guess is None else kernels.WARM_ONLY if guess_only else kernels.WARM
-        found, derivatives = np.empty((1, kernels.FOUND)), np.empty((1, 15, k + 1))
+        found, derivatives = np.empty((1, kernels.ROW_LENGTH)), np.empty((1, 15, k + 1))
         row = found[0]
         if guess is not None:
-            row[kernels.TIP : kernels.TIP + 6] = _tip(guess)
+            row[kernels.ROW_TIP : kernels.ROW_TIP + 6] = _tip(guess)
         while True:
-            work = workspace(k, room)
+            work = scratch_buffers(k, room)
             kernels.solve_cases(
                 0,
                 1,
                 self.stacked,
-                FIRST,
+                SINGLE_ROD,
                 load[None],
                 self.directed,
                 start,
@@ -239,22 +244,22 @@ class Rod:
                 found,
                 derivatives,
             )
-            status, count = int(row[kernels.STATUS]), int(row[kernels.COUNT])
+            status, count = int(row[kernels.ROW_STATUS]), int(row[kernels.ROW_COUNT])
             shape = work.nodes.reshape(room, -1)[:count]
             if status != kernels.OK or shape[-1, 0] == 0.0:
                 break
             room, start = 8 * room, kernels.WARM
-        d, tip = derivatives[0], row[kernels.TIP : kernels.TIP + 6]
+        d, tip = derivatives[0], row[kernels.ROW_TIP : kernels.ROW_TIP + 6]
         sensitivity = None
         if k and status == kernels.OK:
             sensitivity = Sensitivity(d[:3, :k], d[3:, :k], d[3:, k], work.turns, load, self.body)
-        margin, residual = float(row[kernels.MARGIN]), float(row[kernels.RESIDUAL])
+        margin, residual = float(row[kernels.ROW_MARGIN]), float(row[kernels.ROW_RESIDUAL])
         return Equilibrium(
             RESULTS[status], margin, residual, load, shape, tip, work.y, work.contact, self.body, sensitivity
         )
 
     def columns_of(self, columns: Columns) -> int:
-        """How many parameters the sensitivities are by."""
+        """Return the number of parameters of the sensitivities."""
         every = kernels.ALL_COLUMNS + len(self.s)
         return {"none": 0, "load": kernels.LOAD_COLUMNS, "contact": kernels.CONTACT_COLUMNS, "all": every}[
             columns
@@ -268,7 +273,7 @@ class Rod:
         couple: ArrayLike = (0.0, 0.0, 0.0),
         tip_moment: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Array:
-        """[force, gravity, tip moment, couple, s_c] for the kernels, checked.
+        """Return [force, gravity, tip moment, couple, s_c] for the kernels, (13,), validated.
 
         Raises:
             InputError: as `solve`.
@@ -279,32 +284,52 @@ class Rod:
         except (TypeError, ValueError):
             load[0] = math.nan
         if not np.isfinite(load[:12]).all():
-            _refuse_vector(force=force, gravity=gravity, tip_moment=tip_moment, couple=couple)
+            for name, value in (
+                ("force", force),
+                ("gravity", gravity),
+                ("tip_moment", tip_moment),
+                ("couple", couple),
+            ):
+                finite_vector(name, value)
         try:
             s = self.length if s_contact is None else float(s_contact)
         except (TypeError, ValueError):
             raise InputError(f"s_contact = {s_contact!r} must be a number in metres") from None
-        if not 0.0 <= s <= self.length * (1 + 1e-12):  # a fraction of the length may round up
+        if not 0.0 <= s <= self.length * (1 + 1e-12):  # a fraction of the length may be rounded up
             raise InputError(f"s_contact = {s_contact} must lie in 0 ... {self.length:g} m")
         load[12] = min(s, self.length)
         return load
 
 
-def _refuse_vector(**vectors: ArrayLike) -> None:
-    """Name the one that is not three finite numbers."""
-    for name, value in vectors.items():
-        good = np.shape(value) == (3,) and bool(np.isfinite(np.asarray(value, dtype=float)).all())
-        _require(good, f"{name} = {value!r} must be three finite numbers")
+def finite_vector(name: str, value: ArrayLike) -> Array:
+    """Return a vector (3,) of finite numbers; raise InputError, naming the argument, for anything else."""
+    try:
+        vector = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    _require(
+        vector.shape == (3,) and bool(np.isfinite(vector).all()),
+        f"{name} = {value!r} must be three finite numbers",
+    )
+    return vector
+
+
+def require_round_section(rod: Rod) -> None:
+    """Raise InputError for a rod whose section is not round: contact is not modelled on its surface."""
+    _require(
+        bool(np.allclose(rod.factors[1:], rod.factors[1], rtol=1e-9)),
+        "contact is modelled for rods of round section only",
+    )
 
 
 def _beyond(parts: Array) -> Array:
-    """Sums of the rows from each on, and zero after the last."""
+    """Return the sums of the rows from each one on, and zero after the last."""
     sums = np.cumsum(parts[::-1], axis=0)[::-1]
     return np.ascontiguousarray(np.concatenate([sums, np.zeros((1, *parts.shape[1:]))]))
 
 
 def _tip(guess: ArrayLike) -> Array:
-    """[t, d] of a guess: a section, or a tangent, whose section is turned from the base's the shortest way."""
+    """Return [t, d] of a guess: a section, or a tangent with the base's section rotated to it the shortest way."""
     given = np.array(guess, dtype=float)
     t = given[:3] if given.shape in ((3,), (6,)) else np.zeros(3)
     norm = math.sqrt(t @ t)
@@ -322,7 +347,7 @@ def _tip(guess: ArrayLike) -> Array:
 
 
 def _carried_x(t: Array) -> Array:
-    """The x axis carried along from z to t."""
+    """Return the x axis rotated with z to t the shortest way."""
     if t[2] < -0.999:
         return np.array([-1.0, 0.0, 0.0])
     carried: Array = np.array([1.0, 0.0, 0.0]) - t[0] / (1.0 + t[2]) * (t + np.array([0.0, 0.0, 1.0]))

@@ -16,11 +16,10 @@ from probedesign.frames import Array, pose, wrench_map
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.worlds import printed
-from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
-from probedesign.rod.surface_force import line_of_action, solve_surface_force
 from probedesign.units import MM
 
 CampaignKind = Literal["cameras", "stage"]
@@ -126,7 +125,7 @@ def planned_weights(model: ProbeModel) -> list[tuple[float, float]]:
 
 def stiffness_ratio(rod: Rod, fraction: float) -> float:
     """Return the ratio of forces at a fraction of the length that bend a rod like the paper's large probe."""
-    radius = float(np.interp(fraction * rod.length, rod.s, rod.radius))
+    radius = float(rod.radius_at(fraction * rod.length))
     large = LARGE_BASE_RADIUS + fraction * (LARGE_TIP_RADIUS - LARGE_BASE_RADIUS)
     return (rod.youngs_modulus / LARGE_MODULUS) * (radius / large) ** 4 * (LARGE_LENGTH / rod.length) ** 2
 

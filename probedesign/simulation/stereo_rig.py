@@ -87,7 +87,7 @@ class StereoRig:
     def tube(self, eq: Equilibrium) -> SurfaceTube:
         """Return the surface of the bent probe in the world."""
         s = np.linspace(0.0, self.truth.rod.length, 400)
-        radius = np.interp(s, self.truth.rod.s, self.truth.rod.radius)
+        radius = self.truth.rod.radius_at(s)
         return SurfaceTube(self.truth.to_world(eq.p_at(s)), 2.0 * radius)
 
     def dots(self, eq: Equilibrium) -> PaintedDots:
@@ -105,7 +105,7 @@ class StereoRig:
         s = np.minimum(self.marker_s, self.truth.rod.length)
         R = eq.R_at(s)
         outward = R[:, :, 0] * math.cos(self.side) + R[:, :, 1] * math.sin(self.side)
-        radius = np.interp(s, self.truth.rod.s, self.truth.rod.radius)
+        radius = self.truth.rod.radius_at(s)
         radius *= self.truth.model.cross_section.reach(self.side)
         return self.truth.to_world(eq.p_at(s)), outward @ self.truth.T_world_true[:3, :3].T, radius
 

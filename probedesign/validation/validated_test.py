@@ -222,6 +222,6 @@ def _markers(
     axis, off = shape.p_at(s), np.zeros((len(s), 3))
     if campaign.marker_side is not None:
         side, axes = campaign.marker_side, shape.R_at(s)
-        radius = model.cross_section.reach(side) * np.interp(s, model.rod.s, model.rod.radius)
+        radius = model.cross_section.reach(side) * model.rod.radius_at(s)
         off = radius[:, None] * (math.cos(side) * axes[:, :, 0] + math.sin(side) * axes[:, :, 1])
     return measured, axis + off, off, cov

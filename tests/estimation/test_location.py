@@ -50,7 +50,7 @@ def reference_touches(model, gravity, frictions=FRICTIONS):
         (f, b, mu) for f in FRACTIONS for b in BENDS for mu in frictions
     ):
         s = fraction * model.rod.length
-        EI = model.rod.youngs_modulus * math.pi / 4.0 * np.interp(s, model.rod.s, model.rod.radius) ** 4
+        EI = model.rod.youngs_modulus * math.pi / 4.0 * model.rod.radius_at(s) ** 4
         normal = min(3.0 * bend * EI / s**2, 0.5)
         # Golden angles spread directions evenly without a grid.
         phi, way = 2.399963 * k, 1.3 + 2.399963 * 2.0 * k
@@ -176,7 +176,7 @@ def test_the_surface_point_lies_on_the_bent_surface(large, gravity, exact, touch
         arms, tangents = c.p_surface_base - c.shape.p_at(s), c.shape.R_at(s)[:, :, 2]
         section = int(np.argmin(np.abs(np.einsum("ki,ki->k", arms, tangents))))
         # A station lies within L/6000 of the section, where the radius differs by a thirtieth of that: 1 µm.
-        radius = np.interp(s[section], large.rod.s, large.rod.radius)
+        radius = large.rod.radius_at(s[section])
         assert np.linalg.norm(arms[section]) == pytest.approx(radius, abs=2e-6)
 
 

@@ -170,7 +170,7 @@ def test_a_pull_is_inconsistent(fraction, ratios, gravity, exact_sources, large,
     eq = rod.solve(gravity, force, s)
     for _ in range(30):
         R = eq.R_at(s)
-        arm = np.interp(s, rod.s, rod.radius) * (math.cos(0.6) * R[:, 0] + math.sin(0.6) * R[:, 1])
+        arm = rod.radius_at(s) * (math.cos(0.6) * R[:, 0] + math.sin(0.6) * R[:, 1])
         eq = rod.solve(gravity, force, s, couple=np.cross(arm, force), guess=eq.tip)
     x = eq.p_at(s) + arm
     c = estimator.estimate(eq.wrench_base, gravity)
@@ -204,7 +204,7 @@ def test_a_couple_about_the_normal_beyond_friction_is_inconsistent(couple, gravi
 def test_a_torsion_that_friction_may_make_is_a_touch(gravity, exact, touched, large):
     """Around the section: a ratio of one standard deviation explains it, ten do not."""
     wrench = touched(0.09, 0.05)
-    radius = float(np.interp(0.09, large.rod.s, large.rod.radius))
+    radius = float(large.rod.radius_at(0.09))
     for ratio, ok in ((0.6, True), (10.0, False)):
         more = wrench.copy()
         more[5] += ratio * 0.05 * radius

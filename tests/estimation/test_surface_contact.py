@@ -195,7 +195,7 @@ def test_without_friction_the_line_of_action_meets_the_axis_nearer_the_base(frac
     """The cone's normal leans towards the tip by α: s_contact = s - r tan α, and no couple is left about that point."""
     touch = SurfaceTouch(fraction * CONE.length, 0.7, 0.01)
     lin, settled = compiled(CONE, GRAVITY, touch)
-    tan, r = CONE.taper_at(touch.s), float(np.interp(touch.s, CONE.s, CONE.radius))
+    tan, r = CONE.taper_at(touch.s), float(CONE.radius_at(touch.s))
     assert _arclength(CONE, settled) == pytest.approx(touch.s - r * tan, abs=1e-12)
     F = lin[:3, VALUE] - CONE.mass * GRAVITY
     arm = lin[POINT:CENTRE, VALUE] - lin[CENTRE : CENTRE + 3, VALUE]

@@ -174,7 +174,7 @@ def true_reading(model, gravity, touch, own, turn, root, tared):
     solved = solve_touch(rod, true_gravity, SurfaceTouch(length * s, *rest))
     to_model = wrench_map(at)
     # What hangs on the sensor is taken off as under the modelled gravity.
-    hangs = wrench_map(inverse_pose(model.T_sensor_base)) @ model.hanging_by_gravity @ turn[6:]
+    hangs = wrench_map(inverse_pose(model.T_sensor_base)) @ model.payload_by_gravity @ turn[6:]
     wrench = to_model @ solved.wrench + hangs
     if tared:
         wrench = wrench - to_model @ rod.solve(true_gravity, mode="reference").wrench_base - hangs
@@ -292,7 +292,7 @@ def test_more_uncertain_sources_mean_a_wider_covariance(large, gravity, touched)
 
 @pytest.mark.parametrize("age", [10.0, 1000.0])
 def test_an_old_tare_is_trusted_less(age, large, gravity, touched):
-    estimator = large.estimator().since_tare(age)
+    estimator = large.estimator().with_tare_age(age)
     before, now = (e.estimate(touched(0.09, 0.1), gravity) for e in (large.estimator(), estimator))
     if age <= 16.0:
         assert estimator.priors == large.estimator().priors and now.std_s == before.std_s

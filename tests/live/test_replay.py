@@ -56,7 +56,7 @@ def test_a_recording_in_the_base_frame(estimator, recorded, tmp_path):
     of 0.12 N in a reading whose noise is 0.5 mN."""
     path, before = recorded
     model, recording = estimator.model, read_recording(path)
-    weight = model.hanging.wrench(model.T_sensor_base[:3, :3] @ model.gravity_base)
+    weight = model.payload.wrench(model.T_sensor_base[:3, :3] @ model.gravity_base)
     wrench_base = (recording.wrench - weight) @ wrench_map(inverse(model.T_sensor_base)).T
     write_recording(tmp_path / "base.csv", recording.time, wrench_base, "base")
     after = run(estimator, ReplaySource(model, tmp_path / "base.csv", "speed=max"))

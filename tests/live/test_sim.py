@@ -49,7 +49,7 @@ def test_the_sensor_feels_all_that_hangs_on_it(estimator):
     """Noise at most 6σ; flange and adapter weigh 96 mN, 180 σ."""
     model = estimator.model
     reading = next(read(model, FAST))
-    weight = (model.mass + model.hanging.mass) * model.gravity_base
+    weight = (model.mass + model.payload.mass) * model.gravity_base
     assert reading.wrench_sensor[:3] == pytest.approx(weight, abs=6 * model.noise.force)
 
 

@@ -50,7 +50,7 @@ def solve_touch(rod: Rod, gravity: Array, touch: SurfaceTouch) -> SolvedTouch:
     """
     tan = rod.taper_at(touch.s)
     alpha = np.arctan(tan)
-    r = float(np.interp(touch.s, rod.s, rod.radius))
+    r = float(rod.radius_at(touch.s))
     tip, R = None, np.eye(3)
     force = couple = np.zeros(3)
     for turn in range(400):

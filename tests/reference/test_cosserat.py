@@ -29,7 +29,7 @@ RODS = {
 def drawn(rod, n, rng):
     """Touches anywhere on the surface with forces of any direction that bend the rod by up to about a radian."""
     s = rng.uniform(0.2, 1.0, n) * rod.length
-    stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * np.interp(s, rod.s, rod.radius) / s**2
+    stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s) / s**2
     direction = rng.normal(size=(n, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     return s, rng.uniform(-np.pi, np.pi, n), (rng.uniform(0.1, 1.0, n) * stiffness)[:, None] * direction
@@ -58,8 +58,8 @@ def test_without_friction_it_is_the_contact_of_the_package():
     e = -touch.equilibrium.R_at(touch.equilibrium.s_contact).T @ touch.force_base
     # The package's force acts where the normal meets the axis, r tan α nearer the base than the touched point.
     tan = LARGE.taper_at(s)
-    on = s + np.interp(s, LARGE.s, LARGE.radius) * tan / (1.0 + tan * tan)
-    assert abs(np.interp(on, LARGE.s, LARGE.radius) * tan + s - on) < 1e-9
+    on = s + LARGE.radius_at(s) * tan / (1.0 + tan * tan)
+    assert abs(LARGE.radius_at(on) * tan + s - on) < 1e-9
     found = solve(Probes.of(LARGE), GRAVITY, on, np.arctan2(e[1], e[0]), (force, 0.0, 0.0), axes="surface")
     # Between the two sections the rod bends, by 1e-3 rad over 0.1 mm; the normal goes with it.
     assert_allclose(found.wrench[0], touch.equilibrium.wrench_base, atol=2e-3 * force)

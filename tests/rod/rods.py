@@ -53,7 +53,7 @@ def bending_force(rod, s_contact, strength):
 
     strength = F s² / (E I(0) r(s)/r(0)), exact for a cone bent little; I that of the softer way.
     """
-    r0, r = rod.radius[0], np.interp(s_contact, rod.s, rod.radius)
+    r0, r = rod.radius[0], rod.radius_at(s_contact)
     stiffness = rod.youngs_modulus * min(rod.factors[1:3]) * np.pi / 4.0 * r0**4
     return strength * stiffness * (r / r0) / s_contact**2
 

@@ -38,7 +38,7 @@ def integral(f, low, high):
 def line_weight(rod, gravity):
     """ρ A(s) g [N/m], (j, 3)."""
     line = rod.density * rod.factors[0] * np.pi
-    return lambda s: line * np.interp(s, rod.s, rod.radius)[:, None] ** 2 * gravity
+    return lambda s: line * rod.radius_at(s)[:, None] ** 2 * gravity
 
 
 @pytest.mark.parametrize(("rod_name", "load_name"), CASES)
@@ -77,7 +77,7 @@ def test_the_base_carries_force_and_weight_where_they_act(rod_name, load_name):
 
 def strains(rod, s, n, m):
     """v - e_z and u at s from n and m in section axes, (j, 3) each: linear elasticity, root, finite strain, rest."""
-    r = np.interp(s, rod.s, rod.radius)
+    r = rod.radius_at(s)
     A, I_xx, I_yy, J = np.outer(rod.factors, np.ones_like(s)) * [
         np.pi * r**2,
         *[np.pi / 4.0 * r**4] * 2,

@@ -32,7 +32,7 @@ def rod_of(case, rigid_radii=RIGID_RADII):
 def touched(case, rigid_radii=RIGID_RADII, couple=True):
     """The rod's equilibrium under the force at the touched point of its own deformed surface, and that point."""
     rod, s, force = rod_of(case, rigid_radii), case["s_contact_m"], np.array(case["force_base_N"])
-    r, phi = np.interp(s, rod.s, rod.radius), case["phi_rad"]
+    r, phi = rod.radius_at(s), case["phi_rad"]
     arm = r * np.array([np.cos(phi), np.sin(phi), 0.0])
     for _ in range(12):
         eq = rod.solve(case["gravity_base_m_s2"], force, s, couple=couple * np.cross(arm, force))

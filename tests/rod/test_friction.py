@@ -11,10 +11,10 @@ import pytest
 from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, turned
 
 from probedesign.errors import InputError
+from probedesign.rod.contact import line_of_action, solve_surface_force
 from probedesign.rod.friction import CoulombSolver, draw_friction
 from probedesign.rod.obstacle import press_against_line, press_against_point
-from probedesign.rod.plain import solve_plain
-from probedesign.rod.surface_force import line_of_action, solve_surface_force
+from tests.reference.shooting import solve_by_shooting
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
@@ -26,7 +26,7 @@ def approach(rod, fraction=0.5, depth=0.5, aside=0.2, line=False, gravity=GRAVIT
     """(point, travel, direction or None) of an object that comes `depth` radii into the free rod's flank."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
-    R, r = free.R_at(s), float(np.interp(s, rod.s, rod.radius))
+    R, r = free.R_at(s), float(rod.radius_at(s))
     out, across = R @ SIDE, R @ np.cross([0.0, 0.0, 1.0], SIDE)
     point = free.p_at(s) + r * ((math.sqrt(1.0 - aside**2) - depth) * out + aside * across)
     travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
@@ -43,7 +43,7 @@ def followed(solver, first, point, steps=12):
 
 def surface_point(rod, contact):
     """x, N of the bent body at the contact's material point, from shape and radius alone; of a knot's blend no use."""
-    R, r = contact.equilibrium.R_at(contact.s), float(np.interp(contact.s, rod.s, rod.radius))
+    R, r = contact.equilibrium.R_at(contact.s), float(rod.radius_at(contact.s))
     e = math.cos(contact.angle) * R[:, 0] + math.sin(contact.angle) * R[:, 1]
     alpha = math.atan(rod.taper_at(contact.s))
     return contact.equilibrium.p_at(contact.s) + r * e, math.cos(alpha) * e + math.sin(alpha) * R[:, 2]
@@ -105,8 +105,8 @@ def test_coulombs_law_at_the_touched_point(name, friction, line):
 
 @pytest.mark.parametrize("name", ["cone", "profile"])
 def test_the_base_bears_the_contact_and_the_weight(name):
-    """Force F + m g and moment x × F + ∫ p × ρ A g ds over the plain rod, which shares no code with the compiled one:
-    its centreline is integrated by Gauss's rule between the knots."""
+    """Force F + m g and moment x × F + ∫ p × ρ A g ds over the rod solved by shooting, which shares
+    no code with the compiled one: its centreline is integrated by Gauss's rule between the knots."""
     rod = RODS[name]
     point, travel, _ = approach(rod)
     contact = CoulombSolver(rod, 0.5, "reference").press(GRAVITY, point, travel)
@@ -115,14 +115,14 @@ def test_the_base_bears_the_contact_and_the_weight(name):
     low, high = breaks[:-1, None], breaks[1:, None]
     s = (0.5 * (high - low) * nodes + 0.5 * (high + low)).ravel()
     ds = (0.5 * (high - low) * weights).ravel()
-    plain = solve_plain(rod, GRAVITY, contact.force_base, contact.s, s=s, couple=contact.couple_base)
-    weight = rod.density * np.pi * np.interp(s, rod.s, rod.radius) ** 2 * ds
+    shooting = solve_by_shooting(rod, GRAVITY, contact.force_base, contact.s, s=s, couple=contact.couple_base)
+    weight = rod.density * np.pi * rod.radius_at(s) ** 2 * ds
     force = contact.force_base + weight.sum() * GRAVITY
-    moment = np.cross(contact.p_surface_base, contact.force_base) + np.cross(weight @ plain.p, GRAVITY)
+    moment = np.cross(contact.p_surface_base, contact.force_base) + np.cross(weight @ shooting.p, GRAVITY)
     felt = contact.equilibrium.wrench_base
     assert np.allclose(felt[:3], force, rtol=1e-9, atol=1e-12)
     assert np.linalg.norm(felt[3:] - moment) <= 1e-7 * np.linalg.norm(moment)
-    assert np.allclose(plain.wrench_base, felt, rtol=0.0, atol=1e-7 * np.linalg.norm(moment))
+    assert np.allclose(shooting.wrench_base, felt, rtol=0.0, atol=1e-7 * np.linalg.norm(moment))
 
 
 def led_along(solver, steps=40, step=5e-8):
@@ -262,7 +262,7 @@ def test_results_without_a_contact_are_codes():
     assert (missed.result, missed.state) == ("no_contact", "")
     end = solver.press((0, 0, 0), (0.0, 0.0, 0.149), (0.0, 0.0, -0.02))
     assert end.result == "on_end"
-    r = float(np.interp(0.14, CONE.s, CONE.radius))
+    r = float(CONE.radius_at(0.14))
     begun = solver.press((0, 0, 0), (0.5 * r, 0.0, 0.14), (-0.02, 0.0, 0.0))
     gone = solver.advance(begun, (-0.5 * r, 0.0, 0.20))
     assert (
@@ -312,7 +312,7 @@ def test_where_the_line_of_action_passes_the_axis(ratios):
     found = solve_surface_force(CONE, (0, 0, 0), 0.1, 0.3, 1e-3, ratios, "reference")
     eq = found.equilibrium
     s = line_of_action(CONE, eq, found.p_surface_base)
-    r, tan = float(np.interp(0.1, CONE.s, CONE.radius)), CONE.taper_at(0.1)
+    r, tan = float(CONE.radius_at(0.1)), CONE.taper_at(0.1)
     cos = 1.0 / math.hypot(1.0, tan)
     along, out = -cos * tan + ratios[0] * cos, -cos - ratios[0] * cos * tan
     assert s == pytest.approx(0.1 - r * along / out, abs=1e-9)

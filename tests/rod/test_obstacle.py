@@ -27,7 +27,7 @@ def flank_press(
     """Pressed by `depth` radii at a fraction of the free rod, so many radii beside its axis."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
-    R, r = free.R_at(s), float(np.interp(s, rod.s, rod.radius))
+    R, r = free.R_at(s), float(rod.radius_at(s))
     out, across = R @ SIDE, R @ np.cross([0.0, 0.0, 1.0], SIDE)
     point = free.p_at(s) + r * ((math.sqrt(1.0 - aside**2) - depth) * out + aside * across)
     travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
@@ -101,7 +101,7 @@ def nodes_of(rod, breaks=()):
 def weight_moment(rod, press):
     """What gravity alone does to the base: [force; moment]."""
     s, w = nodes_of(rod, [press.s_contact])
-    mass = w * rod.density * math.pi * np.interp(s, rod.s, rod.radius) ** 2
+    mass = w * rod.density * math.pi * rod.radius_at(s) ** 2
     return np.concatenate([mass.sum() * GRAVITY, np.cross(mass @ press.equilibrium.p_at(s), GRAVITY)])
 
 
@@ -114,9 +114,7 @@ def test_the_object_touches_the_surface_and_pushes_along_its_normal(name):
     assert press.where in name
     if press.where == "flank":
         normal = surface_normal(rod, press)
-        radius = float(np.interp(press.s_contact, rod.s, rod.radius)) / math.hypot(
-            1.0, rod.taper_at(press.s_surface)
-        )
+        radius = float(rod.radius_at(press.s_contact)) / math.hypot(1.0, rod.taper_at(press.s_surface))
         np.testing.assert_allclose(w, radius * normal, atol=1e-9 * L)
         np.testing.assert_allclose(along, normal, atol=1e-9)
         np.testing.assert_array_equal(press.couple_base, 0.0)
@@ -162,12 +160,10 @@ def test_a_little_press_bends_as_beams_bend(fraction):
     rod = replace(CONE, inextensible=True, density=0.0)
     L, tan = rod.length, rod.taper_at(0.0)
     z, depth = fraction * L, 1e-6 * L
-    r = float(np.interp(z, rod.s, rod.radius))
+    r = float(rod.radius_at(z))
     press = press_against_point(rod, (0, 0, 0), (r - depth, 0.0, z), (-2.0 * r, 0.0, 0.0), "reference")
     s = z - r * tan
-    stiffness = (
-        3.0 * rod.youngs_modulus * math.pi / 4.0 * 6e-3**3 * float(np.interp(s, rod.s, rod.radius)) / s**3
-    )
+    stiffness = 3.0 * rod.youngs_modulus * math.pi / 4.0 * 6e-3**3 * float(rod.radius_at(s)) / s**3
     assert press.s_surface == pytest.approx(z, rel=1e-5)
     assert abs(press.angle) == pytest.approx(math.pi)
     # The flank yields along its normal by δ cos α: the axis by δ. What f sin α does to it is of the order α².
@@ -210,7 +206,7 @@ def energy(rod, press):
     t, m = y[:, 0:3], y[:, 3:6]
     twist = np.einsum("ij,ij->i", t, m)
     bend2 = np.einsum("ij,ij->i", m, m) - twist**2
-    area = math.pi * np.interp(s, rod.s, rod.radius) ** 2
+    area = math.pi * rod.radius_at(s) ** 2
     EI = rod.youngs_modulus * area**2 / (4.0 * math.pi)
     GJ = rod.shear_modulus * area**2 / (2.0 * math.pi)
     elastic = (bend2 / EI + twist**2 / GJ) / 2.0
@@ -303,7 +299,7 @@ def test_what_stays_outside_touches_nothing(against):
 
 @pytest.mark.parametrize("height", [0.03, 0.149])
 def test_the_first_touch_is_where_the_surface_is(height):
-    r = float(np.interp(height, CONE.s, CONE.radius))
+    r = float(CONE.radius_at(height))
     for aside in (0.0, 0.7):
         point = (r * math.sqrt(1.0 - aside**2) - 1e-5, aside * r, height)
         press = press_against_point(CONE, (0, 0, 0), point, (-0.03, 0.0, 0.0))

@@ -63,9 +63,7 @@ def test_the_base_moment_is_that_of_force_and_weight_on_the_bent_rod():
         moment = np.cross(eq.p_contact_base, F)
         for low, high in pairwise(breaks):
             stations = low + (high - low) * (1.0 + x) / 2.0
-            weight = (
-                rod.density * np.pi * np.interp(stations, rod.s, rod.radius) ** 2 * w * (high - low) / 2.0
-            )
+            weight = rod.density * np.pi * rod.radius_at(stations) ** 2 * w * (high - low) / 2.0
             moment = moment + np.cross(weight @ eq.p_at(stations), g)
         scale = np.linalg.norm(F) * at + rod.mass * 9.81 * rod.length
         # The promise of mode "fast".

@@ -25,7 +25,7 @@ from probedesign.rod.friction import (
     CoulombSolver,
     draw_friction,
 )
-from probedesign.rod.obstacle import Press, press_against_line, press_against_point
+from probedesign.rod.obstacle import ObstacleContact, press_against_line, press_against_point
 from probedesign.units import MILLINEWTON, MM
 
 CLEARANCE = 0.05
@@ -142,14 +142,14 @@ def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, friction: f
     tangent = free.R_at(s)[:, 2]
     direction = np.cross(np.array([0.0, 1.0, 0.0]) if along is None else along, tangent)
     direction /= np.linalg.norm(direction)
-    surface = free.p_at(s) + direction * float(np.interp(s, model.rod.s, model.rod.radius))
+    surface = free.p_at(s) + direction * float(model.rod.radius_at(s))
     start = surface + CLEARANCE * length * direction
     if friction > 0.0:
         return _press_with_friction(
             model, free, obj, CoulombSolver(model.rod, friction, "reference"), direction, start, along
         )
 
-    def pressed(depth: float) -> Press:
+    def pressed(depth: float) -> ObstacleContact:
         travel = -(CLEARANCE * length + depth) * direction  # the object moves, seen from the base
         point = start + travel
         if along is None:

@@ -192,7 +192,7 @@ class Chain:
 
     def _saturation(self, block: Block) -> str:
         """Return the fault of a batch in which any sample is at its limit: the mean would not show it."""
-        within = np.abs(block.wrench_sensor) <= self._estimator.model.readable
+        within = np.abs(block.wrench_sensor) <= self._estimator.model.saturation_limit
         return "" if within.all() else "a channel is at its limit or not a number"
 
     def _with_gravity(self, reading: WrenchReading) -> WrenchReading:

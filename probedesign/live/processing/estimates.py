@@ -60,12 +60,12 @@ def locate(
         tare: the sensor bias; None if no tare was taken.
         method: see `Estimator.estimate`.
     """
-    if reading.fault or not estimator.model.reads(reading.wrench_sensor):
+    if reading.fault or not estimator.model.in_range(reading.wrench_sensor):
         return Estimate("out_of_range")
     reading = without_bias(reading, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
     if tare is not None:
-        estimator = estimator.since_tare(reading.time - tare.time)
+        estimator = estimator.with_tare_age(reading.time - tare.time)
     return estimator.estimate(wrench_base, reading.gravity_base, method=method)
 
 

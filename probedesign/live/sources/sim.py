@@ -24,10 +24,9 @@ from probedesign.live.sources.parameters import (
     SourceParameter,
     parse_parameters,
 )
-from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.friction import MAX_FRICTION
 from probedesign.rod.rod import Rod
-from probedesign.rod.surface_force import line_of_action, solve_surface_force
 from probedesign.units import MILLINEWTON, MM
 
 PARAMETERS = {
@@ -160,7 +159,7 @@ class SimulatedSource:
 def safe_force(rod: Rod) -> float:
     """Return the default force [N], or a smaller one for a probe that it would bend too far."""
     s = max(POSITION) * rod.length
-    radius, base = float(np.interp(s, rod.s, rod.radius)), float(rod.radius[0])
+    radius, base = float(rod.radius_at(s)), float(rod.radius[0])
     softer_axis = min(rod.factors[1:3])
     stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
     return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)

@@ -1,6 +1,7 @@
-"""How the kernels are compiled: once, cached beside their source, without Python inside."""
+"""How the kernels are compiled: once, cached beside their source, without Python objects inside."""
 
 import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -8,13 +9,16 @@ from typing import Any
 from numba import njit
 
 HERE = Path(__file__).parent
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+"""Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered."""
+_INTERNAL: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
+@cache
 def drop_stale(folder: Path) -> None:
-    """Remove a folder's compiled kernels that are older than any kernel's source, there or here.
+    """Remove a folder's compiled kernels that are older than any kernel source, there or here; once per process.
 
-    numba's cache looks at the file of the function it compiles alone; what that function calls stands in other
-    files.
+    numba's cache checks only the file of the function that it compiles; what that function calls is in other files.
     """
     try:
         newest = max(source.stat().st_mtime for of in {folder, HERE} for source in of.glob("*.py"))
@@ -25,40 +29,27 @@ def drop_stale(folder: Path) -> None:
         pass  # installed where nothing may be written: nothing changes there either
 
 
-drop_stale(HERE)
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function that Python and other kernels call, cached on disk."""
+    drop_stale(Path(function.__code__.co_filename).parent)
+    return njit(cache=True, nogil=True, **_OPTIONS)(function)
 
-kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-"""Called from Python and by other kernels. Division by zero gives inf or NaN, which the step control refuses."""
-inner = njit(
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-    fastmath={"contract"},
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-)
-"""The same for what only kernels call."""
-inlined = njit(
-    error_model="numpy",
-    fastmath={"contract"},
-    forceinline=True,
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-)
-"""Arithmetic on three numbers: always part of its caller."""
-merged = njit(
-    error_model="numpy",
-    fastmath={"contract"},
-    inline="always",
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-)
-"""For what has one caller: compiled as part of it, not by itself and then again."""
+
+def inner(function: Callable[..., Any]) -> Any:
+    """Compile a function that only kernels call, cached on disk."""
+    drop_stale(Path(function.__code__.co_filename).parent)
+    return njit(cache=True, nogil=True, **_INTERNAL)(function)
+
+
+inlined = njit(forceinline=True, **_INTERNAL)
+"""Compile a function that LLVM always inlines: arithmetic on a few numbers."""
+inline_always = njit(inline="always", **_INTERNAL)
+"""Compile a function with one caller as part of that caller, not by itself and then again."""
 
 
 @cache
 def announce(dispatcher: Any) -> None:
-    """Tell someone who waits at a terminal that the first run compiles; once, and only where nothing is cached."""
+    """Print, once and only on a terminal, that the first run compiles; nothing where the kernel is cached."""
     name = f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__name__}-"
     if sys.stderr.isatty() and not any(Path(dispatcher.stats.cache_path).glob(name + "*.nbi")):
-        print("compiling the rod's kernels, half a minute or so, once ...", file=sys.stderr, flush=True)
+        print("Compiling the rod's kernels, once: about half a minute ...", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""The rod's equations, docs/decisions/0001: what a section yields, the state's slopes, and those of a column.
+"""The rod's data and equations (docs/decisions/0001): section properties, derivatives of state and sensitivities.
 
 In base axes, with n, m what the material beyond s does to the material before it:
 
@@ -8,41 +8,79 @@ In base axes, with n, m what the material beyond s does to the material before i
     ω  = R (f β diag(1/(E I_xx), 1/(E I_yy), 1/(f β G J)) Rᵀ m + u_rest),   R = [d, t × d, t]
     t' = ω × t,  d' = ω × d
 
-f(s) is the bonded root, docs/decisions/0006: bending compliance is missing near the clamp. β and h₂ are the
+f(s) is the bonded root, docs/decisions/0006: it reduces the bending compliance near the clamp. β and h₂ are the
 finite strain of a round section, β = 1 + h₂ (3 e + c₄ B) with B = (m⊥ r/(E I))², h₂ = 0 for linear elasticity.
 
-A column is how all that moves with a parameter: the section turns by θ (δR = θ × R), the moment by v, the
-point by q. What turns with the section drops out, so with w = v - θ × m and z = δn - θ × n its slopes are those
-of the compliances alone:
+A column is the derivative of the state by a parameter: the section rotates by θ (δR = θ × R), the moment changes by
+v, the point by q. What rotates with the section drops out, so with w = v - θ × m and z = δn - θ × n its slopes are
+those of the compliances alone:
 
     θ' = ∂ω/∂m w + ∂ω/∂n z + δω,   q' = θ × p' + ∂p'/∂n z + ∂p'/∂m w + δp',   v' = -q' × n - p' × δn
 
 with δω, δp' from the section's own change (E, G, radius, f).
 """
 
-from probedesign.rod.kernels.body import (
-    BEND_X,
-    BEND_Y,
-    CONE,
-    DENSITY,
-    FINITE_BEND,
-    FINITE_STRETCH,
-    ROOT_DEPTH,
-    ROOT_REACH,
-    SHEAR,
-    STRETCH,
-    TWIST,
-)
+from typing import NamedTuple
+
+from probedesign.frames import Array
 from probedesign.rod.kernels.compiled import inlined
-from probedesign.rod.kernels.vectors import add, cross, dot, minus, take, times
+from probedesign.rod.kernels.linalg import add, cross, dot, minus, take, times
+
+
+class Body(NamedTuple):
+    """A rod as arrays, in SI units.
+
+    Attributes:
+        knots: arclengths where the taper changes [m], (K,).
+        radii: half-widths along the section's x axis at the knots [m], (K,).
+        volume_beyond: from each knot to the tip [m³], (K,).
+        volume_by_knot: its derivative by the logarithm of each knot's radius [m³], (K, K).
+        rest: curvature and twist of the unloaded rod at the knots, in section axes, linear between [1/m],
+            (3 K,).
+        constants: see the indices below, (CONSTANTS,).
+    """
+
+    knots: Array
+    radii: Array
+    volume_beyond: Array
+    volume_by_knot: Array
+    rest: Array
+    constants: Array
+
+
+CONSTANTS = 12
+BEND_X, BEND_Y, TWIST, SHEAR, STRETCH, DENSITY, CONE, GENERAL = range(8)
+"""Compliances of a section of half-width 1 m in bending about x and about y, twist [m²/N], shear and stretch [m²/N];
+density [kg/m³]; volume of a cone over r² h; 1 where bending is anisotropic or the rod is curved at rest, 0 where it
+is round and straight."""
+ROOT_DEPTH, ROOT_REACH = 8, 9
+"""Depth and reach of the bonded root, f(s) = 1 - depth (1 - s/reach)³ up to the reach [m], 1 beyond."""
+FINITE_BEND, FINITE_STRETCH = 10, 11
+"""c₄ and c₅ of the section's finite strain; zeros: linear elasticity."""
+
+LOAD = 13
+FORCE, GRAVITY, TIP_MOMENT, COUPLE, S_CONTACT = 0, 3, 6, 9, 12
+"""Offsets in a load of force [N], gravity [m/s²], moment at the tip and couple at the contact [N·m], all dead
+and in base axes, and s_contact [m]."""
+
+PARAMETERS = (
+    "force_x", "force_y", "force_z", "s_contact", "couple_x", "couple_y", "couple_z",
+    "gravity_x", "gravity_y", "gravity_z", "log_E", "log_G", "log_density", "log_diameter",
+)  # fmt: skip
+"""Parameters of the sensitivities; after these, the logarithm of the diameter at each knot."""
+LOAD_COLUMNS = 4
+CONTACT_COLUMNS = 7
+ALL_COLUMNS = len(PARAMETERS)
+
+OK, NOT_CONVERGED, UNSTABLE, STEP_LIMIT = 0, 1, 2, 3
 
 
 @inlined
 def frustum_of(body, i, in_root):
-    """What `medium` needs of frustum i, taken out of the arrays once for many steps.
+    """Return the data of frustum i for `section_properties`, read from the arrays once for many steps.
 
     Args:
-        in_root: whether the steps lie where the clamp still stiffens.
+        in_root: whether the steps are within the reach of the bonded root.
     """
     above, r1 = body.knots[i + 1], body.radii[i + 1]
     slope = (body.radii[i] - r1) / (above - body.knots[i])
@@ -55,8 +93,8 @@ def frustum_of(body, i, in_root):
 
 
 @inlined
-def medium(s, frustum, force, gravity):
-    """What a frustum is at s, and the internal force there.
+def section_properties(s, frustum, force, gravity):
+    """Return the properties of a frustum's section at s, and the internal force there.
 
     Args:
         force: beyond s, (3,): the contact's on its base's side.
@@ -92,7 +130,7 @@ def medium(s, frustum, force, gravity):
 
 @inlined
 def rest_of(body, i):
-    """Curvature and twist of the unloaded rod in frustum i: at its upper knot, and per length below; section axes."""
+    """Return curvature and twist of the unloaded rod in frustum i: at its upper knot, and their slope; section axes."""
     height = body.knots[i + 1] - body.knots[i]
     at, below = take(body.rest, 3 * i + 3), take(body.rest, 3 * i)
     return body.knots[i + 1], at, times(1.0 / height, minus(below, at))
@@ -100,14 +138,14 @@ def rest_of(body, i):
 
 @inlined
 def rest_at(s, rest):
-    """The same at s."""
+    """Return curvature and twist of the unloaded rod at s."""
     above, at, slope = rest
     return add(at, above - s, slope)
 
 
 @inlined
 def _strains(t, m, med):
-    """t·m, e, β, and the strain ε along the axis."""
+    """Return t·m, e, β and the strain ε along the axis."""
     _cx, _cyx, _gj, _a, b, _weight, c4, c5, three, n = med
     tm, e = dot(t, m), b * dot(t, n)
     square = dot(m, m) - tm * tm
@@ -116,7 +154,7 @@ def _strains(t, m, med):
 
 @inlined
 def round_slopes(t, m, med):
-    """t', m', p' of a round straight rod: they need no section axes."""
+    """Return t', m', p' of a round straight rod, which need no section axes."""
     cx, _cyx, _gj, a, _b, _weight, _c4, _c5, _three, n = med
     _tm, _e, beta, epsilon = _strains(t, m, med)
     along = 1.0 + epsilon - a * dot(t, n)
@@ -125,7 +163,7 @@ def round_slopes(t, m, med):
 
 @inlined
 def turning(t, m, d, e_y, rest, med):
-    """ω of any rod; of a round straight one whatever d and e_y are."""
+    """Return ω of any rod; of a round straight one it does not depend on d and e_y."""
     cx, cyx, gj, _a, _b, _weight, _c4, _c5, _three, _n = med
     tm, _e, beta, _epsilon = _strains(t, m, med)
     turn = add(times(beta * cx, m), beta * cyx * dot(e_y, m) + rest[1], e_y)
@@ -134,7 +172,7 @@ def turning(t, m, d, e_y, rest, med):
 
 @inlined
 def full_slopes(t, m, d, e_y, rest, med):
-    """t', m', p', d' of any rod; e_y = t × d."""
+    """Return t', m', p', d' of any rod; e_y = t × d."""
     _cx, _cyx, _gj, a, _b, _weight, _c4, _c5, _three, n = med
     _tm, _e, _beta, epsilon = _strains(t, m, med)
     along = 1.0 + epsilon - a * dot(t, n)
@@ -143,12 +181,12 @@ def full_slopes(t, m, d, e_y, rest, med):
 
 
 @inlined
-def yielding(t, m, e_y, med):
-    """Of one place of the rod, what all columns share: how it bends, and what softening it would do.
+def compliance(t, m, e_y, med):
+    """Return the local compliance that all columns share, and its derivatives by the section's parameters.
 
     Returns:
-        f S m⊥ (how it bends), β, ∂ε/∂e, and the turn and the strain that a logarithm of E, G, radius and f take away
-        or (f) add.
+        f S m⊥ (the curvature by bending), β, ∂ε/∂e, and the derivatives of rotation and strain by log E, log G, log
+        radius (subtracted) and log f (added).
     """
     cx, cyx, gj, a, _b, _weight, c4, c5, three, n = med
     tm, e, beta, _epsilon = _strains(t, m, med)
@@ -166,18 +204,18 @@ def yielding(t, m, e_y, med):
 
 
 @inlined
-def round_yields(t, m, med):
-    """What `yielding` says of bending alone, at a place of a round straight rod."""
+def round_compliance(t, m, med):
+    """Return the first three results of `compliance` for a round straight rod."""
     cx, _cyx, _gj, _a, _b, _weight, _c4, _c5, three, _n = med
     tm, e, beta, _epsilon = _strains(t, m, med)
     return times(cx, add(m, -tm, t)), beta, 1.0 + three * e * (2.0 / 3.0)
 
 
 @inlined
-def round_column_slopes(theta, w, z, t, m, p1, med, yields):
-    """θ' and q' of a column whose section neither changes nor knows direction; z = δn - θ × n, w = v - θ × m."""
+def round_column_slopes(theta, w, z, t, m, p1, med, compliances):
+    """Return θ' and q' of a column for an isotropic, unchanged section; z = δn - θ × n, w = v - θ × m."""
     cx, _cyx, gj, a, b, _weight, c4, c5, three, _n = med
-    bend, beta, by_e = yields
+    bend, beta, by_e = compliances
     tw, tz = dot(t, w), dot(t, z)
     mw = 2.0 * (dot(m, w) - dot(t, m) * tw)
     turn = add(times(beta * cx, w), (gj - beta * cx) * tw, t)
@@ -186,18 +224,47 @@ def round_column_slopes(theta, w, z, t, m, p1, med, yields):
 
 
 @inlined
-def column_slopes(theta, v, z, t, m, p1, e_y, med, yields):
-    """The same of any rod."""
+def column_slopes(theta, v, z, t, m, p1, e_y, med, compliances):
+    """Return θ' and q' of a column for any unchanged section."""
     w = minus(v, cross(theta, m))
-    turn, q1 = round_column_slopes(theta, w, z, t, m, p1, med, yields)
-    return add(turn, yields[1] * med[1] * dot(e_y, w), e_y), q1
+    turn, q1 = round_column_slopes(theta, w, z, t, m, p1, med, compliances)
+    return add(turn, compliances[1] * med[1] * dot(e_y, w), e_y), q1
 
 
 @inlined
-def changed(turn, q1, yields, log_E, log_G, log_r, log_f):
-    """θ' and q' with the section's own change."""
-    turns, points = yields
+def changed(turn, q1, compliances, log_E, log_G, log_r, log_f):
+    """Return θ' and q' including the change of the section."""
+    turns, points = compliances
     turn = add(add(turn, -log_E, turns[0]), -log_G, turns[1])
     turn = add(add(turn, -log_r, turns[2]), log_f, turns[3])
     q1 = add(add(q1, -log_E, points[0]), -log_G, points[1])
     return turn, add(add(q1, -log_r, points[2]), log_f, points[3])
+
+
+@inlined
+def round_margin(a, b, e1, e2):
+    """Return determinant and half trace of the free tip's Jacobi fields of a round rod; the smaller is the margin.
+
+    They are the identity at the tip. The first zero of the determinant is a point conjugate to the free end; the second
+    variation of the energy is positive as long as there is none before the clamp. At a doubly degenerate one (a
+    straight column) the determinant stays positive, but the trace changes its sign.
+
+    Args:
+        a, b: rotations of the section by unit rotations of the tip about its x and y axes, (3,).
+        e1, e2: two normals of the tangent that do not rotate about it, (3,).
+    """
+    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
+    return xx * yy - xy * yx, 0.5 * (xx + yy)
+
+
+@inlined
+def full_margin(a, b, c, x, y, z):
+    """Return trace, sum of minors and determinant that decide the stability of any rod over one step.
+
+    The step takes the Jacobi fields A = (a, b, c) to B = (x, y, z). Where two eigenvalues of B A⁻¹ become negative, its
+    determinant stays positive, but its trace or the sum of its minors does not; unlike those of A or B they do not
+    depend on axes.
+    """
+    trace = dot(x, cross(b, c)) + dot(y, cross(c, a)) + dot(z, cross(a, b))
+    minors = dot(a, cross(y, z)) + dot(b, cross(z, x)) + dot(c, cross(x, y))
+    return trace, minors, dot(x, cross(y, z))

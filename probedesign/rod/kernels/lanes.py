@@ -1,8 +1,8 @@
-"""WIDE sweeps side by side, one to a lane of a vector register: a step of each, and what the steps are worth.
+"""Integrate WIDE rods side by side, one per lane of a vector register: a step of each, and its error control.
 
-All of a lane stands in one flat array, row by row: row r of lane l at r · WIDE + l. So the compiler sees that the
-lanes of a row lie side by side, and one instruction does the same for all of them. A lane knows nothing of the
-others; what it finds is the same to the bit beside any of them.
+All data are in one flat array, row by row: row r of lane l at r · WIDE + l. So the compiler sees that the lanes of a
+row are contiguous, and one instruction operates on all of them. Lanes are independent: the result of one is identical
+to the bit whatever the others compute.
 """
 
 import math
@@ -13,14 +13,17 @@ from probedesign.rod.kernels import verner
 from probedesign.rod.kernels.compiled import inlined, inner
 from probedesign.rod.kernels.equations import (
     column_slopes,
+    compliance,
+    full_margin,
     full_slopes,
-    medium,
     rest_at,
     round_column_slopes,
+    round_compliance,
+    round_margin,
     round_slopes,
-    round_yields,
-    yielding,
+    section_properties,
 )
+from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus
 from probedesign.rod.kernels.steps import (
     C1,
     C2,
@@ -42,7 +45,6 @@ from probedesign.rod.kernels.steps import (
     P,
     T,
 )
-from probedesign.rod.kernels.vectors import add, cross, dot, minus, plus
 
 NEXT = np.int64(STATE)
 """Row where the state [t, m, p, d], which stands in the first ones, steps to."""
@@ -58,13 +60,14 @@ ERRORS, TIPS_ERRORS, WANTS_TIPS = TRIES + 1, TRIES + 4, TRIES + 10
 """Of t, m and p; of θ and v of each column; 1 where the tip's columns are wanted."""
 MARGIN, BEND, E1, E2 = WANTS_TIPS + 1, WANTS_TIPS + 2, WANTS_TIPS + 3, WANTS_TIPS + 6
 """Of stability so far; how far the rod turned; two normals of the tangent that do not turn about it."""
-TOL, SIZE, LENGTH, MOST, TIPS_ERROR, GOOD, FIRST_STEP = np.arange(E2 + 3, E2 + 10)
+TOL, SIZE, LENGTH, STEP_BUDGET, TIPS_ERROR, GOOD, FIRST_STEP = np.arange(E2 + 3, E2 + 10)
 """Error allowed a step, relative to the size; length of the body; most steps; the columns' error over what is allowed;
 1 where the step just tried is taken; the first step of the sweep that was good."""
 FORCE, GRAVITY, FRUSTUM, REST = FIRST_STEP + 1, FIRST_STEP + 4, FIRST_STEP + 7, FIRST_STEP + 22
 """The contact's force below it, else zero; gravity; `frustum_of`; `rest_of` without its first."""
 NOTED, NOTE, ROUND_NOTE = REST + 6, 22, 18
-"""At each stage [t, m, p', n, of the medium what bends a round rod]; then [e_y, what a rod of direction adds]."""
+"""Noted at each stage: [t, m, p', n, the properties that bend a round rod (6)]; then [e_y, the difference of the
+bending compliances] for any rod."""
 ROWS = NOTED + verner.STAGES * NOTE
 
 GOING, STOPPED, STUCK, READY = 0.0, 1.0, 2.0, 3.0
@@ -72,20 +75,20 @@ GOING, STOPPED, STUCK, READY = 0.0, 1.0, 2.0, 3.0
 MAX_TRIES = 60
 HUGE = 1e12
 """An error so large that nothing more is said by it."""
-LEAST_STEP = 1e-10
+MIN_STEP = 1e-10
 """Over the length."""
 
 
 @inlined
 def row3(lanes, row, lane):
-    """Three rows of a lane."""
+    """Return three rows of a lane."""
     o = WIDE * row + lane
     return (lanes[o], lanes[o + WIDE], lanes[o + 2 * WIDE])
 
 
 @inlined
 def put_row3(lanes, row, lane, x):
-    """Three rows of a lane."""
+    """Set three rows of a lane."""
     o = WIDE * row + lane
     lanes[o] = x[0]
     lanes[o + WIDE] = x[1]
@@ -94,7 +97,7 @@ def put_row3(lanes, row, lane, x):
 
 @inlined
 def _frustum(lanes, lane):
-    """As `frustum_of` gave it."""
+    """Return the result of `frustum_of` from a lane."""
     a, b = row3(lanes, FRUSTUM, lane), row3(lanes, FRUSTUM + 3, lane)
     c, d = row3(lanes, FRUSTUM + 6, lane), row3(lanes, FRUSTUM + 9, lane)
     finite = row3(lanes, FRUSTUM + 12, lane)
@@ -103,7 +106,7 @@ def _frustum(lanes, lane):
 
 @inlined
 def put_frustum(lanes, lane, frustum):
-    """From `frustum_of`."""
+    """Store the result of `frustum_of` in a lane."""
     above, r1, slope, beyond, cone, bends, shear, stretch, root, finite = frustum
     put_row3(lanes, FRUSTUM, lane, (above, r1, slope))
     put_row3(lanes, FRUSTUM + 3, lane, (beyond, cone, bends[0]))
@@ -114,7 +117,7 @@ def put_frustum(lanes, lane, frustum):
 
 @inlined
 def _keep(lanes, lane, j, t, m, p1, med):
-    """Note what the tip's columns need of stage j."""
+    """Store what the tip's columns need of stage j."""
     row = NOTED + NOTE * j
     put_row3(lanes, row, lane, t)
     put_row3(lanes, row + 3, lane, m)
@@ -126,7 +129,7 @@ def _keep(lanes, lane, j, t, m, p1, med):
 
 @inlined
 def _keep_direction(lanes, lane, j, e, med):
-    """And of a rod whose bending knows direction."""
+    """Store what they need besides for an anisotropic or curved rod."""
     row = NOTED + NOTE * j + ROUND_NOTE
     put_row3(lanes, row, lane, e)
     lanes[WIDE * (row + 3) + lane] = med[1]
@@ -134,7 +137,7 @@ def _keep_direction(lanes, lane, j, e, med):
 
 @inner
 def choose(lanes):
-    """How far each lane steps: to its stop if that is about as far as it would go."""
+    """Set the step of each lane: to its stop if that is about as far as the step."""
     for lane in range(WIDE):
         left = lanes[WIDE * STOP + lane] - lanes[WIDE * S + lane]
         h = lanes[WIDE * H + lane]
@@ -150,37 +153,37 @@ def round_lanes_step(lanes):
         force, gravity = row3(lanes, FORCE, lane), row3(lanes, GRAVITY, lane)
         t, m = row3(lanes, T, lane), row3(lanes, M, lane)
 
-        med = medium(s, frustum, force, gravity)
+        med = section_properties(s, frustum, force, gravity)
         t0, m0, p0 = round_slopes(t, m, med)
         _keep(lanes, lane, S0, t, m, p0, med)
 
         tj, mj = verner.stage1(t, h, t0), verner.stage1(m, h, m0)
-        med = medium(s + C1 * h, frustum, force, gravity)
+        med = section_properties(s + C1 * h, frustum, force, gravity)
         t1, m1, p1 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S1, tj, mj, p1, med)
 
         tj, mj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1)
-        med = medium(s + C2 * h, frustum, force, gravity)
+        med = section_properties(s + C2 * h, frustum, force, gravity)
         t2, m2, p2 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S2, tj, mj, p2, med)
 
         tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
-        med = medium(s + C3 * h, frustum, force, gravity)
+        med = section_properties(s + C3 * h, frustum, force, gravity)
         t3, m3, p3 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S3, tj, mj, p3, med)
 
         tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
-        med = medium(s + C4 * h, frustum, force, gravity)
+        med = section_properties(s + C4 * h, frustum, force, gravity)
         t4, m4, p4 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S4, tj, mj, p4, med)
 
         tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
-        end = medium(s + h, frustum, force, gravity)
+        end = section_properties(s + h, frustum, force, gravity)
         t5, m5, p5 = round_slopes(tj, mj, end)
         _keep(lanes, lane, S5, tj, mj, p5, end)
 
         tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
-        med = medium(s + C6 * h, frustum, force, gravity)
+        med = section_properties(s + C6 * h, frustum, force, gravity)
         t6, m6, p6 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S6, tj, mj, p6, med)
 
@@ -201,8 +204,8 @@ def round_lanes_step(lanes):
 
 @inlined
 def _stage_slopes(lanes, lane, s, j, t, m, d, frustum, rest, force, gravity):
-    """Slopes of any rod at stage j, noted for the columns."""
-    med = medium(s, frustum, force, gravity)
+    """Return the slopes of any rod at stage j, and store the stage for the columns."""
+    med = section_properties(s, frustum, force, gravity)
     e = cross(t, d)
     t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
     _keep(lanes, lane, j, t, m, p1, med)
@@ -260,45 +263,45 @@ def full_lanes_step(lanes):
 
 @inlined
 def _round_stage(lanes, lane, j):
-    """What was noted of stage j of a round rod, and how that place bends."""
+    """Return what was stored of stage j of a round rod, with its compliance."""
     row = NOTED + NOTE * j
     t, m, p1 = row3(lanes, row, lane), row3(lanes, row + 3, lane), row3(lanes, row + 6, lane)
     n, x, y = row3(lanes, row + 9, lane), row3(lanes, row + 12, lane), row3(lanes, row + 15, lane)
     med = (x[0], 0.0, x[1], x[2], y[0], 0.0, y[1], y[2], 3.0 * lanes[WIDE * (FRUSTUM + 14) + lane], n)
-    return t, m, p1, (0.0, 0.0, 0.0), med, round_yields(t, m, med)
+    return t, m, p1, (0.0, 0.0, 0.0), med, round_compliance(t, m, med)
 
 
 @inlined
 def _stage(lanes, lane, j):
-    """The same of any rod."""
+    """Return what was stored of stage j of any rod, with its compliance."""
     row = NOTED + NOTE * j + ROUND_NOTE
     t, m, p1, _e, (cx, _zero, gj, a, b, weight, c4, c5, three, n), _yields = _round_stage(lanes, lane, j)
     e, cyx = row3(lanes, row, lane), lanes[WIDE * (row + 3) + lane]
     med = (cx, cyx, gj, a, b, weight, c4, c5, three, n)
-    bend, beta, by_e, _turns, _points = yielding(t, m, e, med)
+    bend, beta, by_e, _turns, _points = compliance(t, m, e, med)
     return t, m, p1, e, med, (bend, beta, by_e)
 
 
 @inlined
 def _round_slopes(theta, v, stage):
-    """θ' and v' of a turn of a round rod's tip."""
-    t, m, p1, _e, med, yields = stage
+    """Return θ' and v' of a rotation of a round rod's tip."""
+    t, m, p1, _e, med, compliances = stage
     w = minus(v, cross(theta, m))
-    turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, yields)
+    turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, compliances)
     return turn, cross(med[9], q1)
 
 
 @inlined
 def _slopes(theta, v, stage):
-    """The same of any rod."""
-    t, m, p1, e, med, yields = stage
-    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, yields)
+    """Return θ' and v' of a rotation of any rod's tip."""
+    t, m, p1, e, med, compliances = stage
+    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, compliances)
     return turn, cross(med[9], q1)
 
 
 @inlined
 def _tip_column(slopes, lanes, lane, c, stages):
-    """Step column c of a lane over the stages noted; slopes: `_round_slopes` or `_slopes`."""
+    """Step column c of a lane over the stored stages; slopes: `_round_slopes` or `_slopes`."""
     s0, s1, s2, s3, s4, s5, s6, s7 = stages
     h, row = lanes[WIDE * TRIED + lane], TIPS + c
     a, v = row3(lanes, row, lane), row3(lanes, row + 3, lane)
@@ -324,7 +327,7 @@ def _tip_column(slopes, lanes, lane, c, stages):
 
 @inlined
 def _stages(stage, lanes, lane):
-    """All of them."""
+    """Return all stages of a lane."""
     s0, s1 = stage(lanes, lane, S0), stage(lanes, lane, S1)
     s2, s3 = stage(lanes, lane, S2), stage(lanes, lane, S3)
     s4, s5 = stage(lanes, lane, S4), stage(lanes, lane, S5)
@@ -333,7 +336,7 @@ def _stages(stage, lanes, lane):
 
 @inner
 def round_tips_step(lanes):
-    """Step the tip's columns of round rods over the stages of the state's step; turning about the tangent is none."""
+    """Step the tip's columns of round rods over the stored stages; the rotation about the tangent has none."""
     for lane in range(WIDE):
         stages = _stages(_round_stage, lanes, lane)
         _tip_column(_round_slopes, lanes, lane, COLUMN1, stages)
@@ -342,7 +345,7 @@ def round_tips_step(lanes):
 
 @inner
 def full_tips_step(lanes):
-    """The same of any rods, with all three."""
+    """Step all three columns of the tip of any rods over the stored stages."""
     for lane in range(WIDE):
         stages = _stages(_stage, lanes, lane)
         _tip_column(_slopes, lanes, lane, COLUMN1, stages)
@@ -362,14 +365,14 @@ def _smaller(a, b):
 
 @inlined
 def _root(x):
-    """About x^(1/6), by roots that every machine rounds alike: x^(1/8 + 1/32)."""
+    """Return about x^(1/6), as x^(1/8 + 1/32) by square roots, which every machine rounds alike."""
     eighth = math.sqrt(math.sqrt(math.sqrt(x)))
     return eighth * math.sqrt(math.sqrt(eighth))
 
 
 @inlined
 def _state_error(lanes, lane, bend):
-    """Largest error over what is allowed; huge where a number is none.
+    """Return the largest error over the error allowed; HUGE where a number is not finite.
 
     Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all, so that a
     bend of a micrometre keeps its digits; points to the body's own length.
@@ -382,7 +385,7 @@ def _state_error(lanes, lane, bend):
 
 @inlined
 def _tips_error(lanes, lane, c, bend):
-    """The same of column c of the tip; a thousand times looser.
+    """Return the same for column c of the tip, with a thousand times the tolerance.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
@@ -395,46 +398,27 @@ def _tips_error(lanes, lane, c, bend):
 
 
 @inlined
-def _round_margin(lanes, lane, e1, e2):
-    """How far the Jacobi fields of the free tip, seen in the carried section, are from vanishing.
-
-    They are the identity at the tip; where their determinant first vanishes lies a point conjugate to the
-    free end, and the second variation of the energy is positive as long as there is none before the clamp.
-    A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace.
-    """
-    a, b = row3(lanes, TIPS_NEXT, lane), row3(lanes, TIPS_NEXT + TURN, lane)
-    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
-    return _smaller(xx * yy - xy * yx, 0.5 * (xx + yy))
-
-
-@inlined
 def _full_margin(lanes, lane):
-    """The same of any rod: the determinant, negative too if two fields turned over within the step.
-
-    The step takes the fields A to B. Where two eigenvalues of B A^-1 turn negative, its determinant stays positive,
-    but its trace or the sum of its minors does not; unlike those of A or B they know no axes.
-    """
+    """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
     a, b, c = row3(lanes, TIPS, lane), row3(lanes, TIPS + TURN, lane), row3(lanes, TIPS + 2 * TURN, lane)
     x, y, z = (
         row3(lanes, TIPS_NEXT, lane),
         row3(lanes, TIPS_NEXT + TURN, lane),
         row3(lanes, TIPS_NEXT + 2 * TURN, lane),
     )
-    trace = dot(x, cross(b, c)) + dot(y, cross(c, a)) + dot(z, cross(a, b))
-    minors = dot(a, cross(y, z)) + dot(b, cross(z, x)) + dot(c, cross(x, y))
-    det = dot(x, cross(y, z))
+    trace, minors, det = full_margin(a, b, c, x, y, z)
     return det if _smaller(trace, minors) > 0.0 else -abs(det)
 
 
 @inlined
 def _carried(e, t, new):
-    """The normal e of the tangent t carried to the tangent `new` without turning about it."""
+    """Return the normal e of the tangent t, transported to the tangent `new` without rotation about it."""
     return add(e, -dot(e, new) / (1.0 + dot(t, new)), plus(t, new))
 
 
 @inlined
 def _bend(lanes, lane):
-    """By how much a moment of 1 N·m bends a body that is all as thin as here [rad]."""
+    """Return the rotation [rad] by 1 N·m of a body with the section here over its whole length."""
     a, b = row3(lanes, FRUSTUM, lane), row3(lanes, FRUSTUM + 3, lane)
     r = a[1] + a[2] * (a[0] - lanes[WIDE * S + lane])
     return b[2] * lanes[WIDE * LENGTH + lane] / (r * r * r * r)
@@ -442,7 +426,7 @@ def _bend(lanes, lane):
 
 @inner
 def judge_tips(lanes, general):
-    """How wrong the columns' steps are."""
+    """Set the columns' error of each lane."""
     for lane in range(WIDE):
         bend = _bend(lanes, lane)
         error = _larger(_tips_error(lanes, lane, COLUMN1, bend), _tips_error(lanes, lane, COLUMN2, bend))
@@ -453,7 +437,7 @@ def judge_tips(lanes, general):
 
 @inner
 def judge(lanes, tips):
-    """Which steps are good enough, and what the next ones are by what was wrong with these."""
+    """Accept or reject the step of each lane, and choose its next step from the error."""
     for lane in range(WIDE):
         s, h, tried = lanes[WIDE * S + lane], lanes[WIDE * H + lane], lanes[WIDE * TRIED + lane]
         stop, length = lanes[WIDE * STOP + lane], lanes[WIDE * LENGTH + lane]
@@ -468,8 +452,8 @@ def judge(lanes, tips):
         h = h if keeps else tried * factor
         tries = 0.0 if good else lanes[WIDE * TRIES + lane] + 1.0
         steps = lanes[WIDE * STEPS + lane] + 1.0
-        stuck = (not good and (tries >= MAX_TRIES or -h < LEAST_STEP * length)) or steps > lanes[
-            WIDE * MOST + lane
+        stuck = (not good and (tries >= MAX_TRIES or -h < MIN_STEP * length)) or steps > lanes[
+            WIDE * STEP_BUDGET + lane
         ]
         first = lanes[WIDE * FIRST_STEP + lane]
         lanes[WIDE * FIRST_STEP + lane] = tried * _smaller(1.0, factor) if s == length else first
@@ -485,14 +469,14 @@ def judge(lanes, tips):
 
 @inlined
 def _take3(lanes, lane, row, to, good):
-    """Three rows to where they stepped, if that is good."""
+    """Set three rows to the result of the step if it is accepted."""
     a, b = row3(lanes, to, lane), row3(lanes, row, lane)
     put_row3(lanes, row, lane, (a[0] if good else b[0], a[1] if good else b[1], a[2] if good else b[2]))
 
 
 @inner
 def take_tips(lanes, general):
-    """Columns to where they stepped, and what that says of stability."""
+    """Set the columns to the result of accepted steps, and update the stability margin."""
     for lane in range(WIDE):
         good = lanes[WIDE * GOOD + lane] > 0.0
         before = lanes[WIDE * MARGIN + lane]
@@ -502,7 +486,9 @@ def take_tips(lanes, general):
             t, new = row3(lanes, T, lane), row3(lanes, NEXT, lane)
             e1 = _carried(row3(lanes, E1, lane), t, new)
             e2 = _carried(row3(lanes, E2, lane), t, new)
-            margin = _round_margin(lanes, lane, e1, e2)
+            a, b = row3(lanes, TIPS_NEXT, lane), row3(lanes, TIPS_NEXT + TURN, lane)
+            det, half_trace = round_margin(a, b, e1, e2)
+            margin = _smaller(det, half_trace)
             a, b = row3(lanes, E1, lane), row3(lanes, E2, lane)
             put_row3(
                 lanes,
@@ -526,7 +512,7 @@ def take_tips(lanes, general):
 
 @inner
 def take_states(lanes, general):
-    """States to where they stepped."""
+    """Set the states to the result of accepted steps."""
     for lane in range(WIDE):
         good = lanes[WIDE * GOOD + lane] > 0.0
         new, before = row3(lanes, NEXT, lane), lanes[WIDE * BEND + lane]

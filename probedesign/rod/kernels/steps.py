@@ -11,12 +11,12 @@ from probedesign.rod.kernels.compiled import inlined, inner
 from probedesign.rod.kernels.equations import (
     changed,
     column_slopes,
+    compliance,
     full_slopes,
-    medium,
     rest_at,
-    yielding,
+    section_properties,
 )
-from probedesign.rod.kernels.vectors import add, cross, minus, plus, put, take, times
+from probedesign.rod.kernels.linalg import add, cross, minus, plus, put, take, times
 
 STATE = 12
 """[t, m, p, d]: tangent, moment, point, the section's x axis."""
@@ -24,7 +24,7 @@ T, M, P, D = np.arange(0, STATE, 3)
 """Where in a state its parts stand. As numpy's integers, like all such indices here: numba would compile what it is
 given 0, 3, 6 ... for once for each."""
 ROW = 25
-"""Noted of a stage: [t, m, p', n, e, the rest of `medium`, on]."""
+"""Noted of a stage: [t, m, p', n, e, the rest of `section_properties`, on]."""
 NOTED = 2 * STATE
 WORK = NOTED + verner.STAGES * ROW
 """What a step works in: the state, where it steps to, and what was noted."""
@@ -46,7 +46,7 @@ C1, C2, C3, C4, C6 = (float(verner.C[j]) for j in (1, 2, 3, 4, 6))
 
 @inlined
 def _keep(work, j, t, m, p1, e, med, on):
-    """Note what the columns need of stage j."""
+    """Store what the columns need of stage j."""
     o = NOTED + ROW * j
     put(work, o, t)
     put(work, o + 3, m)
@@ -61,8 +61,8 @@ def _keep(work, j, t, m, p1, e, med, on):
 
 @inlined
 def _stage_slopes(s, j, t, m, d, work, frustum, rest, force, gravity, on):
-    """Slopes of any rod at stage j, noted for the columns."""
-    med = medium(s, frustum, force, gravity)
+    """Return the slopes of any rod at stage j, and store the stage for the columns."""
+    med = section_properties(s, frustum, force, gravity)
     e = cross(t, d)
     t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
     _keep(work, j, t, m, p1, e, med, on)
@@ -124,7 +124,7 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
 
 @inlined
 def _stage(work, j):
-    """What was noted of stage j: t, m, p', e and the medium."""
+    """Return what was stored of stage j: t, m, p', e and the section properties."""
     o = NOTED + ROW * j
     med = (
         work[o + 15],
@@ -143,38 +143,38 @@ def _stage(work, j):
 
 @inlined
 def _free(work, j):
-    """The same with what bending of the place does, for columns without forcing."""
+    """Return stage j with its compliance, for columns without forcing."""
     t, m, p1, e, med = _stage(work, j)
-    bend, beta, by_e, _turns, _points = yielding(t, m, e, med)
+    bend, beta, by_e, _turns, _points = compliance(t, m, e, med)
     return t, m, p1, e, med, (bend, beta, by_e)
 
 
 @inlined
 def _noted(work, j):
-    """The same with what its softening would do and whether the contact lies beyond, for the other columns."""
+    """Return stage j with its compliance, the derivatives of that, and whether the contact is beyond."""
     t, m, p1, e, med = _stage(work, j)
-    bend, beta, by_e, turns, points = yielding(t, m, e, med)
+    bend, beta, by_e, turns, points = compliance(t, m, e, med)
     return t, m, p1, e, med, (bend, beta, by_e), (turns, points), work[NOTED + ROW * j + 24]
 
 
 @inlined
 def _free_slopes(theta, v, stage):
-    """Slopes of a column without forcing at a stage."""
-    t, m, p1, e, med, yields = stage
-    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, yields)
+    """Return the slopes of a column without forcing at a stage."""
+    t, m, p1, e, med, compliances = stage
+    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, compliances)
     return turn, cross(med[9], q1), q1
 
 
 @inlined
 def _row3(block, row, lane):
-    """Three rows of one lane."""
+    """Return three rows of one lane."""
     o = WIDE * row
     return (block[o + lane], block[o + WIDE + lane], block[o + 2 * WIDE + lane])
 
 
 @inlined
 def _put3(block, row, lane, x):
-    """Three rows of one lane."""
+    """Set three rows of one lane."""
     o = WIDE * row
     block[o + lane] = x[0]
     block[o + WIDE + lane] = x[1]
@@ -183,7 +183,7 @@ def _put3(block, row, lane, x):
 
 @inlined
 def _finish(block, lane, h, a, v, q, ka, kv, kq):
-    """Note where one column steps to and its error; ka, kv, kq: its slopes at the stages."""
+    """Store the result of a step of one column and its error; ka, kv, kq: its slopes at the stages."""
     a0, a2, a3, a4, a5, a6, a7 = ka
     v0, v2, v3, v4, v5, v6, v7 = kv
     q0, q2, q3, q4, q6, q7 = kq
@@ -224,13 +224,13 @@ def free_columns_step(h, block, work):
 
 @inlined
 def _forced_slopes(theta, v, stage, j, block, lane, gravity):
-    """Slopes of a column that moves load or section, at stage j."""
-    t, m, p1, e, med, yields, softens, on = stage
+    """Return the slopes of a column that changes load or section, at stage j."""
+    t, m, p1, e, med, compliances, softens, on = stage
     force, g = _row3(block, BY_LOAD, lane), _row3(block, BY_LOAD + 3, lane)
     by_weight = block[WIDE * (BY_WEIGHT + j) + lane]
     h = add(add(times(on, force), med[5], g), by_weight, gravity)
     n = med[9]
-    turn, q1 = column_slopes(theta, v, plus(h, cross(n, theta)), t, m, p1, e, med, yields)
+    turn, q1 = column_slopes(theta, v, plus(h, cross(n, theta)), t, m, p1, e, med, compliances)
     log_E, log_G = block[WIDE * LOGS + lane], block[WIDE * (LOGS + 1) + lane]
     log_r, log_f = block[WIDE * (LOG_R + j) + lane], block[WIDE * (LOG_F + j) + lane]
     turn, q1 = changed(turn, q1, softens, log_E, log_G, log_r, log_f)

@@ -1,8 +1,9 @@
-"""One integration from the free tip to the clamp with all that is asked for on the way: shape, columns, margin."""
+"""Integrate one rod from the free tip to the clamp, with shape, columns and stability margin."""
 
 import math
 
-from probedesign.rod.kernels.body import (
+from probedesign.rod.kernels.compiled import inline_always, inlined, inner
+from probedesign.rod.kernels.equations import (
     BEND_X,
     CONE,
     COUPLE,
@@ -16,9 +17,16 @@ from probedesign.rod.kernels.body import (
     S_CONTACT,
     STEP_LIMIT,
     TIP_MOMENT,
+    frustum_of,
+    full_margin,
+    rest_at,
+    rest_of,
+    round_margin,
+    round_slopes,
+    section_properties,
+    turning,
 )
-from probedesign.rod.kernels.compiled import inlined, inner, merged
-from probedesign.rod.kernels.equations import frustum_of, medium, rest_at, rest_of, round_slopes, turning
+from probedesign.rod.kernels.linalg import cross, plus, put, take, times
 from probedesign.rod.kernels.steps import (
     BLOCK,
     BY_LOAD,
@@ -44,7 +52,6 @@ from probedesign.rod.kernels.steps import (
     free_columns_step,
     full_step,
 )
-from probedesign.rod.kernels.vectors import cross, dot, plus, put, take, times
 from probedesign.rod.kernels.verner import STAGES, C
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
@@ -57,13 +64,13 @@ MAX_STEPS = 1000
 
 @inlined
 def lane_of(j):
-    """Lane of PARAMETERS[j]."""
+    """Return the lane of PARAMETERS[j]."""
     return L_FORCE + j if j < 3 else L_S_CONTACT if j == 3 else L_COUPLE + j - 4
 
 
 @inner
 def begin(tip, blocks, chunks):
-    """Columns at the tip: unit turns about its axes, and what each parameter moves; tip [t, ..., d]."""
+    """Set the columns at the tip: unit rotations about its axes, and unit parameters; tip [t, ..., d]."""
     t, d = take(tip, T), take(tip, tip.shape[0] - 3)
     for q in range(chunks * BLOCK):
         blocks[q] = 0.0
@@ -85,7 +92,7 @@ def begin(tip, blocks, chunks):
 
 @inner
 def _reshape(s, h, i, in_root, blocks, chunks, body, work):
-    """What the lanes of density and diameters do to radius and weight at each stage of the step from s by h."""
+    """Set the change of radius and weight by density and diameters at each stage of the step from s by h."""
     below, above = body.knots[i], body.knots[i + 1]
     r0, r1 = body.radii[i], body.radii[i + 1]
     rho, cone = body.constants[DENSITY], body.constants[CONE]
@@ -116,7 +123,7 @@ def _reshape(s, h, i, in_root, blocks, chunks, body, work):
             blocks[o + WIDE * (BY_WEIGHT + j)] = by_weight
 
 
-@merged
+@inline_always
 def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
     """Step the columns over the stages of the state's step; those of force and couple are zero beyond the contact."""
     if chunks > 0:
@@ -132,7 +139,7 @@ def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
 
 @inlined
 def _jacobi_error(blocks, bend, tol):
-    """Largest error of the tip's columns over what is allowed; a thousand times looser than the state's.
+    """Return the largest error of the tip's columns over a thousand times the state's tolerance.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
@@ -147,9 +154,9 @@ def _jacobi_error(blocks, bend, tol):
     return worst
 
 
-@merged
+@inline_always
 def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on):
-    """One accepted step towards `stop`: (new s, next step, tries), new s = NaN where none is accepted.
+    """Take one accepted step towards `stop`; return new s, next step and tries, new s = NaN if none is accepted.
 
     Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all
     (`size`), so that a bend of a micrometre keeps its digits; points to the body's own length.
@@ -184,10 +191,10 @@ def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size
 
 @inner
 def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
-    """Add to a column `change` times the state's slopes at s, seen as turn, moment and point."""
+    """Add to a column `change` times the state's slopes at s, as rotation, moment and point."""
     t, m, d = take(y, T), take(y, M), take(y, D)
     force = times(on, take(load, FORCE))
-    med = medium(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
+    med = section_properties(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
     turn = turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
     _t1, m1, p1 = round_slopes(t, m, med)
     rows = (turn, m1, p1)
@@ -199,7 +206,7 @@ def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
 
 @inner
 def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
-    """State and columns over the contact: the couple acts, and the place moves with s_contact."""
+    """Pass the contact: add the couple to the state, and the motion of the contact to the columns."""
     if chunks > 0:
         _add_slopes(L_S_CONTACT, 1.0, s, i, in_root, y, blocks, body, load, 0.0)
     put(y, M, plus(take(y, M), take(load, COUPLE)))
@@ -210,45 +217,26 @@ def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
 
 
 @inlined
-def _round_margin(e1, e2, blocks):
-    """How far the Jacobi fields of the free tip, seen in the carried section, are from vanishing.
-
-    They are the identity at the tip; where their determinant first vanishes lies a point conjugate to the
-    free end, and the second variation of the energy is positive as long as there is none before the clamp.
-    A doubly degenerate one (a straight column) keeps the determinant positive and turns the trace.
-    """
-    a, b = take3(blocks, S0), take3(blocks, S1)
-    xx, xy, yx, yy = dot(a, e1), dot(b, e1), dot(a, e2), dot(b, e2)
-    return min(xx * yy - xy * yx, 0.5 * (xx + yy))
-
-
-@inlined
 def _margin(blocks):
-    """The same of any rod: the determinant, negative too if two fields turned over within the step.
-
-    The step takes the fields A to B. Where two eigenvalues of B A^-1 turn negative, its determinant stays positive,
-    but its trace or the sum of its minors does not; unlike those of A or B they know no axes.
-    """
+    """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
     a, b, c = take3(blocks, S0), take3(blocks, S1), take3(blocks, S2)
     o = NEXT
     x = (blocks[WIDE * o], blocks[WIDE * (o + 1)], blocks[WIDE * (o + 2)])
     y = (blocks[WIDE * o + 1], blocks[WIDE * (o + 1) + 1], blocks[WIDE * (o + 2) + 1])
     z = (blocks[WIDE * o + 2], blocks[WIDE * (o + 1) + 2], blocks[WIDE * (o + 2) + 2])
-    trace = dot(x, cross(b, c)) + dot(y, cross(c, a)) + dot(z, cross(a, b))
-    minors = dot(a, cross(y, z)) + dot(b, cross(z, x)) + dot(c, cross(x, y))
-    det = dot(x, cross(y, z))
+    trace, minors, det = full_margin(a, b, c, x, y, z)
     return det if trace > 0.0 and minors > 0.0 else -abs(det)
 
 
 @inlined
 def take3(blocks, lane):
-    """θ of one of the first columns."""
+    """Return θ of one of the first columns."""
     return (blocks[lane], blocks[WIDE + lane], blocks[2 * WIDE + lane])
 
 
 @inlined
 def _accept(blocks, chunks):
-    """Columns to where they stepped."""
+    """Set the columns to the result of the step."""
     for c in range(chunks):
         o = c * BLOCK
         for q in range(WIDE * COLUMN):
@@ -257,7 +245,7 @@ def _accept(blocks, chunks):
 
 @inlined
 def _note(y, blocks, chunks, row):
-    """State and columns into a row."""
+    """Store state and columns in a row."""
     for q in range(STATE):
         row[q] = y[q]
     for c in range(chunks):
@@ -324,6 +312,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
             _accept(blocks, chunks)
             e1 = take(out, D)
             e2 = cross(take(out, T), e1)
-            margin = min(margin, _round_margin(e1, e2, blocks))
+            det, half_trace = round_margin(take3(blocks, S0), take3(blocks, S1), e1, e2)
+            margin = min(margin, min(det, half_trace))
         for q in range(STATE):
             y[q] = work[q] = out[q]

@@ -1,7 +1,7 @@
-"""One step of Verner's 6(5) pair on a vector of three: what each stage starts from, the step, its error.
+"""One step of Verner's 6(5) Runge-Kutta pair on a vector of three: stages, step and error estimate.
 
 Source: J. H. Verner, SIAM J. Numer. Anal. 15 (1978) 772-790; the pair known as DVERK. Its order conditions
-are checked in tests/rod/test_order.py. Written out because the zeros are many and the vectors short.
+are checked in tests/rod/test_order.py. Written out because many coefficients are zero and the vectors are short.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from probedesign.rod.kernels.compiled import inlined
 
 STAGES = 8
 C = np.array([0.0, 1 / 6, 4 / 15, 2 / 3, 5 / 6, 1.0, 1 / 15, 1.0])
-"""Where the stages stand within the step."""
+"""Positions of the stages within the step."""
 A = np.zeros((STAGES, STAGES))
 A[1, :1] = [1 / 6]
 A[2, :2] = [4 / 75, 16 / 75]
@@ -34,19 +34,19 @@ B0, _, B2, B3, B4, _, B6, B7 = B.tolist()
 E0, _, E2, E3, E4, E5, E6, E7 = E.tolist()
 
 ROUNDING = 4e-15
-"""Of a slope, below which an error estimate says nothing."""
+"""Rounding error of a slope, relative; error estimates below it are meaningless."""
 
 
 @inlined
 def stage1(y, h, k0):
-    """Where the second slope is taken."""
+    """Return the state of stage 1."""
     a = h * A10
     return (y[0] + a * k0[0], y[1] + a * k0[1], y[2] + a * k0[2])
 
 
 @inlined
 def stage2(y, h, k0, k1):
-    """Where the third slope is taken; so on."""
+    """Return the state of stage 2; likewise below."""
     return (
         y[0] + h * (A20 * k0[0] + A21 * k1[0]),
         y[1] + h * (A20 * k0[1] + A21 * k1[1]),
@@ -101,7 +101,7 @@ def stage7(y, h, k0, k1, k2, k3, k4, k6):
 
 @inlined
 def step(y, h, k0, k2, k3, k4, k6, k7):
-    """Where the step of order 6 ends."""
+    """Return the result of the step of order 6."""
     return (
         y[0] + h * (B0 * k0[0] + B2 * k2[0] + B3 * k3[0] + B4 * k4[0] + B6 * k6[0] + B7 * k7[0]),
         y[1] + h * (B0 * k0[1] + B2 * k2[1] + B3 * k3[1] + B4 * k4[1] + B6 * k6[1] + B7 * k7[1]),
@@ -111,7 +111,7 @@ def step(y, h, k0, k2, k3, k4, k6, k7):
 
 @inlined
 def error(h, k0, k2, k3, k4, k5, k6, k7):
-    """|step of order 6 - step of order 5|, summed over the three, less what is only the stages' rounding."""
+    """Return the 1-norm of the difference of orders 6 and 5, less the rounding error of the stages."""
     x = E0 * k0[0] + E2 * k2[0] + E3 * k3[0] + E4 * k4[0] + E5 * k5[0] + E6 * k6[0] + E7 * k7[0]
     y = E0 * k0[1] + E2 * k2[1] + E3 * k3[1] + E4 * k4[1] + E5 * k5[1] + E6 * k6[1] + E7 * k7[1]
     z = E0 * k0[2] + E2 * k2[2] + E3 * k3[2] + E4 * k4[2] + E5 * k5[2] + E6 * k6[2] + E7 * k7[2]

@@ -1,8 +1,8 @@
-"""The paper's equations 1 and 2 as they stand, shot from the base: slow on purpose, the oracle of the compiled rod.
+"""Solve the paper's equations 1 and 2 by shooting from the base, in numpy and scipy: the oracle of the compiled rod.
 
-Nothing is shared with `kernels` but the rod's dimensions: the whole frame R is carried, n is integrated
-along, the unknown is the moment at the base and the condition the moment at the tip. Signs are the standard
-ones: n' + f = 0, m' + p' × n = 0, with n and m what lies beyond s does to what lies before it.
+It shares nothing with `probedesign.rod.kernels` except the rod's dimensions: the full frame R and the force n are
+integrated, the unknown is the moment at the base and the condition is the moment at the tip. Signs are the standard
+ones: n' + f = 0, m' + p' × n = 0, with n, m the load of the material beyond s on the material before s.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,15 @@ from probedesign.frames import Array
 from probedesign.rod.rod import FINITE_BEND, FINITE_STRETCH, Rod
 
 LOOSE, TIGHT = 1e-7, 3e-13
-"""Tolerances of the integration, relative: while the load grows, and of the answer."""
+"""Relative tolerances of the integration: while the load is increased, and of the solution."""
 MAX_TURN = 0.6
-"""Largest turn of the tip [rad] in one step of the load: a longer leap may land on another branch."""
-LEAST_STEP = 1e-3
+"""Largest rotation of the tip in one load step [rad]: a larger one may land on another branch."""
+MIN_LOAD_STEP = 1e-3
+"""Smallest load step, as a fraction of the load, before the load counts as out of reach."""
 
 
 @dataclass(frozen=True)
-class PlainLoad:
+class ShootingLoad:
     """Gravity [m/s²], a dead force [N] and couple [N·m] at s_contact [m], a dead moment at the tip [N·m]; base axes."""
 
     gravity: Array
@@ -35,18 +36,18 @@ class PlainLoad:
     s_contact: float
 
     def at_tip(self, length: float) -> Array:
-        """Moment that the tip itself bears [N·m], (3,)."""
+        """Return the moment applied at the tip itself [N·m], (3,)."""
         return self.tip_moment + self.couple if self.s_contact == length else self.tip_moment
 
-    def scaled(self, share: float) -> "PlainLoad":
-        """A share of it."""
+    def scaled(self, share: float) -> "ShootingLoad":
+        """Return the load multiplied by `share`."""
         vectors = (self.gravity, self.force, self.tip_moment, self.couple)
         gravity, force, tip_moment, couple = (share * v for v in vectors)
-        return PlainLoad(gravity, force, tip_moment, couple, self.s_contact)
+        return ShootingLoad(gravity, force, tip_moment, couple, self.s_contact)
 
 
 @dataclass(frozen=True)
-class PlainEquilibrium:
+class ShootingEquilibrium:
     """The bent rod at arclengths s, in base axes.
 
     Attributes:
@@ -68,7 +69,7 @@ class PlainEquilibrium:
     misfit: float
 
 
-def solve_plain(
+def solve_by_shooting(
     rod: Rod,
     gravity: ArrayLike,
     force: ArrayLike,
@@ -76,8 +77,8 @@ def solve_plain(
     tip_moment: ArrayLike = (0.0, 0.0, 0.0),
     s: ArrayLike | None = None,
     couple: ArrayLike = (0.0, 0.0, 0.0),
-) -> PlainEquilibrium:
-    """Static equilibrium on the branch that grows out of the unloaded rod.
+) -> ShootingEquilibrium:
+    """Solve for the static equilibrium on the branch connected to the unloaded rod.
 
     Args:
         rod: the rod.
@@ -85,7 +86,7 @@ def solve_plain(
         force: dead, in base axes, on the centreline [N], (3,).
         s_contact: where it acts [m].
         tip_moment: dead, in base axes [N·m], (3,).
-        s: arclengths where the answer is wanted [m], (k,); 17 even ones if None.
+        s: arclengths of the output [m], (k,); 17 even ones if None.
         couple: dead, where the force acts [N·m], (3,).
 
     Returns:
@@ -95,12 +96,12 @@ def solve_plain(
         CheckFailedError: the load could not be reached.
     """
     vectors = np.array([gravity, force, tip_moment, couple], dtype=float)
-    load = PlainLoad(vectors[0], vectors[1], vectors[2], vectors[3], float(s_contact))
+    load = ShootingLoad(vectors[0], vectors[1], vectors[2], vectors[3], float(s_contact))
     stations = np.linspace(0.0, rod.length, 17) if s is None else np.asarray(s, dtype=float)
     m_base = _shoot(rod, load, _grow(rod, load), TIGHT)
     y = integrate(rod, load, m_base, TIGHT, stations)
     end = integrate(rod, load, m_base, TIGHT, np.array([rod.length]))[0]
-    return PlainEquilibrium(
+    return ShootingEquilibrium(
         s=stations,
         p=y[:, 0:3],
         R=y[:, 3:12].reshape(-1, 3, 3),
@@ -112,7 +113,7 @@ def solve_plain(
 
 
 def rates(s: float, y: Array, rod: Rod, gravity: Array) -> Array:
-    """Right-hand side of equation 1 with the stiffness of equation 2; y = [p, R row by row, n, m], (18,).
+    """Return the right-hand side of equation 1 with the stiffness of equation 2; y = [p, R row by row, n, m], (18,).
 
     Args:
         s: arclength [m].
@@ -121,7 +122,7 @@ def rates(s: float, y: Array, rod: Rod, gravity: Array) -> Array:
         gravity: in base axes [m/s²], (3,).
     """
     R, n, m = y[3:12].reshape(3, 3), y[12:15], y[15:18]
-    r = np.interp(s, rod.s, rod.radius)
+    r = rod.radius_at(s)
     f_area, f_xx, f_yy, f_torsion = rod.factors
     area, inertia = f_area * np.pi * r**2, np.pi / 4.0 * r**4
     E, G, k = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient
@@ -145,27 +146,27 @@ def rates(s: float, y: Array, rod: Rod, gravity: Array) -> Array:
 
 
 def _root(rod: Rod, s: float) -> float:
-    """f(s), the share of its bending compliance that the bonded root keeps."""
+    """Return f(s), the fraction of the bending compliance that the bonded root retains."""
     depth, reach = rod.root
     return 1.0 - depth * (1.0 - s / reach) ** 3 if s < reach else 1.0
 
 
 def _rest(rod: Rod, s: float) -> Array:
-    """Curvature and twist of the unloaded rod [1/m], (3,)."""
+    """Return the curvature and twist of the unloaded rod [1/m], (3,)."""
     if rod.rest_curvature is None:
         return np.zeros(3)
     return np.array([np.interp(s, rod.s, column) for column in np.transpose(rod.rest_curvature)])
 
 
-def n_base(rod: Rod, load: PlainLoad) -> Array:
-    """n(0) = F + m g, equation 3 [N], (3,)."""
+def n_base(rod: Rod, load: ShootingLoad) -> Array:
+    """Return n(0) = F + m g by equation 3 [N], (3,)."""
     r0, r1 = rod.radius[:-1], rod.radius[1:]
     volume = rod.factors[0] * float(np.sum(np.pi / 3.0 * np.diff(rod.s) * (r0 * r0 + r0 * r1 + r1 * r1)))
     return load.force + rod.density * volume * load.gravity
 
 
-def integrate(rod: Rod, load: PlainLoad, m_base: Array, tol: float, stations: Array) -> Array:
-    """States at the stations, (k, 18), outwards from the base, anew at each break of the right-hand side."""
+def integrate(rod: Rod, load: ShootingLoad, m_base: Array, tol: float, stations: Array) -> Array:
+    """Integrate outwards from the base, restarting at discontinuities; return the states at the stations, (k, 18)."""
     y = np.concatenate([np.zeros(3), np.eye(3).ravel(), n_base(rod, load), m_base])
     size = np.concatenate([np.full(3, rod.length), np.ones(9), np.full(3, 1.0), np.full(3, rod.length)])
     size[12:18] *= max(float(np.linalg.norm(y[12:15])), float(np.linalg.norm(m_base)) / rod.length, 1e-12)
@@ -177,35 +178,35 @@ def integrate(rod: Rod, load: PlainLoad, m_base: Array, tol: float, stations: Ar
         if low == load.s_contact:
             y = y - np.concatenate([np.zeros(12), load.force, load.couple])
         arguments = (rod, load.gravity)
-        with np.errstate(all="ignore"):  # a trial far off may overflow; its steps then fail
+        with np.errstate(all="ignore"):  # a distant trial may overflow; its steps then fail
             piece = solve_ivp(rates, (low, high), y, "DOP853", args=arguments, rtol=tol, atol=tol * size)
         if not piece.success:
-            raise CheckFailedError(f"the plain rod could not be integrated: {piece.message}")
+            raise CheckFailedError(f"the integration by shooting failed: {piece.message}")
         states[high] = y = piece.y[:, -1]
     return np.array([states[s] for s in stations.tolist()])
 
 
-def _shoot(rod: Rod, load: PlainLoad, guess: Array, tol: float) -> Array:
-    """The moment at the base that leaves the tip with the moment put on it, from a guess [N·m], (3,)."""
+def _shoot(rod: Rod, load: ShootingLoad, guess: Array, tol: float) -> Array:
+    """Return the moment at the base for which the tip carries its applied moment, from a guess [N·m], (3,)."""
     force = np.linalg.norm(n_base(rod, load))
     moment = np.linalg.norm(load.tip_moment) + np.linalg.norm(load.couple)
     size = float(rod.length * force + moment) or 1.0
     tip = np.array([rod.length])
 
     def misfit(m: Array) -> Array:
-        """What is left at the tip of the moment that should be there, as a share of the load's own."""
+        """Return the residual of the moment at the tip, relative to the load's own moment."""
         end = integrate(rod, load, m * size, tol, tip)[0, 15:18]
         return np.asarray((end - load.at_tip(rod.length)) / size, dtype=float)
 
     found = root(misfit, guess / size, options={"xtol": tol, "eps": 1e-6})
     # The residual ends at the integration's own error, a few times its tolerance a step.
     if not np.abs(found.fun).max() <= 1e3 * tol:
-        raise CheckFailedError(f"the plain rod was not found: {found.message}")
+        raise CheckFailedError(f"shooting did not converge: {found.message}")
     return np.asarray(found.x * size, dtype=float)
 
 
-def _grow(rod: Rod, load: PlainLoad) -> Array:
-    """The moment at the base [N·m], (3,), as the load grows from nothing in steps that turn the tip little."""
+def _grow(rod: Rod, load: ShootingLoad) -> Array:
+    """Increase the load from zero in steps of small tip rotation; return the moment at the base [N·m], (3,)."""
     at, step, m, tangent = 0.0, 0.25, np.zeros(3), np.array([0.0, 0.0, 1.0])
     while at < 1.0:
         goal = min(1.0, at + step)
@@ -219,6 +220,6 @@ def _grow(rod: Rod, load: PlainLoad) -> Array:
             at, m, tangent = goal, m_new, new
         else:
             step *= 0.5
-            if step < LEAST_STEP:
-                raise CheckFailedError(f"the plain rod gave way at {at:.3g} of the load")
+            if step < MIN_LOAD_STEP:
+                raise CheckFailedError(f"shooting reached {at:.3g} of the load only")
     return m

@@ -1,12 +1,12 @@
-"""The compiled rod against the plain one: two formulations, two integrators, shot from opposite ends."""
+"""Compare the compiled rod with shooting from the base: two formulations, two integrators, opposite directions."""
 
 import numpy as np
 import pytest
 from rods import ALL_RODS, bending_force
 
 from probedesign.errors import CheckFailedError
-from probedesign.rod import plain
-from probedesign.rod.plain import solve_plain
+from tests.reference import shooting
+from tests.reference.shooting import solve_by_shooting
 
 G = 9.81
 NONE = (0, 0, 0)
@@ -42,12 +42,12 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "gravity", "way", "fraction", "strength", "tip_moment", "couple"), CASES)
-def test_two_formulations_one_answer(name, gravity, way, fraction, strength, tip_moment, couple):
+def test_both_formulations_agree(name, gravity, way, fraction, strength, tip_moment, couple):
     rod = ALL_RODS[name]
     s_c = fraction * rod.length
     force = bending_force(rod, s_c, strength) * np.array(way) / max(np.linalg.norm(way), 1.0)
     s = np.linspace(0.0, rod.length, 7)
-    found = solve_plain(rod, gravity, force, s_c, tip_moment, s, couple)
+    found = solve_by_shooting(rod, gravity, force, s_c, tip_moment, s, couple)
     eq = rod.solve(gravity, force, s_c, couple=couple, tip_moment=tip_moment, mode="reference")
     assert eq.result == "ok"
     # Both integrate to 1e-13 a step of some hundred and are led to 1e-12 at one end; the thin tip magnifies
@@ -60,18 +60,18 @@ def test_two_formulations_one_answer(name, gravity, way, fraction, strength, tip
     np.testing.assert_allclose(eq.wrench_base[3:], found.wrench_base[3:], atol=1e-11 * moment)
 
 
-def test_the_plain_rod_unloaded_is_straight():
+def test_unloaded_rod_is_straight():
     rod = ALL_RODS["profile"]
-    found = solve_plain(rod, (0, 0, 0), (0, 0, 0), 0.05)
+    found = solve_by_shooting(rod, (0, 0, 0), (0, 0, 0), 0.05)
     np.testing.assert_array_equal(found.p[:, :2], 0.0)
     np.testing.assert_allclose(found.p[:, 2], found.s, rtol=1e-14)
     assert found.misfit == 0.0
 
 
-def test_the_plain_rod_says_when_it_cannot_follow(monkeypatch):
-    monkeypatch.setattr(plain, "LEAST_STEP", 0.2)
+def test_shooting_fails_at_too_large_load_steps(monkeypatch):
+    monkeypatch.setattr(shooting, "MIN_LOAD_STEP", 0.2)
     rod = ALL_RODS["cylinder"]
     # A quarter of this load turns the tip by more than the 0.6 rad that one step may.
     force = (bending_force(rod, rod.length, 10.0), 0, 0)
-    with pytest.raises(CheckFailedError, match="gave way at 0 of the load"):
-        solve_plain(rod, (0, 0, 0), force, rod.length)
+    with pytest.raises(CheckFailedError, match="reached 0 of the load only"):
+        solve_by_shooting(rod, (0, 0, 0), force, rod.length)

@@ -1,11 +1,62 @@
-"""Dense linear algebra on small symmetric matrices, in place and without allocation (compiled)."""
+"""Linear algebra on vectors of three and on small symmetric matrices, without allocation (compiled).
+
+Vectors of three are tuples, so that the compiler keeps them in registers; matrices are arrays, changed in place.
+"""
 
 import math
-from pathlib import Path
 
-from probedesign.rod.kernels.compiled import drop_stale, inner
+from probedesign.rod.kernels.compiled import inlined, inner
 
-drop_stale(Path(__file__).parent)
+
+@inlined
+def dot(a, b):
+    """Return a · b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def cross(a, b):
+    """Return a × b."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@inlined
+def plus(a, b):
+    """Return a + b."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@inlined
+def minus(a, b):
+    """Return a - b."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@inlined
+def times(x, a):
+    """Return x a."""
+    return (x * a[0], x * a[1], x * a[2])
+
+
+@inlined
+def add(a, x, b):
+    """Return a + x b."""
+    return (a[0] + x * b[0], a[1] + x * b[1], a[2] + x * b[2])
+
+
+@inlined
+def take(array, i):
+    """Return three numbers of an array from i on."""
+    return (array[i], array[i + 1], array[i + 2])
+
+
+@inlined
+def put(array, i, a):
+    """Set three numbers of an array from i on."""
+    array[i] = a[0]
+    array[i + 1] = a[1]
+    array[i + 2] = a[2]
+
 
 UNSEEN = 1e-13
 """Added to the diagonal of a scaled information matrix: no direction has less information than that."""
