@@ -40,12 +40,14 @@ def sweep(
         options: what the designs are judged by.
         as_json: print one JSON document.
     """
-    from probedesign.search.workers import prepare
+    from probedesign.core.parallel import start_forkserver
 
     if workers is not None and not 1 <= workers <= 1024:
         raise InputError(f"--workers {workers} must lie in 1 ... 1024")
     if scheduler is None:
-        prepare()  # before all that takes its time to import
+        start_forkserver(
+            ("distributed", "probedesign.search.sweep")
+        )  # its imports take as long as this command's
 
     from probedesign import pipeline
     from probedesign.search.grid import parse_axis

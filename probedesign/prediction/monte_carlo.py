@@ -8,18 +8,15 @@ the same worlds, so a few prints serve all.
 import hashlib
 import json
 import math
-import multiprocessing
-import os
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from probedesign.core.parallel import process_map
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
@@ -203,8 +200,9 @@ def sample(
     done = {name: row for name, row in _kept(path).items() if name in wanted}
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
     try:
-        for name, row in _run(plan, left, workers or len(os.sched_getaffinity(0))):
-            done[name] = row
+        names = list(left)
+        for i, row in process_map(_sample_there, left.values(), workers, _begin, (plan,), preload=[__name__]):
+            done[names[i]] = row
             progress(len(done) / max(len(wanted), 1))
             if path and time.monotonic() - saved > SAVE_EVERY_S:
                 _keep(path, done)
@@ -218,36 +216,13 @@ def sample(
     return tuple(_sampled(plan, c, done[name]) for c in conditions if (name := _name(_touch(c))) in done)
 
 
-def _run(plan: Plan, touches: dict[str, Touch], workers: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each condition as it is done."""
-    if not touches:
-        return
-    if workers == 1:
-        worlds = plan.worlds()
-        yield from ((name, plan.sample(touch, worlds)) for name, touch in touches.items())
-        return
-    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-    context = multiprocessing.get_context(method)
-    if method == "forkserver":  # imports once for all workers
-        context.set_forkserver_preload([__name__])
-    with ProcessPoolExecutor(workers, context, _begin, (plan,)) as pool:
-        futures = {pool.submit(_sample_there, touch): name for name, touch in touches.items()}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-
-
 _here: tuple[Plan, Worlds] | None = None
 """Of a worker process."""
 
 
 def _begin(plan: Plan) -> None:
-    """Make a worker ready; an interrupt is its parent's business."""
+    """Make a worker ready."""
     global _here
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _here = plan, plan.worlds()
 
 

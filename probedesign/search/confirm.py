@@ -1,16 +1,13 @@
 """Whether the real estimator reaches the predicted error: drawn readings of drawn probes, located as a user would."""
 
 import math
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.parallel import process_map
 from probedesign.design import Design
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
@@ -94,31 +91,16 @@ def confirm(
         for place, (under, fraction, force) in enumerate(cases)
         for first in range(0, draws, _PIECE)
     ]
-    found = list[Array]()
-    for part in _run(pieces, workers or len(os.sched_getaffinity(0))):
-        found.append(part)
+    found = dict[int, Array]()
+    for i, part in process_map(_errors, pieces, workers):
+        found[i] = part
         tell("confirming by drawn touches", len(found) / len(pieces))
-    errors, located, inside = np.concatenate(found).T
+    errors, located, inside = np.concatenate([found[i] for i in range(len(pieces))]).T
     squares = errors[np.isfinite(errors)] ** 2 / MM**2
     rms = float(np.sqrt(squares.mean())) if len(squares) else math.nan
     spread = float(squares.std() / math.sqrt(len(squares)) / (2.0 * rms)) if len(squares) > 1 else math.nan
     bound = float(np.sqrt(np.mean(np.square(predicted.errors)))) / MM
     return Confirmed(rms, spread, bound, int(located.sum()), len(errors), int(inside.sum()))
-
-
-def _run(pieces: list[_Piece], workers: int) -> Iterator[Array]:
-    """The errors of each piece, in order."""
-    if workers == 1:
-        yield from map(_errors, pieces)
-        return
-    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-    deaf = (signal.SIGINT, signal.SIG_IGN)  # an interrupt is the parent's business
-    with ProcessPoolExecutor(workers, multiprocessing.get_context(method), signal.signal, deaf) as pool:
-        try:
-            yield from pool.map(_errors, pieces)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
 
 
 def _errors(piece: _Piece) -> Array:

@@ -2,19 +2,18 @@
 
 import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
 from probedesign.design import Design, check_design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.files import write_atomically
 from probedesign.search.grid import Axis, points, tables_of, varied
-from probedesign.search.journal import Journal, Record, fingerprint
 from probedesign.search.task import Task
-from probedesign.search.workers import deaf_to_interruption, settings
 from probedesign.search.worth import FIGURES, worth
 
 if TYPE_CHECKING:
@@ -24,8 +23,6 @@ PROGRESS = "sweep.jsonl"
 SCHEDULER_TIMEOUT_S = 10.0
 _PIECE = 8
 """Designs a worker takes at a time: half a second of work, so little is lost and little is waited for."""
-
-Tell = Callable[[str, float | None], None]
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ def sweep(
     folder: Path,
     scheduler: str | None,
     workers: int,
-    tell: Tell,
+    tell: OnProgress,
 ) -> Swept:
     """Compute what the folder does not hold yet, then write sweep.csv and sweep.parquet.
 
@@ -142,7 +139,7 @@ def _computed(
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client"]:
+def _client(scheduler: str | None, workers: int, tell: OnProgress) -> Iterator["Client"]:
     """Workers: those of a scheduler, or processes of this machine.
 
     Raises:
@@ -154,7 +151,13 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
         raise _missing(error.name) from None
-    with dask.config.set(settings() | {"distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S}):
+    with dask.config.set(
+        {
+            "distributed.worker.daemon": True,
+            "distributed.worker.multiprocessing-method": start_method(),
+            "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
+        }
+    ):
         if scheduler is not None:
             tell(f"reaching {scheduler}", None)
             try:
@@ -174,7 +177,7 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
             return
         tell(f"starting {workers} workers", None)
         local = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-        with deaf_to_interruption():
+        with ignore_sigint():
             made = LocalCluster(n_workers=workers, **local)
         with made as cluster, Client(cluster) as client:
             yield client

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
+from probedesign.core.parallel import Journal
 from probedesign.design import load_design
 from probedesign.errors import InputError
 from probedesign.probe import build_probe
 from probedesign.search.grid import parse_axis, points, tables_of, varied
-from probedesign.search.journal import Journal
 from probedesign.search.sweep import _write_tables, judged
 from probedesign.search.task import Task
 from probedesign.search.worth import FIGURES
@@ -104,7 +104,7 @@ def test_half_a_record_is_dropped_and_what_was_whole_stays(tmp_path):
     for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
         path.write_bytes(whole[:-cut])
         journal = Journal.open(path, ASKED)
-        assert sorted(journal.results) == [0] and "half-written" in journal.notes[0]
+        assert sorted(journal.results) == [0] and "incomplete" in journal.notes[0]
         with journal.appending() as appender:
             appender.add({"point": 1, "error_mm": 1.0})
         assert path.read_bytes() == whole
@@ -119,7 +119,7 @@ def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
     for rubbish in (b"rubbish\n", b'{"point": "one"}\n'):
         broken = b"".join([lines[0], rubbish, *lines[2:]])
         path.write_bytes(broken)
-        with pytest.raises(InputError, match="line 2 is no record"):
+        with pytest.raises(InputError, match="line 2 is not a record"):
             Journal.open(path, ASKED)
         assert path.read_bytes() == broken
 
@@ -137,7 +137,7 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
     assert run(command) == 0
     out, err = capsys.readouterr()
     again = json.loads(out)
-    assert first["computed"] == 4 and again["computed"] == 1 and "half-written" in err
+    assert first["computed"] == 4 and again["computed"] == 1 and "incomplete" in err
     assert again["points"] == first["points"]
     assert [p["result"] for p in again["points"]] == ["ok", "ok", "refused", "refused"]
     table = parquet.read_table(tmp_path / "sweep.parquet").to_pylist()
