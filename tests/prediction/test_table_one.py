@@ -9,10 +9,9 @@ import pytest
 from probedesign import pipeline
 from probedesign.cli.main import run
 from probedesign.design import load_design
-from probedesign.prediction.paper_probes import PROBES, paper_design
-from probedesign.prediction.table_one import measured
+from probedesign.prediction.table_one import PROBES, measured, paper_design
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")

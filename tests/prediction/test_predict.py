@@ -14,17 +14,16 @@ from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.fused_budget import ModelPress
+from probedesign.optimization.grid import design_dict
+from probedesign.prediction.budget import radius_95
+from probedesign.prediction.fused import LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import Condition, predict, predict_touch
-from probedesign.prediction.press_schedule import PressSchedule
-from probedesign.prediction.quantile import radius_95
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 from probedesign.rod.surface_force import solve_surface_force
-from probedesign.search.grid import tables_of
 from probedesign.sensor import Noise
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +91,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
         for moments, bound in zip(("base", None), bounds, strict=True):
             schedule = PressSchedule(5, moments)
             steps = touches_of(estimator, [(fraction, "+y")], schedule.forces(force))
-            press = ModelPress(estimator.model, known, large.model.gravity_base,
+            press = LinearizedPresses(estimator.model, known, large.model.gravity_base,
                                np.array([step.touch[0] for step in steps.values()]), schedule)  # fmt: skip
             # The bounds let the bias walk about the base; the estimator lets it walk at the sensor, where it arises.
             # They take the friction of each touch for independent.
@@ -240,7 +239,7 @@ def test_a_touch_that_the_probe_cannot_hold_has_no_numbers(large):
 
 def made_of(youngs_mpa):
     """The large probe of another material."""
-    tables = tables_of(load_design(DESIGNS / "large.toml"))
+    tables = design_dict(load_design(DESIGNS / "large.toml"))
     tables["material"] |= {"youngs_modulus_mpa": youngs_mpa, "shear_modulus_mpa": youngs_mpa / 3.0}
     return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))
 

@@ -1,47 +1,47 @@
-"""What one thing costs in another: error against contact force against reach, by NSGA-II."""
+"""Pareto front of error, contact force and reach, by NSGA-II."""
 
 import csv
 import io
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from probedesign.core.parallel import OnProgress
 from probedesign.design import Design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.frames import Array
-from probedesign.search.body import Body
-from probedesign.search.optimum import Optimum, Search
-from probedesign.search.problem import FORCES, SPARE, Problem
-from probedesign.search.trial import Trial
+from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram
+from probedesign.optimization.design_space import DesignSpace
+from probedesign.optimization.evaluator import DesignEvaluator
+from probedesign.optimization.optimum import OptimizationProblem, Optimum
 
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
     from optuna.trial import Trial as Drawn
 
 POPULATION = 40
-WIDEST_MM = 25.0
-"""Diameters beyond it are not tried: wider than the sensor, and no softer for it."""
+MAX_BASE_D_MM = 25.0
+"""Largest base diameter tried: wider than the sensor, and no softer for it."""
 LENGTHS_MM = (60.0, 200.0)
 _VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "reach_mm", "sag_mm")
 
 
 @dataclass(frozen=True)
-class Front:
-    """Bodies none of which is better than another in everything.
+class ParetoFront:
+    """Designs of which none is better than another in all objectives.
 
     Attributes:
-        rows: one a body: `_VARIABLES`, by rising error.
-        looked: bodies computed.
+        rows: one per design: `_VARIABLES`, by increasing error.
+        n_evaluations: number of designs computed.
     """
 
     rows: list[dict[str, float]]
-    looked: int
+    n_evaluations: int
 
     def csv(self) -> bytes:
-        """As a table."""
+        """Return the front as a CSV table."""
         text = io.StringIO()
         writer = csv.DictWriter(text, _VARIABLES, lineterminator="\n")
         writer.writeheader()
@@ -50,7 +50,7 @@ class Front:
 
 
 def check_installed() -> None:
-    """Refuse to begin what cannot be ended.
+    """Check that optuna is installed, before a long search begins.
 
     Raises:
         MissingDependencyError: optuna is not installed.
@@ -59,46 +59,51 @@ def check_installed() -> None:
         raise MissingDependencyError("--pareto needs optuna: pip install 'probedesign[optimize]'")
 
 
-def front(
-    search: Search,
+def pareto_front(
+    search: OptimizationProblem,
     trials: int,
     seed: int,
-    tell: Callable[[str, float | None], None],
+    on_progress: OnProgress,
     best: Optimum | None = None,
-) -> Front:
-    """Cones of any length that keep the limits: least error, least force, most reach.
+) -> ParetoFront:
+    """Return feasible cones of any length: smallest error, smallest force, largest reach.
 
     Args:
-        search: the start, the task and the limits; what varies are base, tip, length and force.
-        trials: bodies to look at.
+        search: start, task and limits; base, tip, length and force vary.
+        trials: number of designs to evaluate.
         seed: of the search.
-        tell: told how much is done.
-        best: a body that was found already; looked at first if it is a cone.
+        on_progress: receives the completed fraction.
+        best: an optimum found before; evaluated first if it is a cone.
 
     Raises:
         MissingDependencyError: optuna is not installed.
-        InputError: no body among them keeps the limits.
+        InputError: no evaluated design satisfies the limits.
     """
     check_installed()
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    problem = Problem(Trial(Body.of(search.start, ("cone", "length")), search.task, True), search.kept)
+    problem = NonlinearProgram(
+        DesignEvaluator(DesignSpace.of(search.start, ("cone", "length")), search.task, True),
+        search.all_limits,
+    )
     sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
     study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
     if best is not None and best.design.probe.shape == "cone":
         study.enqueue_trial(_known(best.design, best.task.force_N / search.task.force_N))
     study.enqueue_trial(_known(search.start, 1.0))
-    study.optimize(lambda drawn: _look(problem, drawn), n_trials=trials,
-                   callbacks=[lambda _, t: tell("Pareto front", (t.number + 1) / trials)])  # fmt: skip
-    kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["keeps"]}
+    study.optimize(lambda drawn: _evaluate(problem, drawn), n_trials=trials,
+                   callbacks=[lambda _, t: on_progress("Pareto front", (t.number + 1) / trials)])  # fmt: skip
+    kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["feasible"]}
     if not kept:
         raise InputError(f"none of {trials} bodies keeps every limit; try more, or widen --subject-to")
-    return Front(sorted((_row(trial) for trial in kept.values()), key=lambda row: row["error_mm"]), trials)
+    return ParetoFront(
+        sorted((_row(trial) for trial in kept.values()), key=lambda row: row["error_mm"]), trials
+    )
 
 
 def _known(design: Design, force: float) -> dict[str, float]:
-    """A body to begin with, at so many times the task's force."""
+    """Return the variables of a known design, at a multiple of the task's force."""
     probe = design.probe
     tip = probe.blunt_mm[-1][1]
     low, high = FORCES
@@ -106,22 +111,22 @@ def _known(design: Design, force: float) -> dict[str, float]:
             "force": min(max(force, low), high)}  # fmt: skip
 
 
-def _look(problem: Problem, drawn: "Drawn") -> tuple[float, float, float]:
-    base = drawn.suggest_float("base_d_mm", 2.0, WIDEST_MM, log=True)
+def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, float]:
+    base = drawn.suggest_float("base_d_mm", 2.0, MAX_BASE_D_MM, log=True)
     tip = base * drawn.suggest_float("taper", 0.05, 1.0, log=True)
     length = drawn.suggest_float("length_mm", *LENGTHS_MM)
     force = drawn.suggest_float("force", *FORCES, log=True)
     x: Array = np.array([base, tip, length / 10.0, np.log(force)])
-    figures = problem.trial.figures(x)
+    figures = problem.evaluator.metrics(x)
     # What a search spares for rounding, the body that it found may have taken.
-    broken = {c.text: -c.least(x) - SPARE for c in problem.constraints}
-    broken["stands"] = 0.0 if problem.trial.stands(x) else 1.0
+    broken = {c.text: -c.min_margin(x) - SPARE for c in problem.constraints}
+    broken["stable"] = 0.0 if problem.evaluator.is_stable(x) else 1.0
     for text, by in broken.items():
         drawn.set_constraint(text, by)
-    drawn.set_user_attr("keeps", max(broken.values()) <= 0.0)
-    told = {name: figures[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
-    force_mN = 1e3 * problem.trial.task_at(x).force_N
-    drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **told})
+    drawn.set_user_attr("feasible", max(broken.values()) <= 0.0)
+    kept = {name: figures[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
+    force_mN = 1e3 * problem.evaluator.task_at(x).force_N
+    drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **kept})
     return figures["error_mm"], force_mN, figures["reach_mm"]
 
 

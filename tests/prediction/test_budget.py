@@ -1,4 +1,4 @@
-"""The error budget: its sums and limits, and that the real estimator errs as stated in drawn worlds."""
+"""The error budget: its sums and limits, and that the real estimator errs as stated in drawn samples."""
 
 import json
 from dataclasses import fields, replace
@@ -15,14 +15,14 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import CAUSES
-from probedesign.prediction.model_touch import SurfaceRod, slide
-from probedesign.prediction.monte_carlo import Plan, drawn_errors, sample
+from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
 from probedesign.prediction.predict import predict, predict_touch
-from probedesign.prediction.worlds import Worlds, printed
+from probedesign.prediction.print_samples import PrintSamples, perturbed_rod
+from probedesign.prediction.touches import SurfaceRod, slide
 from probedesign.probe import build_probe
 from probedesign.rod.surface_force import solve_surface_force
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 GRAVITY = np.array([9.81, 0.0, 0.0])
 TOUCH = (0.6, 0.05, "+y")
 
@@ -59,8 +59,8 @@ def budget(large, known, touch=TOUCH, friction=None):
 )
 def test_a_press_ends_where_the_independent_solver_has_it(large, fraction, phi, force, ratios):
     on = surface_rod(large)
-    press = on.press(fraction * large.length, phi, ratios)
-    assert press.to(force) is not None
+    press = on.begin_press(fraction * large.length, phi, ratios)
+    assert press.increase_to(force) is not None
     around, along = ratios
     found = solve_surface_force(
         large.rod, GRAVITY, fraction * large.length, phi, force, (along, around), mode="reference"
@@ -72,11 +72,11 @@ def test_a_press_ends_where_the_independent_solver_has_it(large, fraction, phi, 
 
 
 def test_a_probe_that_gave_way_stays_given_way(large):
-    press = surface_rod(large).press(large.length, 1.5)
-    held = [press.to(force) is not None for force in (0.01, 0.1, 1.0)]
+    press = surface_rod(large).begin_press(large.length, 1.5)
+    held = [press.increase_to(force) is not None for force in (0.01, 0.1, 1.0)]
     assert held == [True, False, False]
-    again = surface_rod(large).press(large.length, 1.5)
-    assert again.to(0.98 * press.force) is not None and again.to(1.05 * press.force) is None
+    again = surface_rod(large).begin_press(large.length, 1.5)
+    assert again.increase_to(0.98 * press.force) is not None and again.increase_to(1.05 * press.force) is None
 
 
 def test_an_object_slides_off_a_soft_tip_and_stays_on_a_stiff_stem(large):
@@ -119,7 +119,7 @@ def test_identified_E_goes_with_the_diameters(large):
     """E·d⁴ was measured: diameters that are all thicker by one share bend as before, by an E that is softer by d⁻⁴."""
     shared = only(diameter_share=0.01, youngs_modulus_by_diameter=-4.0)
     by = parameters_of(large.rod, shared)["diameter"][0]
-    other = printed(large.rod, by)
+    other = perturbed_rod(large.rod, by)
     for place in (0, -1):
         before, after = (rod.youngs_modulus * rod.radius[place] ** 4 for rod in (large.rod, other))
         assert after == pytest.approx(before, rel=1e-12)  # rounding
@@ -166,11 +166,11 @@ def test_a_round_probe_may_be_turned_about_its_axis(large):
     ],
 )
 def test_one_wrong_thing_misleads_the_estimator_as_the_budget_states(large, some, cause):
-    """Readings without noise of worlds in which one thing alone is drawn, and no friction."""
+    """Readings without noise of samples in which one thing alone is drawn, and no friction."""
     model, n = replace(large.model, friction=0.0), 8
     known = only(**some)
-    worlds = Worlds.draw(model, known, n, 1)
-    wrenches, points = worlds.touched(0.6, -np.pi / 2, (0.05,), np.random.default_rng(1))
+    samples = PrintSamples.draw(model, known, n, 1)
+    wrenches, points = samples.simulate_touches(0.6, -np.pi / 2, (0.05,), np.random.default_rng(1))
     estimator = Estimator(model, known)
     off = [
         estimator.estimate(w).candidates[0].p_surface_base - p
@@ -185,9 +185,9 @@ def test_one_wrong_thing_misleads_the_estimator_as_the_budget_states(large, some
 def test_the_truth_lies_in_the_stated_ellipsoids(large):
     """All causes and friction drawn from the priors, at two places: a small sample of the coverage."""
     n = 150
-    worlds = Worlds.draw(large.model, large.tolerances, n, 3)
+    samples = PrintSamples.draw(large.model, large.tolerances, n, 3)
     for fraction in (0.4, 0.7):
-        answers = drawn_errors(worlds, fraction, 0.03, np.pi / 2, None, np.random.default_rng(5))
+        answers = locate_draws(samples, fraction, 0.03, np.pi / 2, None, np.random.default_rng(5))
         located = [a for a in answers if a.result == "ok"]
         assert len(located) >= 0.97 * n
         inside = sum(a.inside for a in located)
@@ -197,7 +197,9 @@ def test_the_truth_lies_in_the_stated_ellipsoids(large):
 
 def test_monte_carlo_agrees(large):
     prediction = predict(large.model, (0.3, 0.8), (0.02,), ("+y",))
-    found = sample(Plan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1)
+    found = run_monte_carlo(
+        MonteCarloPlan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1
+    )
     for row in found:
         # 4 of its own standard errors, and what the second order may be where the place is vague to 3 mm.
         assert (
@@ -208,8 +210,8 @@ def test_monte_carlo_agrees(large):
 
 def test_monte_carlo_goes_on_where_it_stopped(large, tmp_path):
     prediction = predict(large.model, (0.3, 0.5, 0.8), (0.02,), ("+y",))
-    plan = Plan(large.model, Tolerances(), 5, 2)
-    whole = sample(plan, prediction, None, workers=1)
+    plan = MonteCarloPlan(large.model, Tolerances(), 5, 2)
+    whole = run_monte_carlo(plan, prediction, None, workers=1)
     calls = []
 
     def stop(share):
@@ -218,21 +220,24 @@ def test_monte_carlo_goes_on_where_it_stopped(large, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt, match="2 of 3 conditions are kept"):
-        sample(plan, prediction, tmp_path, stop, workers=1)
+        run_monte_carlo(plan, prediction, tmp_path, stop, workers=1)
     (kept,) = tmp_path.iterdir()
     assert len(json.loads(kept.read_text())["conditions"]) == 2
     calls.clear()
-    assert sample(plan, prediction, tmp_path, calls.append, workers=1) == whole
+    assert run_monte_carlo(plan, prediction, tmp_path, calls.append, workers=1) == whole
     assert calls == [1.0]
 
 
 def test_another_plan_is_another_file_and_a_broken_one_is_named(large, tmp_path):
     prediction = predict(large.model, (0.5,), (0.02,), ("+y",))
-    one, other = Plan(large.model, Tolerances(), 4, 2), Plan(large.model, Tolerances(), 4, 3)
+    one, other = (
+        MonteCarloPlan(large.model, Tolerances(), 4, 2),
+        MonteCarloPlan(large.model, Tolerances(), 4, 3),
+    )
     assert one.key != other.key != replace(one, tolerances=Tolerances(density=0.02)).key
     (tmp_path / f"monte-carlo-{one.key}.json").write_text('{"conditions": {"[0.5')
     with pytest.raises(InputError, match="is not what a Monte Carlo left"):
-        sample(one, prediction, tmp_path, workers=1)
+        run_monte_carlo(one, prediction, tmp_path, workers=1)
 
 
 # What the object feels

@@ -13,16 +13,14 @@ from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.errors import InputError
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.csv_tables import along_csv, conditions_csv
-from probedesign.prediction.fused_budget import FUSED_CAUSES, ModelPress
-from probedesign.prediction.monte_carlo import Plan, drawn_errors, sample
-from probedesign.prediction.predict import predict
-from probedesign.prediction.press_schedule import PressSchedule
+from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
+from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
+from probedesign.prediction.predict import along_csv, conditions_csv, predict
+from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import touches_of
-from probedesign.prediction.worlds import Worlds
 from probedesign.probe import build_probe
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 TOUCH = (0.7, 0.02, "-x")
 
 
@@ -52,7 +50,9 @@ def press_of(estimator, schedule, touch=TOUCH):
     place, force, side = touch
     steps = touches_of(estimator, [(place, side)], schedule.forces(force))
     touches = np.array([step.touch[0] for step in steps.values()])
-    return ModelPress(estimator.model, estimator.priors, estimator.model.gravity_base, touches, schedule)
+    return LinearizedPresses(
+        estimator.model, estimator.priors, estimator.model.gravity_base, touches, schedule
+    )
 
 
 # Sums and limits
@@ -138,8 +138,8 @@ def test_more_touches_and_forces_too_never_harm(large):
 def test_drawn_touches_are_located_as_predicted_and_stated(large):
     """All causes and friction drawn: RMS against the prediction, and the coverage, of a small sample."""
     n, known = 40, large.tolerances
-    worlds = Worlds.draw(large.model, known, n, 4)
-    answers = drawn_errors(worlds, 0.7, 0.01, np.pi / 2, PressSchedule(), np.random.default_rng(6))
+    samples = PrintSamples.draw(large.model, known, n, 4)
+    answers = locate_draws(samples, 0.7, 0.01, np.pi / 2, PressSchedule(), np.random.default_rng(6))
     located = [a for a in answers if a.result == "ok"]
     assert len(located) >= 0.85 * n
     off = 1e3 * np.array([a.error for a in answers if a.error is not None])
@@ -151,8 +151,8 @@ def test_drawn_touches_are_located_as_predicted_and_stated(large):
 
 def test_monte_carlo_tells_fused_from_single(large):
     whole = predict(large.model, (0.7,), (0.02,), ("+y",), large.tolerances)
-    (single, several) = sample(
-        Plan(large.model, large.tolerances, 8, 2), whole, None, workers=1, fused=whole.fused
+    (single, several) = run_monte_carlo(
+        MonteCarloPlan(large.model, large.tolerances, 8, 2), whole, None, workers=1, fused=whole.fused
     )
     assert (single.touches, several.touches) == (1, 5) and several.located > 0
     assert several.first_order_mm == whole.fused[0].predicted_error_mm
@@ -170,7 +170,7 @@ def test_touches_that_cannot_be_fused_are_refused(touches, capsys):
 
 
 def test_another_way_to_press_is_another_monte_carlo(large):
-    plan = Plan(large.model, large.tolerances, 10, 1)
+    plan = MonteCarloPlan(large.model, large.tolerances, 10, 1)
     assert plan.key != replace(plan, pressing=PressSchedule(4)).key
 
 
