@@ -25,17 +25,17 @@ SEED = 1
 
 @dataclass(frozen=True)
 class Body:
-    """A body with what it is worth.
+    """A design with its metrics.
 
     Attributes:
         design: it.
-        worth: as predicted, all causes counted.
+        metrics: as predicted, by all error sources.
         drawn: by the real estimator.
         seconds: that it took to find; 0 for the start.
     """
 
     design: Design
-    worth: DesignMetrics
+    metrics: DesignMetrics
     drawn: MonteCarloCheck
     seconds: float
 
@@ -58,9 +58,9 @@ def report() -> None:
         ["", "diameters [mm]", "predicted [mm]", "better", "drawn [mm]", "better",
          "located", "sag [mm]", "print errors",
          "found in [s]"],
-        [[name, _diameters(b.design), f"{b.worth.error_mm:.2f}", _times(first.worth.error_mm, b.worth.error_mm),
+        [[name, _diameters(b.design), f"{b.metrics.error_mm:.2f}", _times(first.metrics.error_mm, b.metrics.error_mm),
           f"{b.drawn.rms_mm:.2f} ± {b.drawn.standard_error_mm:.2f}", _times(first.drawn.rms_mm, b.drawn.rms_mm),
-          f"{b.drawn.located} of {b.drawn.drawn}", f"{b.worth.sag_mm:.0f}", f"{b.worth.print_errors}",
+          f"{b.drawn.located} of {b.drawn.drawn}", f"{b.metrics.sag_mm:.0f}", f"{b.metrics.print_errors}",
           f"{b.seconds:.0f}"] for name, b in bodies.items()],
     )  # fmt: skip
 

@@ -81,7 +81,7 @@ def confirm(
     for case, error in zip(predicted.cases, predicted.errors, strict=True):
         if not math.isfinite(error):
             raise InputError(
-                f"{design.name}: gives way at {case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
+                f"{design.name}: buckles at {case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
             )
     cases = [(under, fraction, force) for under in task.models(model)
              for fraction in task.fractions for force in task.forces_N]  # fmt: skip
@@ -93,7 +93,7 @@ def confirm(
     found = dict[int, Array]()
     for i, part in process_map(_errors, chunks, workers):
         found[i] = part
-        on_progress("confirming by drawn touches", len(found) / len(chunks))
+        on_progress("Monte Carlo check", len(found) / len(chunks))
     errors, located, inside = np.concatenate([found[i] for i in range(len(chunks))]).T
     squares = errors[np.isfinite(errors)] ** 2 / MM**2
     rms = float(np.sqrt(squares.mean())) if len(squares) else math.nan

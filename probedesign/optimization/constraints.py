@@ -94,7 +94,7 @@ SPARE = 1e-3
 """Relative margin of a limit during the search, so that rounding the dimensions does not violate it."""
 FORCES = (0.05, 20.0)
 """Bounds of the optimised force, over the task's."""
-_OPTIONS = {"maxiter": 40, "ftol": 1e-4}  # of a logarithm: a ten-thousandth of an error is no better body
+_OPTIONS = {"maxiter": 40, "ftol": 1e-4}  # of a logarithm: smaller improvements of the error do not matter
 _SLIP_ALLOWANCE_MM = 0.5
 """Slide that is allowed at the tip itself, where every press would otherwise count as slipping off."""
 _BROKEN = 1e-6
@@ -159,7 +159,7 @@ class NonlinearProgram:
 
     @cached_property
     def constraints(self) -> list[Constraint]:
-        """One constraint per limit and per print rule, and those against buckling and slipping."""
+        """One constraint per limit and per print rule, and those conflicts buckling and slipping."""
         rules = self.evaluator.space.printable(self.evaluator.space.x_of(self.evaluator.space.start))
         slips = [self._slip_constraint] if self.evaluator.task.touches > 1 else []
         return [*map(self._limit, self.limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
@@ -170,7 +170,7 @@ class NonlinearProgram:
         evaluator = self.evaluator
 
         def margin(x: Array) -> Array:
-            # From the outermost place on: a slide that long ends at the tip.
+            # A slide as long as the distance from the outermost position to the tip ends there.
             left = (1.0 - max(evaluator.task.fractions)) * evaluator.metrics(x)[
                 "length_mm"
             ] + _SLIP_ALLOWANCE_MM
@@ -191,7 +191,7 @@ class NonlinearProgram:
         )
 
     def _limit(self, limit: Limit) -> Constraint:
-        # In logarithms: an error may be a hundred times too large, and a search lives by straight lines.
+        # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
         sign, name, evaluator = (-1.0 if limit.is_upper else 1.0), limit.metric, self.evaluator
         return Constraint(
             limit.text,
@@ -212,8 +212,8 @@ class NonlinearProgram:
 
     def solve(self, x0: Array) -> Array:
         """Return the local optimum reached from a start, feasible or not."""
-        kept = [{"type": "ineq", "fun": c.margin, "jac": c.slope} for c in self.constraints]
-        return self._slsqp(self.objective, self.slope, x0, self.bounds, kept)
+        constraints = [{"type": "ineq", "fun": c.margin, "jac": c.slope} for c in self.constraints]
+        return self._slsqp(self.objective, self.slope, x0, self.bounds, constraints)
 
     def is_feasible(self, x: Array) -> bool:
         """Return whether every constraint is satisfied."""
@@ -226,14 +226,13 @@ class NonlinearProgram:
     def infeasibility_report(self, starts: list[Array]) -> str:
         """Return a message with the conflicting constraints at the least infeasible point."""
         nearest = min((self._least_infeasible(x0) for x0 in starts), key=self._max_violation)
-        limit, against = -_CONFLICT_SHARE * self._max_violation(nearest), []
-        figures, of = self.evaluator.metrics(nearest), {limit.text: limit.metric for limit in self.limits}
+        limit, conflicts = -_CONFLICT_SHARE * self._max_violation(nearest), []
+        metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.metric for limit in self.limits}
         for c in self.constraints:
             if c.min_margin(nearest) <= limit:
-                against.append(f"{c.text} (there {figures[of[c.text]]:.4g})" if c.text in of else c.text)
-        return (
-            f"no body keeps every limit; at the one that breaks them least these bind: {'; '.join(against)}"
-        )
+                conflicts.append(f"{c.text} (there {metrics[of[c.text]]:.4g})" if c.text in of else c.text)
+        where = "no design satisfies every limit; at the least infeasible design these limits conflict"
+        return f"{where}: {'; '.join(conflicts)}"
 
     def _max_violation(self, x: Array) -> float:
         """Return the largest violation of a constraint."""
@@ -246,20 +245,20 @@ class NonlinearProgram:
             rows = c.slope(z[:-1])
             return np.hstack([rows, np.ones((len(rows), 1))])
 
-        kept = [
+        constraints = [
             {"type": "ineq", "fun": lambda z, c=c: c.margin(z[:-1]) + z[-1], "jac": lambda z, c=c: slope(z, c)}
             for c in self.constraints
         ]  # fmt: skip
         start, bounds = np.append(x0, self._max_violation(x0)), [*self.bounds, (0.0, 1e3)]
-        z = self._slsqp(lambda z: float(z[-1]), lambda z: np.eye(len(z))[-1], start, bounds, kept)
+        z = self._slsqp(lambda z: float(z[-1]), lambda z: np.eye(len(z))[-1], start, bounds, constraints)
         return self.clip(z[:-1])
 
     def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
-               bounds: list[tuple[float, float]], kept: list[dict[str, Any]]) -> Array:  # fmt: skip
+               bounds: list[tuple[float, float]], constraints: list[dict[str, Any]]) -> Array:  # fmt: skip
         options: Any = _OPTIONS
-        answer: Any = minimize(
-            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=kept, options=options
+        solution: Any = minimize(
+            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=options
         )  # type: ignore[call-overload]
         low, high = np.array(bounds).T
-        found: Array = np.clip(answer.x, low, high)
+        found: Array = np.clip(solution.x, low, high)
         return found

@@ -32,7 +32,7 @@ _BACK = 0.7
 _MAX_EVALUATIONS = 4
 
 
-def critical_load_factor(model: ProbeModel, task: Task, most: float) -> float:
+def critical_load_factor(model: ProbeModel, task: Task, limit: float) -> float:
     """Return the critical load over the task's force, at the position where it is smallest.
 
     It is smooth in the design and exact near `limit` or below; beyond, only a lower bound. The stiffness against a dead
@@ -44,23 +44,23 @@ def critical_load_factor(model: ProbeModel, task: Task, most: float) -> float:
         limit: largest factor of interest.
     """
     return min(
-        _load_factor_at(under, fraction * under.rod.length, task.force_N, most)
+        _load_factor_at(under, fraction * under.rod.length, task.force_N, limit)
         for under in task.models(model)
         for fraction in task.fractions
     )
 
 
-def _load_factor_at(model: ProbeModel, s: float, force: float, most: float) -> float:
+def _load_factor_at(model: ProbeModel, s: float, force: float, limit: float) -> float:
     free = _compliance(model, s, _WEAK_N)
     here, lost, power = 1.0, _lost_stiffness(free, _compliance(model, s, force)), _SQUARE
     for _ in range(_MAX_EVALUATIONS):
         found = here * float(lost ** (-1.0 / power))
-        ahead = min(_SHORT * found, most)
+        ahead = min(_SHORT * found, limit)
         if ahead <= here:
             break
         there = _compliance(model, s, ahead * force)
         if not math.isfinite(there):
-            most = here + _BACK * (ahead - here)
+            limit = here + _BACK * (ahead - here)
             continue
         more = _lost_stiffness(free, there)
         power = max(math.log(more / lost) / math.log(ahead / here), 1.0) if more > lost else _SQUARE
@@ -83,15 +83,15 @@ def _compliance(model: ProbeModel, s: float, force: float) -> float:
 
 STEP = 1e-4
 """Relative step of the finite differences; the error prediction is smooth to about 1e-8."""
-_EXACT = 12  # digits: none is lost that counts
-_SMALL = 1e-4  # of a radius, where a difference is of the hanging rod alone
+_EXACT = 12  # decimals: dimensions are not rounded noticeably
+_SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
 SAFETY_FACTOR = 1.25
 """Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
 print
 may be softer than designed by several times the 3 % standard deviation of E (assumed)."""
 _NO_SLIDE_MM = 1e-3
 """Slide below which an object counts as stationary."""
-_MAX_LOAD = 1.1 * SAFETY_FACTOR  # so that what is told is smooth at the limit itself
+_MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit
 INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
             "reach_mm": 1e-3, "critical_load": 0.1}  # fmt: skip
 """Metrics of a design that buckles: values that no optimiser accepts."""
@@ -194,7 +194,7 @@ class DesignEvaluator:
         by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
         by_knot[:, 0] = _by_base(
             rod, gravity
-        )  # the root's stiffening goes with it, for which the rod has no column
+        )  # the rigid root scales with it, for which the rod has no sensitivity column
         by_control, tip = by_knot @ self.space.spline, eq.p_at(rod.length)
         hung, reached = tip - [0.0, 0.0, rod.length], tip
         return {

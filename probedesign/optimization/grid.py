@@ -64,7 +64,7 @@ def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
         raise InputError(f"--vary {twice}: given twice; put all its values into one")
     size = math.prod(len(axis.values) for axis in axes)
     if size > MAX_POINTS:
-        raise InputError(f"{size} designs are too many; at most {MAX_POINTS}: take coarser steps")
+        raise InputError(f"{size} designs are too many; the maximum is {MAX_POINTS}: use coarser steps")
     return [dict(zip(keys, values, strict=True)) for values in itertools.product(*(a.values for a in axes))]
 
 
@@ -97,10 +97,10 @@ def numbers_of(what: str, text: str) -> tuple[float | int, ...]:
         raise InputError(f"{what}: {text!r} is not START:STOP:STEP in numbers")
     start, stop, step = parts
     if step == 0 or (stop - start) * step < 0:
-        raise InputError(f"{what}: the step of {text!r} never leads from its start to its stop")
+        raise InputError(f"{what}: the step of {text!r} has the wrong sign, or is zero")
     steps = (stop - start) / step
     if steps > MAX_POINTS:
-        raise InputError(f"{what}: {text!r} has more than {MAX_POINTS} values; take a coarser step")
+        raise InputError(f"{what}: {text!r} has more than {MAX_POINTS} values; use a coarser step")
     whole = all(isinstance(part, int) for part in parts)
     return tuple(start + i * step if whole else float(f"{start + i * step:.12g}")
                  for i in range(math.floor(steps + 1e-9) + 1))  # fmt: skip

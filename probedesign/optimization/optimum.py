@@ -62,8 +62,8 @@ class OptimizationProblem:
             raise InputError("--goal force-for-error needs --error-mm, the error to be reached")
         if self.goal == "error-at-force" and self.error_mm is not None:
             raise InputError(
-                f"--error-mm {self.error_mm:g} contradicts --goal error-at-force, which makes the error least; "
-                "take --goal force-for-error, or --subject-to 'error_mm<=...'"
+                f"--error-mm {self.error_mm:g} contradicts --goal error-at-force, which minimises the error; "
+                "use --goal force-for-error, or --subject-to 'error_mm<=...'"
             )
         if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
             raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
@@ -154,7 +154,7 @@ def optimum(search: OptimizationProblem, name: str, on_progress: OnProgress) -> 
     problem, designs = search.problem, [search.start]
     if "taper" in search.free:
         cones = replace(search, free=tuple("cone" if part == "taper" else part for part in search.free))
-        with suppress(InputError):  # where no cone will do, a taper still may
+        with suppress(InputError):  # a taper may be feasible where no cone is
             designs.append(_named(cones.problem, _solve(cones.problem, designs, on_progress)[0], "cone"))
     x, values = _solve(problem, designs, on_progress)
     best, task = _named(problem, x, name), problem.evaluator.task_at(x)
@@ -270,10 +270,10 @@ class OptimizeResult:
 def design_text(search: OptimizationProblem, found: Optimum) -> str:
     """Return the design file of the optimum; its first lines describe the task and the result."""
     before, after = found.before.error_mm, found.after.error_mm
-    was = "none: it gives way" if before is None else f"{before:.3g} mm"
-    kept = ", ".join(limit.text for limit in search.limits) or "no limits of its own"
+    was = "none: it buckles" if before is None else f"{before:.3g} mm"
+    kept = ", ".join(limit.text for limit in search.limits) or "no further limits"
     about = (
-        f"Found by optimize, {search.goal}, from {search.start.name}; {kept}.\n"
-        f"{found.task.text}:\npredicted error {after:.3g} mm, all causes; of {search.start.name} {was}."
+        f"Optimised for {search.goal} from {search.start.name}; {kept}.\n"
+        f"{found.task.text}:\npredicted error {after:.3g} mm by all error sources; {search.start.name}: {was}."
     )
     return render_design(found.design, {"": about})

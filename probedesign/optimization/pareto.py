@@ -96,7 +96,9 @@ def pareto_front(
                    callbacks=[lambda _, t: on_progress("Pareto front", (t.number + 1) / trials)])  # fmt: skip
     kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["feasible"]}
     if not kept:
-        raise InputError(f"none of {trials} bodies keeps every limit; try more, or widen --subject-to")
+        raise InputError(
+            f"none of {trials} designs satisfies every limit; evaluate more, or relax --subject-to"
+        )
     return ParetoFront(
         sorted((_row(trial) for trial in kept.values()), key=lambda row: row["error_mm"]), trials
     )
@@ -117,17 +119,17 @@ def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, 
     length = drawn.suggest_float("length_mm", *LENGTHS_MM)
     force = drawn.suggest_float("force", *FORCES, log=True)
     x: Array = np.array([base, tip, length / 10.0, np.log(force)])
-    figures = problem.evaluator.metrics(x)
-    # What a search spares for rounding, the body that it found may have taken.
+    metrics = problem.evaluator.metrics(x)
+    # The margin that the search reserves for rounding may be used up by the optimum.
     broken = {c.text: -c.min_margin(x) - SPARE for c in problem.constraints}
     broken["stable"] = 0.0 if problem.evaluator.is_stable(x) else 1.0
     for text, by in broken.items():
         drawn.set_constraint(text, by)
     drawn.set_user_attr("feasible", max(broken.values()) <= 0.0)
-    kept = {name: figures[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
+    kept = {name: metrics[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
     force_mN = 1e3 * problem.evaluator.task_at(x).force_N
     drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **kept})
-    return figures["error_mm"], force_mN, figures["reach_mm"]
+    return metrics["error_mm"], force_mN, metrics["reach_mm"]
 
 
 def _row(trial: "FrozenTrial") -> dict[str, float]:

@@ -96,18 +96,19 @@ def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], tas
         found = design_metrics(check_design(with_values(base, point)), task)
     except InputError as error:
         return record | {"result": "refused", "reason": str(error)} | dict.fromkeys(METRICS)
-    except Exception as error:  # a worker's trouble with one design must not cost the others
+    except Exception as error:  # the failure of one design must not end the sweep
         reason = f"{type(error).__name__}: {error}"
         return record | {"result": "failed", "reason": reason} | dict.fromkeys(METRICS)
     if found.error_mm is None:
-        record |= {"result": "gives_way", "reason": "the probe cannot push back so hard everywhere"}
+        record |= {
+            "result": "gives_way",
+            "reason": "the probe buckles under the force at one position or more",
+        }
     elif not found.is_observable:
-        reason = (
-            f"at a place the error, {found.worst_error_mm:.3g} mm, is no less than with no reading at all"
-        )
+        reason = f"the largest error, {found.worst_error_mm:.3g} mm, is not smaller than without a reading"
         record |= {"result": "unobservable", "reason": reason}
     elif found.sensor_use is not None and found.sensor_use > 1.0:
-        reason = f"the readings take {found.sensor_use:.3g} of the sensor's range"
+        reason = f"the readings take {found.sensor_use:.3g} times the sensor's range"
         record |= {"result": "out_of_range", "reason": reason}
     return record | found.as_dict()
 
@@ -133,7 +134,7 @@ def _computed(
         error = future.exception() if future.status == "error" else None
         if future.status == "finished":
             yield from future.result()
-        else:  # the worker itself was lost, again and again
+        else:  # the worker process died repeatedly
             for number, point in by_key[future.key]:
                 lost = {"result": "failed", "reason": f"worker lost: {error or future.status}"}
                 yield {"point": number, **point, **lost, **dict.fromkeys(METRICS)}
@@ -166,12 +167,12 @@ def _client(scheduler: str | None, workers: int, on_progress: OnProgress) -> Ite
                 client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
             except (OSError, ValueError, TypeError) as error:
                 reason = (
-                    f"does not answer within {SCHEDULER_TIMEOUT_S:g} s"
+                    f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
                     if isinstance(error, OSError)
                     else error
                 )
                 raise InputError(
-                    f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or leave --scheduler out"
+                    f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or omit --scheduler"
                 ) from None
             with client:
                 _await_workers(client, scheduler)

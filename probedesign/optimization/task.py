@@ -63,7 +63,7 @@ class Task:
     def __post_init__(self) -> None:
         """Raises InputError for a value out of range."""
         if not self.forces_N:
-            raise InputError("forces: a task needs one or more")
+            raise InputError("forces: a task needs at least one")
         for force in self.forces_N:
             if not 0.0 < force <= 100.0:
                 raise InputError(f"force = {force:g} N must lie in (0, 100]")
@@ -94,9 +94,9 @@ class Task:
 
     def priors(self, model: ProbeModel) -> Tolerances:
         """Return the standard deviations of the error sources: the design's, except for those that the task sets."""
-        request: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
+        changed: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
         return replace(
-            Tolerances.of(model), **{name: value for name, value in request.items() if value is not None}
+            Tolerances.of(model), **{name: value for name, value in changed.items() if value is not None}
         )
 
     def models(self, model: ProbeModel) -> Iterator[ProbeModel]:

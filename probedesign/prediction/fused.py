@@ -25,7 +25,7 @@ from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose
 from probedesign.prediction.budget import radius_95, rms_of
-from probedesign.prediction.thresholds import ACCURACIES_MM
+from probedesign.prediction.thresholds import ACCURACIES_MM, force_for_accuracy
 from probedesign.prediction.touches import Touches
 from probedesign.units import MM
 
@@ -48,7 +48,7 @@ class PressSchedule:
         """Raises InputError for a number of touches out of range."""
         if not 2 <= self.touches <= MAX_TOUCHES:
             raise InputError(
-                f"touches = {self.touches} must lie in 2 ... {MAX_TOUCHES}, fused into one answer"
+                f"touches = {self.touches} must lie in 2 ... {MAX_TOUCHES} to be fused into one estimate"
             )
 
     def forces(self, greatest_N: float) -> tuple[float, ...]:
@@ -246,22 +246,9 @@ def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedForceThresho
             np.array([c.force_N for c in here]),
             np.array([c.predicted_error_mm for c in here], dtype=float),
         )
-        found.append(
-            FusedForceThresholds(*line, *(_needed(forces, errors, accuracy) for accuracy in ACCURACIES_MM))
-        )
+        needed = (force_for_accuracy(forces, errors, accuracy) for accuracy in ACCURACIES_MM)
+        found.append(FusedForceThresholds(*line, *(None if f is None else 1e3 * f for f in needed)))
     return tuple(found)
-
-
-def _needed(forces: Array, errors: Array, accuracy_mm: float) -> float | None:
-    """[mN]"""
-    enough = np.flatnonzero(errors <= accuracy_mm)
-    if not len(enough):
-        return None
-    j = int(enough[0])
-    if j == 0:
-        return 1e3 * float(forces[0])
-    x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
-    return 1e3 * float(np.exp(np.interp(-np.log(accuracy_mm), -y, x)))
 
 
 def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> list[FusedCondition]:

@@ -63,9 +63,7 @@ class MonteCarloPlan:
     def __post_init__(self) -> None:
         """Raises InputError for a number of draws or a seed out of range."""
         if not 2 <= self.draws <= MAX_DRAWS:
-            raise InputError(
-                f"--monte-carlo {self.draws} must lie in 2 ... {MAX_DRAWS}, estimates of each condition"
-            )
+            raise InputError(f"--monte-carlo {self.draws} must lie in 2 ... {MAX_DRAWS} draws per condition")
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
 
@@ -212,7 +210,9 @@ def run_monte_carlo(
                 _save_checkpoint(path, done)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        kept = f"; {len(done)} of {len(wanted)} conditions are kept, the same command goes on" if path else ""
+        kept = (
+            f"; {len(done)} of {len(wanted)} conditions are saved, the same command resumes" if path else ""
+        )
         raise KeyboardInterrupt(f"interrupted{kept}") from None
     finally:
         if path and done:
@@ -231,7 +231,7 @@ def _initialize(plan: MonteCarloPlan) -> None:
 
 
 def _sample_in_worker(touch: Touch) -> dict[str, Any]:
-    assert _worker_state is not None, "a worker begins with its plan"
+    assert _worker_state is not None, "the worker is initialised with its plan"
     plan, samples = _worker_state
     return plan.sample_condition(touch, samples)
 
@@ -296,7 +296,7 @@ def _load_checkpoint(path: Path | None) -> dict[str, dict[str, Any]]:
                 *(float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")),
             )
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        raise InputError(f"{path}: is not what a Monte Carlo left; remove it to begin anew") from None
+        raise InputError(f"{path}: is not a Monte Carlo checkpoint; remove it to start again") from None
     return dict(found)
 
 

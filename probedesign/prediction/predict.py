@@ -42,7 +42,7 @@ __all__ = [
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
-_WEAK_N = 1e-6  # a push so light that everything answers in proportion
+_WEAK_N = 1e-6  # small enough for the response to be linear
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def predict(
                   for line in lines for force in forces_N}  # fmt: skip
     fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
                   for place in fractions for force in forces_N for side in directions)  # fmt: skip
-    if estimator.free().ok:  # else it cannot even stand
+    if estimator.free().ok:
         pressed = forces_of(pressing, forces_N)
         touches = touches_of(estimator, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
         reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
@@ -260,7 +260,7 @@ def predict_touch(
     tolerances: Tolerances | None = None,
 ) -> Condition:
     """Predict one condition; see `predict`."""
-    if not estimator.free().ok:  # it cannot even stand
+    if not estimator.free().ok:
         return Condition(fraction, force_N, direction, "gives_way")
     if tolerances is not None:
         estimator = estimator.with_tolerances(tolerances)

@@ -151,7 +151,7 @@ def _row(
     touches = touches_of(Estimator(model, tolerances), lines, [force])[force]
     stable, own, noise, largest = touches.ok, None, None, "none"
     if stable.any():
-        # As the published method: neither the error sources nor friction weigh on its readings.
+        # As the published method: error sources and friction do not enter the weights of its readings.
         cov = unweighted_error_budget(touches.lin[stable], touches.D[stable], touches.sources, model.friction)
         squares = np.trace(cov, axis1=2, axis2=3).mean(axis=0)
         own, noise = math.sqrt(squares.sum()) / MM, math.sqrt(squares[0]) / MM
@@ -174,9 +174,7 @@ def _row(
 def _with_reference(row: TableRow, own: float | None, reference_mm: float) -> TableRow:
     """Return the row with the error of a reference added."""
     if own is None:
-        why = (
-            "without friction the probe gives way under less; the paper's blade must have held it by friction"
-        )
+        why = "without friction the probe buckles below this force; in the experiment friction must have stabilised it"
         return replace(row, predicted_error_mm=None, within=False, why=why)
     predicted = math.hypot(own, reference_mm)
     ratio = predicted / row.measured_error_mm
@@ -185,7 +183,7 @@ def _with_reference(row: TableRow, own: float | None, reference_mm: float) -> Ta
     why = (
         ""
         if within
-        else f"{max(ratio, 1 / ratio):.2g} times {more} than measured; largest here: {row.largest_cause}"
+        else f"{max(ratio, 1 / ratio):.2g} times {more} than measured; largest error source: {row.largest_cause}"
     )
     return replace(row, predicted_error_mm=predicted, within=within, why=why)
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.frames import Array
 from probedesign.prediction.touches import Touches
@@ -61,8 +62,12 @@ def force_thresholds(
         max_force, limit = _max_force(
             forces, use[:, i], max_stable_force[i], _slip_force(forces, depth[:, tip], depth[0, i], i == tip)
         )
+        needed = (
+            force_for_accuracy(forces, errors[:, i], accuracy * MM, use[:, i] <= 1.0)
+            for accuracy in ACCURACIES_MM
+        )
         for_1, for_2, for_5 = (
-            _needed(forces, errors[:, i], use[:, i], accuracy * MM, max_force) for accuracy in ACCURACIES_MM
+            1e3 * force if force is not None and force <= max_force else None for force in needed
         )
         there = np.isfinite(bent[:, i]) & (forces <= 1.3 * max_force)
         deflection = float(np.interp(max_force, forces[there], bent[there, i])) / MM if there.any() else None
@@ -97,16 +102,23 @@ def _max_force(forces: Array, use: Array, max_stable_force: float, slips: float)
     return (limits[limit], limit) if np.isfinite(limits[limit]) else (float(forces[-1]), "none")
 
 
-def _needed(forces: Array, errors: Array, use: Array, accuracy: float, max_force: float) -> float | None:
-    """Return the smallest force [mN] with an error this small, interpolated linearly in logarithms between the
-    forces."""
-    good = np.isfinite(errors) & (use <= 1.0)
-    enough = np.flatnonzero(good & (errors <= accuracy))
-    if not len(enough):
+def force_for_accuracy(
+    forces: Array, errors: Array, accuracy: float, usable: NDArray[np.bool_] | None = None
+) -> float | None:
+    """Return the smallest force [N] with an error no larger than `accuracy`, interpolated linearly in logarithms.
+
+    Args:
+        forces: ascending [N], (n,).
+        errors: at each force, (n,); NaN where there is none.
+        accuracy: in the unit of the errors.
+        usable: forces that may be the result, (n,); all if None.
+    """
+    enough = errors <= accuracy
+    found = np.flatnonzero(enough if usable is None else enough & usable)
+    if not len(found):
         return None
-    j = int(enough[0])
-    force = float(forces[j])
-    if j and np.isfinite(errors[j - 1]):
-        x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
-        force = float(np.exp(np.interp(-np.log(accuracy), -y, x)))
-    return 1e3 * force if force <= max_force else None
+    j = int(found[0])
+    if not j or not np.isfinite(errors[j - 1]):
+        return float(forces[j])
+    x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
+    return float(np.exp(np.interp(-np.log(accuracy), -y, x)))

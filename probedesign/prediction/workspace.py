@@ -89,7 +89,7 @@ def workspace_of(
 
 def _path(row: ForceThresholds, forces: Array, points: Array, free: Array) -> PressPath:
     """Return the path of one line; it is linear between the forces."""
-    assert row.greatest_force_N is not None, "asked of what can be touched"
+    assert row.greatest_force_N is not None, "only positions with a largest force have a path"
     there = np.isfinite(points[:, 0]) & (forces <= row.greatest_force_N)
     way = np.vstack([free, points[there]])
     if there.any() and not there[-1]:

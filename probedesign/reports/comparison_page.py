@@ -35,14 +35,14 @@ class ComparedDesign:
 
     Attributes:
         design: the design.
-        worth: its metrics for the task.
+        metrics: its metrics for the task.
         along: its touches at `PLACES`.
         by_force: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
         prediction: for pushes across gravity with the task's force.
     """
 
     design: Design
-    worth: DesignMetrics
+    metrics: DesignMetrics
     along: TaskErrors
     by_force: tuple[float, ...]
     prediction: Prediction
@@ -79,7 +79,7 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
 
 def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
     """Return one row per metric, one column per design."""
-    rows = [[name, *(_cell(getattr(one.worth, name)) for one in compared)] for name in METRICS]
+    rows = [[name, *(_cell(getattr(one.metrics, name)) for one in compared)] for name in METRICS]
     return HtmlTable(["", *(one.design.name for one in compared)], rows)
 
 

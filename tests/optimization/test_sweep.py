@@ -35,7 +35,7 @@ def test_every_combination_once():
     ("text", "said"),
     [
         ("probe.tipd_mm=1:2:1", "did you mean 'probe.tip_d_mm'?"),
-        ("probe.tip_d_mm=2:1:0.5", "never leads"),
+        ("probe.tip_d_mm=2:1:0.5", "wrong sign"),
         ("probe.tip_d_mm=1:2", "not START:STOP:STEP"),
         ("probe.tip_d_mm=nan:2:1", "not START:STOP:STEP"),
         ("probe.tip_d_mm=1:2:1e-9", "coarser step"),
@@ -152,5 +152,5 @@ def test_a_scheduler_that_is_not_there(tmp_path, capsys, monkeypatch):
                "--scheduler", "tcp://127.0.0.1:9"]  # fmt: skip
     assert run(command) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not answer" in err
+    assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not respond" in err
     assert not (tmp_path / "new").exists()

@@ -219,7 +219,7 @@ def test_monte_carlo_goes_on_where_it_stopped(large, tmp_path):
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt, match="2 of 3 conditions are kept"):
+    with pytest.raises(KeyboardInterrupt, match="2 of 3 conditions are saved"):
         run_monte_carlo(plan, prediction, tmp_path, stop, workers=1)
     (kept,) = tmp_path.iterdir()
     assert len(json.loads(kept.read_text())["conditions"]) == 2
@@ -236,7 +236,7 @@ def test_another_plan_is_another_file_and_a_broken_one_is_named(large, tmp_path)
     )
     assert one.key != other.key != replace(one, tolerances=Tolerances(density=0.02)).key
     (tmp_path / f"monte-carlo-{one.key}.json").write_text('{"conditions": {"[0.5')
-    with pytest.raises(InputError, match="is not what a Monte Carlo left"):
+    with pytest.raises(InputError, match="is not a Monte Carlo checkpoint"):
         run_monte_carlo(one, prediction, tmp_path, workers=1)
 
 
