@@ -14,6 +14,7 @@ from probedesign.frames import Array
 from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.objective import predict_task
 from probedesign.optimization.task import Task, side_of
+from probedesign.prediction.predict import tip_sag
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
@@ -158,7 +159,7 @@ class DesignEvaluator:
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)
-            found["sag_mm"] = float(np.linalg.norm(tip - [0.0, 0.0, probe.length])) / MM
+            found["sag_mm"] = tip_sag(free, probe.length, model.gravity_base) / MM
             found["reach_mm"] = float(np.linalg.norm(tip)) / MM
         return found
 
@@ -196,11 +197,8 @@ class DesignEvaluator:
             rod, gravity
         )  # the rigid root scales with it, for which the rod has no sensitivity column
         by_control, tip = by_knot @ self.space.spline, eq.p_at(rod.length)
-        hung, reached = tip - [0.0, 0.0, rod.length], tip
-        return {
-            "sag_mm": hung @ by_control / np.linalg.norm(hung),
-            "reach_mm": reached @ by_control / np.linalg.norm(tip),
-        }
+        down = gravity / max(float(np.linalg.norm(gravity)), 1e-300)
+        return {"sag_mm": down @ by_control, "reach_mm": tip @ by_control / np.linalg.norm(tip)}
 
 
 def differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:

@@ -15,6 +15,7 @@ from probedesign.frames import Array
 from probedesign.optimization.task import Case, Task, side_of
 from probedesign.prediction.budget import error_budget
 from probedesign.prediction.fused import LinearizedPresses
+from probedesign.prediction.predict import tip_sag
 from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
@@ -55,7 +56,7 @@ class DesignMetrics:
         worst_error_mm: largest error of a case.
         detectable_mN: force that one reading detects with probability 0.5 at 0.8 of the length, noise and drift
             included (`Estimator.detectable`).
-        sag_mm: displacement of the tip by gravity as mounted.
+        sag_mm: displacement of the tip along gravity, as mounted.
         reach_mm: distance from the base to the tip of the free probe.
         sensor_use: largest fraction of a channel's range in the task.
         slide_mm: slide of the object along the probe in a straight press without friction; None for single touches and
@@ -96,13 +97,13 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     probe = build_probe(design)
     touched = predict_task(probe.model, task)
     found = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
-    tip = tip_place(probe.model)
+    free = probe.rod.solve(probe.model.gravity_base)
     return DesignMetrics(
         error_mm=_finite(task.combined(touched.errors) / MM),
         worst_error_mm=_finite(max(touched.errors) / MM),
         detectable_mN=_detectable_mN(probe.model, task),
-        sag_mm=None if tip is None else float(np.linalg.norm(tip - [0.0, 0.0, probe.length]) / MM),
-        reach_mm=None if tip is None else float(np.linalg.norm(tip) / MM),
+        sag_mm=tip_sag(free, probe.length, probe.model.gravity_base) / MM if free.ok else None,
+        reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
         sensor_use=_finite(touched.sensor_use),
         slide_mm=_finite(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
@@ -111,12 +112,6 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
         print_errors=found.count("error"),
         print_warnings=found.count("warning"),
     )
-
-
-def tip_place(model: ProbeModel) -> Array | None:
-    """Where the free tip hangs, base axes [m], (3,); None if the probe cannot stand."""
-    eq = model.rod.solve(model.gravity_base)
-    return eq.p_at(model.rod.length) if eq.ok else None
 
 
 def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskErrors:

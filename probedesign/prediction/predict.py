@@ -13,6 +13,7 @@ import numpy as np
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import (
     FUSED_CAUSES,
@@ -26,6 +27,7 @@ from probedesign.prediction.fused import (
 from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_thresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
 from probedesign.prediction.workspace import Workspace, workspace_of
+from probedesign.rod.equilibrium import Equilibrium
 from probedesign.units import MM
 
 __all__ = [
@@ -36,6 +38,7 @@ __all__ = [
     "Prediction",
     "predict",
     "predict_touch",
+    "tip_sag",
     "tip_sag_mm",
 ]
 
@@ -139,7 +142,7 @@ class Prediction:
         name, fingerprint: of the probe.
         assumptions: assumed values of the design that the numbers depend on.
         mass_g: of the flexible part.
-        tip_sag_mm: displacement of the tip by gravity.
+        tip_sag_mm: displacement of the tip along gravity.
         noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels.
         friction: prior standard deviation of tangential over normal force; None where the direction is free.
         conditions: the grid.
@@ -308,9 +311,24 @@ def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -
 
 
 def tip_sag_mm(estimator: Estimator) -> float | None:
-    """Return the displacement of the tip by gravity [mm]; None if the probe has no stable free equilibrium."""
-    free, length = estimator.free(), estimator.model.rod.length
-    return float(np.linalg.norm(free.p_at(length) - [0.0, 0.0, length]) / MM) if free.ok else None
+    """Return the sag of the tip [mm], see `tip_sag`; None if the probe has no stable free equilibrium."""
+    free = estimator.free()
+    return tip_sag(free, estimator.model.rod.length, estimator.model.gravity_base) / MM if free.ok else None
+
+
+def tip_sag(free: Equilibrium, length: float, gravity: Array) -> float:
+    """Return the displacement of the free tip along gravity from the straight probe [m]; 0 without gravity.
+
+    Measured sags of a campaign (`tip_sag_mm`) have the same definition.
+
+    Args:
+        free: equilibrium without contact.
+        length: of the probe [m].
+        gravity: base axes [m/s²], (3,).
+    """
+    if not gravity.any():
+        return 0.0
+    return float((free.p_at(length) - [0.0, 0.0, length]) @ gravity / np.linalg.norm(gravity))
 
 
 def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | None) -> Detection:

@@ -15,6 +15,8 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.optimization.grid import design_dict
+from probedesign.optimization.objective import design_metrics
+from probedesign.optimization.task import Task
 from probedesign.prediction.budget import radius_95
 from probedesign.prediction.fused import LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import Condition, predict, predict_touch
@@ -289,7 +291,21 @@ def test_the_promised_keys_are_in_the_json(prediction):
 def test_mass_and_sag_are_the_probes(large, prediction):
     assert prediction.mass_g == pytest.approx(1e3 * large.mass, rel=1e-12)
     tip = large.solve(mode="reference").p_base[-1]
-    assert prediction.tip_sag_mm == pytest.approx(1e3 * np.linalg.norm(tip - [0, 0, large.length]), abs=1e-3)
+    assert prediction.tip_sag_mm == pytest.approx(1e3 * tip[0], abs=1e-3)  # gravity is along x
+
+
+def test_sag_is_measured_along_gravity_as_in_campaigns(large):
+    """Under oblique gravity the tip does not move along it: prediction and optimisation use the same component."""
+    gravity = np.array([6.0, 0.0, 7.0])
+    model = replace(large.model, gravity_base=gravity)
+    moved = large.rod.solve(gravity, mode="reference").p_at(large.length) - [0.0, 0.0, large.length]
+    wanted = 1e3 * moved @ gravity / np.linalg.norm(gravity)
+    assert 0.0 < wanted < 0.9e3 * np.linalg.norm(moved)
+    assert predict(model, (0.5,), (0.01,), ("+y",)).tip_sag_mm == pytest.approx(wanted, abs=1e-3)
+    tables = design_dict(large.design)
+    tables["mount"]["gravity_base_m_s2"] = gravity.tolist()
+    found = design_metrics(check_design(tables), Task(fractions=(0.5,)))
+    assert found.sag_mm == pytest.approx(wanted, abs=1e-3)
 
 
 @pytest.mark.parametrize(
