@@ -200,10 +200,10 @@ class NonlinearProgram:
         )
 
     def _rule(self, name: str) -> Constraint:
-        body = self.evaluator.space
+        space = self.evaluator.space
 
         def margin(x: Array) -> Array:
-            return body.printable(x[: body.size])[name]
+            return space.printable(x[: space.size])[name]
 
         def slope(x: Array) -> Array:
             return differences(margin, x, central=True).T

@@ -88,9 +88,9 @@ class OptimizationProblem:
     @property
     def problem(self) -> NonlinearProgram:
         """The problem in the form of the solver."""
-        body = DesignSpace.of(self.start, self.free)
+        space = DesignSpace.of(self.start, self.free)
         return NonlinearProgram(
-            DesignEvaluator(body, self.task, self.goal == "force-for-error"), self.all_limits
+            DesignEvaluator(space, self.task, self.goal == "force-for-error"), self.all_limits
         )
 
 
@@ -179,8 +179,8 @@ def _worse(start: Design, best: Design, task: Task) -> tuple[WorseCase, ...]:
 
 
 def _named(problem: NonlinearProgram, x: Array, name: str) -> Design:
-    body = problem.evaluator.space
-    return check_design(body.tables(x[: body.size], DIGITS) | {"name": name})
+    space = problem.evaluator.space
+    return check_design(space.tables(x[: space.size], DIGITS) | {"name": name})
 
 
 def _solve(
@@ -201,12 +201,12 @@ def _solve(
 
 def _starts(problem: NonlinearProgram, designs: list[Design]) -> list[Array]:
     """Return the designs, and the first of them thinner, or shorter where its diameters are fixed."""
-    body, found = problem.evaluator.space, list[Array]()
+    space, found = problem.evaluator.space, list[Array]()
     for design, factor in [(designs[0], factor) for factor in STARTS] + [
         (design, 1.0) for design in designs[1:]
     ]:
-        x = body.x_of(design)
-        x[: body.controls or None] *= factor
+        x = space.x_of(design)
+        x[: space.controls or None] *= factor
         force = [float(np.log(FORCES[1]) / 2.0)] if problem.evaluator.with_force else []
         found.append(_stable_start(problem, problem.clip(np.append(x, force))))
     return found

@@ -1,4 +1,4 @@
-"""The search for a body: derivatives, printability, optima that can be told beforehand, limits that cannot be kept."""
+"""Optimisation of a design: derivatives, print constraints, known optima, infeasible limits."""
 
 import csv
 from dataclasses import replace
@@ -39,7 +39,7 @@ def large():
     return check_design(tables)
 
 
-def test_the_error_is_what_predict_says_of_fused_and_single_touches(large):
+def test_the_error_equals_the_prediction_for_fused_and_single_touches(large):
     """One model, one set of priors: the error that bodies are judged by is the predicted one, all causes counted."""
     probe = build_probe(large)
     predicted = probe.predict(fractions=(0.7,), forces_N=(0.01,), directions=("+y",))
@@ -67,7 +67,7 @@ def test_several_tasks_at_once_are_combined(large):
     assert replace(task, combine="worst").combined(found.errors) == max(found.errors)
 
 
-def test_the_priors_are_the_designs_but_for_what_the_task_says(large):
+def test_the_task_overrides_priors_of_the_design(large):
     probe = build_probe(large)
     assert TASK.priors(probe.model) == probe.tolerances
     other = Task(base_repeat_mm=0.05, bias_walk_steps=0.4).priors(probe.model)
@@ -96,14 +96,14 @@ def test_a_taper_through_a_cones_diameters_is_the_cone(large):
 
 
 @pytest.mark.parametrize(("x", "rule"), [((12.0, 1.4), "smallest_feature"), ((3.7, 3.6), "slenderness")])
-def test_the_rules_kept_are_those_of_the_print_check(large, x, rule):
+def test_the_print_constraints_are_those_of_the_print_check(large, x, rule):
     body, x = DesignSpace.of(large, ("cone",)), np.array(x)
     broken = [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0]
     errors = [f.rule for f in check_print(body.design(x)).errors if f.part == "probe"]
     assert broken == [f"print rule {rule}"] and errors == [rule]
 
 
-def test_the_best_cone_is_better_by_all_causes_and_tells_where_it_is_not(large):
+def test_the_best_cone_improves_the_error_and_lists_worse_cases(large):
     search = OptimizationProblem(large, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
     found = optimum(search, "best", quiet)
     assert found.after.error_mm < found.before.error_mm
@@ -118,7 +118,7 @@ def test_the_best_cone_is_better_by_all_causes_and_tells_where_it_is_not(large):
         assert now > was and (was, now) == pytest.approx((row.start_error_mm, row.best_error_mm), rel=1e-3)
 
 
-def test_the_worst_case_is_what_is_minimised_where_asked(large):
+def test_combine_worst_minimises_the_worst_case(large):
     limits = (Limit("sag_mm", True, 60.0),)
     mean, worst = (
         optimum(
@@ -134,7 +134,7 @@ def test_the_worst_case_is_what_is_minimised_where_asked(large):
     )  # a search ends within a thousandth
 
 
-def test_an_object_that_slides_off_a_soft_tip_holds_a_body_back(large):
+def test_an_object_slides_off_a_soft_tip(large):
     """7 to 1.5 mm bends so far at 0.9 of its length that the object comes off the tip."""
     soft = design_metrics(DesignSpace.of(large, ("cone",)).design(np.array([7.0, 1.5])), TASK)
     stiff = design_metrics(large, TASK)
@@ -142,7 +142,7 @@ def test_an_object_that_slides_off_a_soft_tip_holds_a_body_back(large):
     assert design_metrics(large, Task(touches=1)).slide_mm is None
 
 
-def test_a_limit_that_binds_is_reached_and_not_passed(large):
+def test_an_active_limit_is_reached_and_not_exceeded(large):
     task = replace(TASK, fractions=(0.5, 0.8))
     found = optimum(
         OptimizationProblem(large, ("cone",), task, limits=(Limit("sag_mm", True, 12.0),)), "best", quiet
@@ -150,7 +150,7 @@ def test_a_limit_that_binds_is_reached_and_not_passed(large):
     assert 11.9 < found.after.sag_mm <= 12.0 and "sag_mm <= 12" in found.active_constraints
 
 
-def test_limits_that_cannot_be_kept_say_which_bind(large):
+def test_infeasible_limits_are_named(large):
     limits = (Limit("sag_mm", True, 2.0), Limit("error_mm", True, 1.0))
     with pytest.raises(InputError, match=r"sag_mm <= 2 \(there .*error_mm <= 1 \(there"):
         optimum(
@@ -169,7 +169,7 @@ def test_the_real_estimator_errs_as_predicted(large):
         assert 0.75 * found.located <= found.inside <= found.located
 
 
-def test_the_force_that_a_body_bears_is_told_before_it_gives_way(large):
+def test_the_critical_load_is_predicted_below_buckling(large):
     """Held just below, lost just above; told from forces below, so to a part in a hundred."""
     task = replace(TASK, fractions=(0.9,))
     for base_d_mm in (5.8, 6.0):
@@ -183,7 +183,7 @@ def test_the_force_that_a_body_bears_is_told_before_it_gives_way(large):
         assert np.isfinite(held[0]) and np.isinf(held[1])
 
 
-def test_a_body_that_no_clamp_ring_passes_is_none(large):
+def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
     body = DesignSpace.of(large, ("taper",))
     x = np.array([6.0, 14.0, 6.0, 4.0, 2.0])  # the flange of a 6 mm base is 17 mm, of which 3 mm are its lip
     assert [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0] == [
@@ -194,7 +194,7 @@ def test_a_body_that_no_clamp_ring_passes_is_none(large):
     assert DesignEvaluator(body, TASK).is_stable(x)
 
 
-def test_a_start_that_gives_way_is_bettered_too(large):
+def test_a_start_that_buckles_is_improved(large):
     """Nothing leads a search out of where a probe gives way: it starts from a thicker one."""
     limp = DesignSpace.of(large, ("cone",)).design(np.array([4.0, 1.5]))
     found = optimum(OptimizationProblem(limp, ("cone",), replace(TASK, fractions=(0.6, 0.9))), "best", quiet)
@@ -221,7 +221,7 @@ def test_a_start_that_gives_way_is_bettered_too(large):
         (["--places", "0.5:1.5:0.5"], "must lie in (0, 1]"),
     ],
 )
-def test_a_wrong_wish_is_one_line(arguments, said, tmp_path, capsys):
+def test_invalid_options_are_refused_in_one_line(arguments, said, tmp_path, capsys):
     out = tmp_path / "best.toml"
     assert run(["optimize", str(LARGE), "--out", str(out), *arguments]) == 2
     err = capsys.readouterr().err
@@ -234,7 +234,7 @@ def test_limits_read_as_written():
     check_limits([parse_limit("sag_mm>=10"), parse_limit("sag_mm<=60")])
 
 
-def test_what_cannot_be_written_is_not_sought(tmp_path, capsys):
+def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
     """A search takes a minute; its answer must have a place before."""
     (tmp_path / "file").write_text("")
     assert run(["optimize", str(LARGE), "--out", str(tmp_path / "file/best.toml")]) == 2
@@ -261,7 +261,7 @@ def test_the_front_begins_with_the_best_cone(large, tmp_path):
     assert float(row["base_d_mm"]) == pytest.approx(load_design(out).probe.base_d_mm, abs=1e-6)
 
 
-def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys, monkeypatch):
+def test_the_optimum_is_kept_where_no_front_is_found(large, tmp_path, capsys, monkeypatch):
     def none(*_):
         raise InputError("none of 1 bodies keeps every limit")
 
@@ -274,7 +274,7 @@ def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys, 
     assert "best.toml is written, but none of 1 bodies" in err and load_design(out).name == "best"
 
 
-def test_a_start_that_gives_way_is_not_drawn(large, tmp_path, capsys):
+def test_a_start_that_buckles_is_not_drawn(large, tmp_path, capsys):
     limp, out = tmp_path / "limp.toml", tmp_path / "best.toml"
     limp.write_text(
         render_design(check_design(DesignSpace.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3)))

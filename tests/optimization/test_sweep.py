@@ -1,4 +1,4 @@
-"""A sweep: which designs, what is kept, what an interruption and a wrong design leave."""
+"""Parameter sweep: grid, journal, resumption after an interruption, invalid designs."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_every_combination_once():
         ("probe.tip_d_mm=1,,2", "empty value"),
     ],
 )
-def test_a_wrong_range_is_one_line(text, said):
+def test_an_invalid_range_is_refused(text, said):
     with pytest.raises(InputError, match=said.replace("?", r"\?")):
         parse_axis(text)
 
@@ -55,7 +55,7 @@ def test_a_key_is_varied_and_no_other():
     assert changed == base | {"probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"}}
 
 
-def test_a_design_that_cannot_be_says_why_and_one_that_gives_way_too():
+def test_invalid_and_buckling_designs_give_a_reason():
     base = design_dict(load_design(LARGE))
     refused = evaluate_point(base, 0, {"probe.tip_d_mm": 13.0}, Task())
     limp = evaluate_point(base, 1, {"probe.base_d_mm": 2.0}, Task())
@@ -63,7 +63,7 @@ def test_a_design_that_cannot_be_says_why_and_one_that_gives_way_too():
     assert limp["result"] == "gives_way" and limp["error_mm"] is None and limp["mass_g"] > 0.0
 
 
-def test_what_the_sensor_cannot_read_is_not_ok():
+def test_a_reading_out_of_range_is_not_ok():
     """20 N near the base: the probe bears it, the range of 12 N does not."""
     found = evaluate_point(design_dict(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
     assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
@@ -98,7 +98,7 @@ def journal_of(path: Path, records: int) -> bytes:
     return path.read_bytes()
 
 
-def test_half_a_record_is_dropped_and_what_was_whole_stays(tmp_path):
+def test_an_incomplete_record_is_dropped_and_complete_ones_are_kept(tmp_path):
     path = tmp_path / "sweep.jsonl"
     whole = journal_of(path, 2)
     for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
@@ -110,7 +110,7 @@ def test_half_a_record_is_dropped_and_what_was_whole_stays(tmp_path):
         assert path.read_bytes() == whole
 
 
-def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
+def test_results_of_another_sweep_and_corrupt_lines_are_refused_unchanged(tmp_path):
     path = tmp_path / "sweep.jsonl"
     content = journal_of(path, 3)
     with pytest.raises(InputError, match="another sweep"):
@@ -124,7 +124,7 @@ def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
         assert path.read_bytes() == broken
 
 
-def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
+def test_a_sweep_resumes(tmp_path, capsys):
     """Two workers, one lost record, one design that cannot be: nothing is computed twice."""
     pytest.importorskip("distributed")
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -144,7 +144,7 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
     assert [row["error_mm"] for row in table] == [p["error_mm"] for p in first["points"]]
 
 
-def test_a_scheduler_that_is_not_there(tmp_path, capsys, monkeypatch):
+def test_an_unreachable_scheduler_is_refused(tmp_path, capsys, monkeypatch):
     pytest.importorskip("distributed")
     pytest.importorskip("pyarrow")
     monkeypatch.setattr("probedesign.optimization.sweep.SCHEDULER_TIMEOUT_S", 1.0)

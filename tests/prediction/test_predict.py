@@ -108,7 +108,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
 @pytest.mark.parametrize(
     ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.6, 0.02, "+x"), (0.8, 0.05, "-x")]
 )
-def test_it_is_the_estimators_own_covariance(large, fraction, force, direction):
+def test_the_prediction_is_the_covariance_of_the_estimator(large, fraction, force, direction):
     """Noise, all error sources and friction: what `estimate` states of a reading of that very touch."""
     estimator = large.estimator()
     found = predict_touch(estimator, fraction, force, direction)
@@ -164,7 +164,7 @@ def test_noisy_readings_err_as_predicted(large):
     assert inside >= stats.binom(readings, 0.95).ppf(rare)
 
 
-def test_a_slight_touch_errs_as_one_over_its_force(large):
+def test_the_error_of_a_light_touch_is_inversely_proportional_to_force(large):
     estimator = Estimator(large.model, Tolerances.none())
     errors = [predict_touch(estimator, 0.6, f, "+y").predicted_error_mm for f in (1e-5, 2e-5, 4e-5)]
     # What is left is how far the touch itself moves the point: 40 µN at 90 mm, a hundredth of a millimetre.
@@ -188,7 +188,7 @@ def test_the_noise_alone_is_proportional_to_the_noise(large):
     assert once.noise_force_mN == pytest.approx(1e3 * noise.force, rel=1e-15)
 
 
-def test_the_lever_arm_is_as_vague_as_the_force(large):
+def test_the_lever_arm_is_as_uncertain_as_the_force(large):
     """σ_s ≈ s σ_F/F where the moment is read sharply: the bound that no single touch can beat."""
     found = predict_touch(Estimator(large.model, Tolerances.none()), 0.4, 0.02, "+y")
     noise = large.model.noise
@@ -218,7 +218,7 @@ def test_compliances_are_those_of_pressing_on(large):
     assert found.force_per_mm_N == pytest.approx(found.force_per_N_N / per_N_mm, rel=1e-4)
 
 
-def test_a_touch_at_the_detectable_force_is_on_the_verge(large):
+def test_the_detectable_force_is_the_limit_of_detection(large):
     """Detected with probability one half, by prediction, search and estimator alike."""
     found = predict(large.model, (0.6,), (0.01,), ("+y",)).detection[0]
     force = 1e-3 * found.detectable_force_mN
@@ -233,7 +233,7 @@ def test_a_touch_beyond_the_sensor_is_flagged(large):
     assert above.result == "out_of_range" and above.sensor_use > 1.0
 
 
-def test_a_touch_that_the_probe_cannot_hold_has_no_numbers(large):
+def test_a_touch_that_buckles_the_probe_has_no_numbers(large):
     found = predict_touch(large.estimator(), 1.0, 5.0, "+y")
     assert found.result in ("gives_way", "not_converged")
     assert found == Condition(1.0, 5.0, "+y", found.result)
@@ -246,7 +246,7 @@ def made_of(youngs_mpa):
     return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))
 
 
-def test_a_force_that_is_not_borne_is_not_felt():
+def test_a_force_beyond_buckling_is_not_detectable():
     """So soft a tip hangs and gives way under less than the sensor tells."""
     soft = made_of(0.02)
     borne = {(r.contact_fraction, r.direction): r.greatest_force_N for r in soft.reach}
@@ -278,7 +278,7 @@ def test_the_grid_is_whole(prediction):
     assert len(prediction.conditions) == 8 and len(prediction.detection) == 4
 
 
-def test_the_promised_keys_are_in_the_json(prediction):
+def test_the_documented_keys_are_in_the_json(prediction):
     document = json.loads(json.dumps(prediction.as_dict(), allow_nan=False))
     promised = {"contact_fraction", "force_N", "direction", "predicted_error_mm", "predicted_error_95_mm"}
     for condition in document["conditions"]:
@@ -321,7 +321,7 @@ def test_sag_is_measured_along_gravity_as_in_campaigns(large):
         {"directions": ("up",)},
     ],
 )
-def test_a_grid_that_makes_no_sense_is_refused(large, grid):
+def test_an_invalid_grid_is_refused(large, grid):
     with pytest.raises(InputError):
         large.predict(**{"fractions": (0.5,), "forces_N": (0.01,), "directions": ("+x",), **grid})
 

@@ -54,7 +54,7 @@ def test_a_row_without_a_frictionless_equilibrium_has_no_prediction_but_an_expla
     assert lost[0].why and not lost[0].within and table.score.predicted == 22
 
 
-def test_the_command_tells_the_same(table, capsys):
+def test_the_command_gives_the_same_table(table, capsys):
     assert run(["predict", "--table1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["score"]["within"] == table.score.within and len(document["rows"]) == 23
