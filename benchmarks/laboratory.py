@@ -13,8 +13,8 @@ from probedesign.frames import Array, pose, wrench_map
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import DEGREE, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
+from probedesign.prediction.print_samples import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.rod.rod import Rod
 from probedesign.units import MM
@@ -65,7 +65,7 @@ class Truth:
     """One world.
 
     Attributes:
-        rod: as printed.
+        rod: as perturbed_rod.
         factors: logarithms by which E, G, density, length and diameters differ from the design, (4 + K).
         T_mount: of the base as told, (4, 4): where it is.
         T_seat: of the base in its seat on the sensor.
@@ -124,7 +124,9 @@ def _truth(
     turn, shift = STD_TILT * rng.normal(size=3), STD_BASE * rng.normal(size=3)
     T_mount = pose(Rotation.from_rotvec(turn).as_matrix(), shift) @ T_seat
     pulled = model.gravity_base + turns[6:9]
-    return Truth(printed(model.rod, factors), factors, T_mount, T_seat, T_mount[:3, :3].T @ pulled, pulled)
+    return Truth(
+        perturbed_rod(model.rod, factors), factors, T_mount, T_seat, T_mount[:3, :3].T @ pulled, pulled
+    )
 
 
 def _tests(truth: Truth, kind: Kind) -> Iterator[tuple[str, FrictionlessContact | None]]:

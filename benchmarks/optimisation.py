@@ -6,13 +6,13 @@ from time import perf_counter
 
 from benchmarks.timing import print_table
 from probedesign.design import Design, check_design, load_design
-from probedesign.search.body import Free
-from probedesign.search.confirm import Confirmed, confirm
-from probedesign.search.goal import Limit
-from probedesign.search.grid import tables_of
-from probedesign.search.optimum import Search, optimum
-from probedesign.search.task import Task
-from probedesign.search.worth import Worth, worth
+from probedesign.optimization.confirm import MonteCarloCheck, confirm
+from probedesign.optimization.constraints import Limit
+from probedesign.optimization.design_space import FreeParameter
+from probedesign.optimization.grid import design_dict
+from probedesign.optimization.objective import DesignMetrics, design_metrics
+from probedesign.optimization.optimum import OptimizationProblem, optimum
+from probedesign.optimization.task import Task
 
 START = Path(__file__).parents[1] / "designs/large.toml"
 SAG = Limit("sag_mm", True, 60.0)
@@ -25,18 +25,18 @@ SEED = 1
 
 @dataclass(frozen=True)
 class Body:
-    """A body with what it is worth.
+    """A design with its metrics.
 
     Attributes:
         design: it.
-        worth: as predicted, all causes counted.
+        metrics: as predicted, by all error sources.
         drawn: by the real estimator.
         seconds: that it took to find; 0 for the start.
     """
 
     design: Design
-    worth: Worth
-    drawn: Confirmed
+    metrics: DesignMetrics
+    drawn: MonteCarloCheck
     seconds: float
 
 
@@ -44,10 +44,12 @@ def report() -> None:
     """The start, the best cone and the best free taper."""
     task, start = Task(), _start()
     bodies = {"start": _body(start, task, 0.0)}
-    frees: dict[str, tuple[Free, ...]] = {"best cone": ("cone",), "best free taper": ("taper",)}
+    frees: dict[str, tuple[FreeParameter, ...]] = {"best cone": ("cone",), "best free taper": ("taper",)}
     for name, free in frees.items():
         before = perf_counter()
-        found = optimum(Search(start, free, task, limits=(SAG,)), name.replace(" ", "-"), lambda *_: None)
+        found = optimum(
+            OptimizationProblem(start, free, task, limits=(SAG,)), name.replace(" ", "-"), lambda *_: None
+        )
         bodies[name] = _body(found.design, task, perf_counter() - before)
     first = bodies["start"]
     print_table(
@@ -56,21 +58,23 @@ def report() -> None:
         ["", "diameters [mm]", "predicted [mm]", "better", "drawn [mm]", "better",
          "located", "sag [mm]", "print errors",
          "found in [s]"],
-        [[name, _diameters(b.design), f"{b.worth.error_mm:.2f}", _times(first.worth.error_mm, b.worth.error_mm),
+        [[name, _diameters(b.design), f"{b.metrics.error_mm:.2f}", _times(first.metrics.error_mm, b.metrics.error_mm),
           f"{b.drawn.rms_mm:.2f} ± {b.drawn.standard_error_mm:.2f}", _times(first.drawn.rms_mm, b.drawn.rms_mm),
-          f"{b.drawn.located} of {b.drawn.drawn}", f"{b.worth.sag_mm:.0f}", f"{b.worth.print_errors}",
+          f"{b.drawn.located} of {b.drawn.drawn}", f"{b.metrics.sag_mm:.0f}", f"{b.metrics.print_errors}",
           f"{b.seconds:.0f}"] for name, b in bodies.items()],
     )  # fmt: skip
 
 
 def _start() -> Design:
-    tables = tables_of(load_design(START))
+    tables = design_dict(load_design(START))
     tables["material"]["stiffness_spread"] = SPREAD
     return check_design(tables)
 
 
 def _body(design: Design, task: Task, seconds: float) -> Body:
-    return Body(design, worth(design, task), confirm(design, task, DRAWS, SEED, lambda *_: None), seconds)
+    return Body(
+        design, design_metrics(design, task), confirm(design, task, DRAWS, SEED, lambda *_: None), seconds
+    )
 
 
 def _times(before: float, after: float) -> str:

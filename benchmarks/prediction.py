@@ -16,7 +16,7 @@ from benchmarks.timing import print_table, shown
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.monte_carlo import Plan, sample
+from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo
 from probedesign.prediction.predict import predict
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 from probedesign.probe import Probe, build_probe
@@ -61,13 +61,13 @@ def _monte_carlo(probe: Probe, causes: str, estimates: int, target: str) -> list
     known = probe.tolerances if causes == "all" else Tolerances.none()
     prediction = predict(probe.model, (0.3, 0.5, 0.7, 0.9), (0.01, 0.02, 0.03), ("+x", "+y"), known)
     touches = sum(c.result == "ok" for c in prediction.conditions)
-    plan = Plan(probe.model, known, estimates // touches, 1)
+    plan = MonteCarloPlan(probe.model, known, estimates // touches, 1)
     wall = time.perf_counter()
-    found = sample(plan, prediction, None)
+    found = run_monte_carlo(plan, prediction, None)
     wall = time.perf_counter() - wall
     few = replace(plan, draws=max(plan.draws // 8, 2))
     cpu = time.process_time()
-    done = sum(row.draws for row in sample(few, prediction, None, workers=1))
+    done = sum(row.draws for row in run_monte_carlo(few, prediction, None, workers=1))
     cpu = (
         (time.process_time() - cpu) / done * touches * plan.draws
     )  # the workers' own is not told: from one process

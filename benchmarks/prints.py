@@ -10,8 +10,8 @@ from benchmarks.touches import paper_models
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
+from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.worlds import Worlds
 from probedesign.units import MM
 
 DRAWS = 300
@@ -23,12 +23,12 @@ def report() -> None:
     """Print the table."""
     rows = []
     for name, model in paper_models().items():
-        worlds = Worlds.draw(model, Tolerances.of(model), DRAWS, 3)
+        samples = PrintSamples.draw(model, Tolerances.of(model), DRAWS, 3)
         exact = Estimator(model, Tolerances.none())
         for fraction, force, direction in TOUCHES:
             rng, phi = np.random.default_rng(7), DIRECTIONS[direction] + np.pi
-            wrenches, points = (of[:, 0] for of in worlds.touched(fraction, phi, (force,), rng))
-            read = wrenches + worlds.noise(DRAWS, 1, rng)[:, 0]
+            wrenches, points = (of[:, 0] for of in samples.simulate_touches(fraction, phi, (force,), rng))
+            read = wrenches + samples.draw_noise(DRAWS, 1, rng)[:, 0]
             told = [_told(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
             rows.append([f"{name}, {1e3 * force:g} mN at {fraction:g} L, {direction}",
                          *(" / ".join(pair) for pair in zip(*told, strict=True))])  # fmt: skip

@@ -20,10 +20,15 @@ from probedesign.design import Design, load_design
 from probedesign.design_file import write_design
 from probedesign.errors import InputError
 from probedesign.files import check_room, keep_old, write_atomically
-from probedesign.prediction.csv_tables import along_csv, conditions_csv
-from probedesign.prediction.paper_probes import PROBES, paper_design
-from probedesign.prediction.predict import PRESSING, Prediction, predict_touch, tip_sag_mm
-from probedesign.prediction.press_schedule import PressSchedule
+from probedesign.prediction.fused import PressSchedule
+from probedesign.prediction.predict import (
+    PRESSING,
+    Prediction,
+    along_csv,
+    conditions_csv,
+    predict_touch,
+    tip_sag_mm,
+)
 from probedesign.printing.check import PrintCheck, check_print
 from probedesign.printing.preform.client import PreForm, connection_to
 from probedesign.printing.preform.job import (
@@ -40,13 +45,12 @@ from probedesign.units import MM
 if TYPE_CHECKING:
     from probedesign.design_edit import Change
     from probedesign.identification.result import Identification
+    from probedesign.optimization.grid import GridAxis
+    from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult
+    from probedesign.optimization.sweep import SweepResult
+    from probedesign.optimization.task import Task
     from probedesign.prediction.table_one import TableOne
     from probedesign.reports.comparison_page import ComparedDesign
-    from probedesign.search.found import Found
-    from probedesign.search.grid import Axis
-    from probedesign.search.optimum import Search
-    from probedesign.search.sweep import Swept
-    from probedesign.search.task import Task
     from probedesign.simulation.campaign_folder import SimulatedCampaign
     from probedesign.simulation.ground_truth import CampaignPlan
     from probedesign.validation.validate import MultiProbeReport, ValidationReport
@@ -155,10 +159,10 @@ def predict(
     prediction = probe.predict(pressing=pressing)
     if draws is not None:
         from probedesign.prediction.fused import shown
-        from probedesign.prediction.monte_carlo import Plan, sample
+        from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo
 
-        plan = Plan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
-        sampled = sample(plan, prediction, folder, lambda share: tell("Monte Carlo", share),
+        plan = MonteCarloPlan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
+        sampled = run_monte_carlo(plan, prediction, folder, lambda share: tell("Monte Carlo", share),
                          fused=shown(prediction.fused))  # fmt: skip
         prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]
@@ -183,7 +187,7 @@ def predict(
 
 def predict_table_one() -> "TableOne":
     """The paper's probes → its Table I, predicted."""
-    from probedesign.prediction.table_one import table_one
+    from probedesign.prediction.table_one import PROBES, paper_design, table_one
 
     probes = {name: build_probe(paper_design(name)) for name in PROBES}
     return table_one({name: (probe.model, probe.tolerances) for name, probe in probes.items()})
@@ -209,34 +213,33 @@ def compare(
 
 def sweep(
     design_path: Path,
-    axes: "list[Axis]",
+    axes: "list[GridAxis]",
     task: "Task",
     out: Path | None,
     scheduler: str | None,
     workers: int,
     tell: Callable[[str, float | None], None],
-) -> "Swept":
+) -> "SweepResult":
     """Design → many designs → their figures → sweep.csv, sweep.parquet. Needs dask and pyarrow."""
-    from probedesign.search.sweep import sweep as run
+    from probedesign.optimization.sweep import sweep as run
 
     design = load_design(design_path)
     return run(design, axes, task, out or EXPORTS / design.name / "sweep", scheduler, workers, tell)
 
 
 def optimize(
-    search: "Search",
+    search: "OptimizationProblem",
     out: Path | None,
     force: bool,
     draws: int,
     trials: int,
     seed: int,
     tell: Callable[[str, float | None], None],
-) -> "Found":
+) -> "OptimizeResult":
     """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
-    from probedesign.search.confirm import confirm
-    from probedesign.search.found import Found, design_text
-    from probedesign.search.front import check_installed, front
-    from probedesign.search.optimum import optimum
+    from probedesign.optimization.confirm import confirm
+    from probedesign.optimization.optimum import OptimizeResult, design_text, optimum
+    from probedesign.optimization.pareto import check_installed, pareto_front
 
     path = out or Path("designs") / f"{search.start.name}-best.toml"
     if path.exists() and not force:
@@ -252,7 +255,7 @@ def optimize(
             start_gives_way = best.before.error_mm is None
             confirmed = (None if start_gives_way else confirm(search.start, best.task, draws, seed, tell),
                          confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
-        shown = front(search, trials, seed, tell, best) if trials else None
+        shown = pareto_front(search, trials, seed, tell, best) if trials else None
     except InputError as error:
         raise InputError(f"{path} is written, but {error}") from None
     if shown is not None:
@@ -265,7 +268,7 @@ def optimize(
         files.append(path.with_name(f"{path.stem}-compared.html"))
         compared = side_by_side([search.start, best.design], best.task)
         write_atomically(files[-1], comparison_page(compared, best.task))
-    return Found(search, best, confirmed, shown, tuple(files))
+    return OptimizeResult(search, best, confirmed, shown, tuple(files))
 
 
 def identify(

@@ -33,7 +33,7 @@ def compare(
     with working("comparing"):
         compared, file = pipeline.compare(designs, task, out, page)
     if as_json:
-        document = [{"name": one.design.name, **one.worth.as_dict()} for one in compared]
+        document = [{"name": one.design.name, **one.metrics.as_dict()} for one in compared]
         print_json({"task": task, "designs": document, "page": file})
         return
     from probedesign.reports.comparison_page import comparison_table

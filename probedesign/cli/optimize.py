@@ -11,9 +11,9 @@ from probedesign.cli.task import TaskOptions
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.search.confirm import Confirmed
-    from probedesign.search.front import Front
-    from probedesign.search.optimum import Optimum
+    from probedesign.optimization.confirm import MonteCarloCheck
+    from probedesign.optimization.optimum import Optimum
+    from probedesign.optimization.pareto import ParetoFront
 
 SHOWN_WORSE = 6
 """Places and forces at which the best body is worse than the start, that are printed."""
@@ -57,8 +57,8 @@ def optimize(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.search.goal import check_limits, parse_limit
-    from probedesign.search.optimum import Search
+    from probedesign.optimization.constraints import check_limits, parse_limit
+    from probedesign.optimization.optimum import OptimizationProblem
 
     for name, count in (("--confirm", confirm), ("--pareto", pareto)):
         if not 0 <= count <= 100_000:
@@ -66,7 +66,7 @@ def optimize(
     limits = [parse_limit(text) for text in subject_to or []]
     check_limits(limits)
     start = load_design(design)
-    search = Search(
+    search = OptimizationProblem(
         start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
     )
     with telling() as tell:
@@ -79,7 +79,9 @@ def optimize(
 
 
 def _print(
-    found: "Optimum", confirmed: "tuple[Confirmed | None, Confirmed] | None", front: "Front | None"
+    found: "Optimum",
+    confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None",
+    front: "ParetoFront | None",
 ) -> None:
     print(f"{found.design.name}: {found.task.text}")
     print(f"  {'':<16}{'start':>12}{'best':>12}")
@@ -94,7 +96,7 @@ def _print(
             print(f"  {name}, drawn from all causes: {one.rms_mm:.3g} ± {one.standard_error_mm:.1g} mm RMS, predicted "
                   f"{one.bound_mm:.3g} mm; {one.located} of {one.drawn} located, {one.inside} of them "
                   "inside their 95 % ellipsoid")  # fmt: skip
-    print(f"  held back by: {', '.join(found.binding) or 'nothing: it is a free optimum'}")
+    print(f"  held back by: {', '.join(found.active_constraints) or 'nothing: it is a free optimum'}")
     ranked = sorted(
         found.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True
     )
@@ -105,10 +107,10 @@ def _print(
               f"gravity {gravity}: {now}, was {place.start_error_mm:.3g} mm")  # fmt: skip
     if len(ranked) > SHOWN_WORSE:
         print(f"  and worse at {len(ranked) - SHOWN_WORSE} more places and forces: --json lists all")
-    print(f"  {found.looked} bodies looked at from {len(found.starts)} starts: "
+    print(f"  {found.n_evaluations} bodies looked at from {len(found.starts)} starts: "
           f"{', '.join('no good' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
     if front is not None:
-        print(f"\nPareto front, {len(front.rows)} of {front.looked} cones")
+        print(f"\nPareto front, {len(front.rows)} of {front.n_evaluations} cones")
         print("".join(f"{name:>12}" for name in front.rows[0]))
         for row in front.rows[:: max(1, len(front.rows) // 12)]:
             print("".join(f"{value:>12.4g}" for value in row.values()))

@@ -42,7 +42,7 @@ def predict(
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
-    from probedesign.prediction.press_schedule import PressSchedule
+    from probedesign.prediction.fused import PressSchedule
 
     if (design is None) is not table1:
         raise InputError(

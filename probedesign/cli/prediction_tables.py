@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from probedesign.prediction.fused import FusedCondition
     from probedesign.prediction.predict import Condition, Prediction
-    from probedesign.prediction.table_one import Score, TableOne
+    from probedesign.prediction.table_one import AgreementScore, TableOne
     from probedesign.prediction.workspace import Workspace
 
     Cell = Condition | FusedCondition
@@ -161,7 +161,7 @@ def print_table_one(table: "TableOne") -> None:
         print(f"  {score.setting:<24}{_said(score, len(table.rows))}")
 
 
-def _said(score: "Score", rows: int) -> str:
+def _said(score: "AgreementScore", rows: int) -> str:
     return (
         f"{score.within} of {rows} within a factor of two; rank correlation {score.rank_correlation:.2f} "
         f"over the {score.predicted} predicted"

@@ -12,7 +12,7 @@ from probedesign.cli.task import TaskOptions
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.search.sweep import Swept
+    from probedesign.optimization.sweep import SweepResult
 
 
 def sweep(
@@ -40,15 +40,17 @@ def sweep(
         options: what the designs are judged by.
         as_json: print one JSON document.
     """
-    from probedesign.search.workers import prepare
+    from probedesign.core.parallel import start_forkserver
 
     if workers is not None and not 1 <= workers <= 1024:
         raise InputError(f"--workers {workers} must lie in 1 ... 1024")
     if scheduler is None:
-        prepare()  # before all that takes its time to import
+        start_forkserver(
+            ("distributed", "probedesign.optimization.sweep")
+        )  # its imports take as long as this command's
 
     from probedesign import pipeline
-    from probedesign.search.grid import parse_axis
+    from probedesign.optimization.grid import parse_axis
 
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
     try:
@@ -64,7 +66,7 @@ def sweep(
         _print(swept, [axis.key for axis in axes], task.text)
 
 
-def _print(swept: "Swept", keys: list[str], task: str) -> None:
+def _print(swept: "SweepResult", keys: list[str], task: str) -> None:
     done, failed = len(swept.records), swept.failed
     print(f"{counted(done, 'design')}, {swept.computed} computed now; {task}")
     good = sorted((r for r in swept.records if r["result"] == "ok"), key=lambda r: r["error_mm"])

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.search.task import Task
+    from probedesign.optimization.task import Task
 
 About = Literal["sensor", "base"]
 
@@ -50,8 +50,8 @@ class TaskOptions:
         Raises:
             InputError: a value makes no sense.
         """
-        from probedesign.search.grid import numbers_of
-        from probedesign.search.task import Task
+        from probedesign.optimization.grid import numbers_of
+        from probedesign.optimization.task import Task
 
         moments = None if self.forces_too else self.moments_about
         places = self.at if self.at is not None else numbers_of("--places", self.places)

@@ -1,16 +1,16 @@
-"""Where the error of one touch comes from: its covariance by cause, to first order.
+"""Error budget of one touch: its covariance by error source, to first order, and the 95 % radius of a covariance.
 
 The prediction is the information matrix of the residuals that the estimator minimises. With H and X the derivatives of
-base wrench and point by the five unknowns of a touch, D and Q the columns of the error sources, a reading is known to
-Σ = noise + drift + D Dᵀ and the touch to C = (Hᵀ Σ⁻¹ H + P)⁻¹, P = diag(0, 0, 0, 1/μ², 1/μ²) the prior on friction.
-The gain K = C Hᵀ Σ⁻¹ turns each part of the reading's error into one of the point:
+base wrench and point by the five unknowns of a touch, D and Q the columns of the error sources, a reading has the
+covariance Σ = noise + drift + D Dᵀ and the touch C = (Hᵀ Σ⁻¹ H + P)⁻¹, P = diag(0, 0, 0, 1/μ², 1/μ²) the prior on
+friction. The gain K = C Hᵀ Σ⁻¹ maps each part of the reading's error to one of the point:
 
     cov = X K (noise + drift) Kᵀ Xᵀ + Σ_j (X K d_j - q_j)(X K d_j - q_j)ᵀ + X C P C Xᵀ,
 
-which is the estimator's own first-order covariance (`uncertainty_kernel.posterior`). The causes are those terms for a
-contact without friction, μ = 0; the cause "friction" is what the prior on friction adds to their sum, so all causes add
-up to the total. Where a free direction of the force makes the error smaller by a little, which happens as one reading
-does not correct the point for the error sources, the others are scaled to the total and friction is none.
+which is the estimator's own first-order covariance (`uncertainty_kernel.posterior`). The budget lists those terms for a
+contact without friction, μ = 0; the source "friction" is what the prior on friction adds to their sum, so that all
+sources add up to the total. Where a free direction of the force reduces the error slightly, which happens because one
+reading does not correct the point for the error sources, the others are scaled to the total and friction is zero.
 """
 
 import math
@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri, erf
 
 from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
@@ -36,20 +37,21 @@ from probedesign.frames import Array
 from probedesign.rod.rod import Rod
 
 CAUSES = (*SOURCES, "friction")
-"""Of the error of a single touch, in the order of the tables."""
+"""Error sources of a single touch, in the order of the tables."""
 
 
 @dataclass(frozen=True)
-class Budget:
-    """Errors of n touched points; NaN where there is no touch, infinite where a reading leaves the place open.
+class ErrorBudget:
+    """Error budgets of n touches; NaN where there is no touch, infinite where a reading does not determine the
+    position.
 
     Attributes:
-        cov: of the touched point [m²] by cause, (n, causes, 3, 3).
-        total: by all causes [m²], (n, 3, 3).
-        cov_centre: likewise of the centreline's point, by all causes [m²], (n, 3, 3).
-        cov_noise: of the touched point by the sensor's noise and the prior on friction where all else is exactly known
-            [m²], (n, 3, 3).
-        std_s: of s_contact, by all causes [m], (n,).
+        cov: of the touched point [m²] by error source, (n, causes, 3, 3).
+        total: of the touched point by all error sources [m²], (n, 3, 3).
+        cov_centre: of the centreline point by all error sources [m²], (n, 3, 3).
+        cov_noise: of the touched point by sensor noise and the prior on friction, all else exactly known [m²], (n, 3,
+            3).
+        std_s: standard deviation of s_contact by all error sources [m], (n,).
     """
 
     cov: Array
@@ -60,30 +62,30 @@ class Budget:
 
     @property
     def rms(self) -> Array:
-        """Of each cause [m], (n, causes)."""
+        """RMS error by source [m], (n, causes)."""
         return rms_of(self.cov)
 
 
 def rms_of(cov: Array) -> Array:
-    """Root of the trace of covariances (..., 3, 3)."""
+    """Return the square root of the trace of covariances (..., 3, 3)."""
     return np.asarray(np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), 0.0)))
 
 
-def budget_of(touch: Array, lin: Array, D: Array, sources: ErrorSources, friction: float) -> Budget:
-    """Split the errors of single readings.
+def error_budget(touch: Array, lin: Array, D: Array, sources: ErrorSources, friction: float) -> ErrorBudget:
+    """Split the errors of single readings by source.
 
     Args:
         touch: unknowns, dead loads and tip of each, (n, TOUCH).
-        lin: linearisations of the touches, (n, ROWS, 1 + UNKNOWNS + parameters); NaN where there is none.
-        D: their error columns, (n, 12, J).
+        lin: linearisations, (n, ROWS, 1 + UNKNOWNS + parameters); NaN where there is no touch.
+        D: error columns, (n, 12, J).
         sources: whose columns they are.
         friction: prior standard deviation of the friction ratio; inf leaves the direction of the force free.
     """
     n, of = len(lin), np.flatnonzero(np.isfinite(lin[:, 0, VALUE]))
     total, centre, noise = (np.full((n, 3, 3), np.nan) for _ in range(3))
-    found = Budget(np.full((n, len(CAUSES), 3, 3), np.nan), total, centre, noise, np.full(n, np.nan))
+    found = ErrorBudget(np.full((n, len(CAUSES), 3, 3), np.nan), total, centre, noise, np.full(n, np.nan))
     if len(of):
-        touches = _Linear.of(touch[of], lin[of], D[of], sources)
+        touches = _LinearizedTouches.of(touch[of], lin[of], D[of], sources)
         for name, value in zip(
             ("cov", "total", "cov_centre", "cov_noise", "std_s"), touches.split(friction), strict=True
         ):
@@ -92,15 +94,16 @@ def budget_of(touch: Array, lin: Array, D: Array, sources: ErrorSources, frictio
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """Touches that there are, linearised.
+class _LinearizedTouches:
+    """Linearised touches, all of them valid.
 
     Attributes:
         H, X, X_centre: of wrench, touched point and centreline point by the touch, (n, 6, 5), (n, 3, 5), (n, 3, 5).
         D, Q, Q_centre: likewise of the error sources, (n, 6, J), (n, 3, J), (n, 3, J).
-        noise: covariance of a reading by noise, (n, 6, 6); drift: by drift, (6, 6).
+        noise: covariance of a reading by noise, (n, 6, 6).
+        drift: covariance by drift, (6, 6).
         names: of the columns.
-        by_s: of s_contact by the touch, (n, 5).
+        by_s: derivative of s_contact by the touch, (n, 5).
     """
 
     H: Array
@@ -115,7 +118,7 @@ class _Linear:
     by_s: Array
 
     @classmethod
-    def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_Linear":
+    def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_LinearizedTouches":
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
         by_s = np.array([by_s_of(sources.model.rod, float(s)) for s in touch[:, S]])
         noise = np.array([covariance(sources.model, wrench) for wrench in lin[:, 0:6, VALUE]])
@@ -125,14 +128,15 @@ class _Linear:
         )  # fmt: skip
 
     def split(self, friction: float) -> tuple[Array, Array, Array, Array, Array]:
-        """Covariance by cause, the total, that of the centreline point, that by noise alone, and std of s_contact."""
+        """Return the covariance by source, total, that of the centreline point, by noise alone, and std of
+        s_contact."""
         whiten = np.linalg.inv(np.linalg.cholesky(self._known(self.noise)))
         known, root, gain = self._solve(whiten, friction)
         total = self._total(self.X, self.Q, root, gain)
         centre = self._total(self.X_centre, self.Q_centre, root, gain)
         std_s = np.linalg.norm(np.einsum("ni,nij->nj", self.by_s, root), axis=1)
-        alone = self.X @ self._solve(np.linalg.inv(np.linalg.cholesky(self.noise)), friction)[1]
-        noise = alone @ np.swapaxes(alone, 1, 2)
+        noise_root = self.X @ self._solve(np.linalg.inv(np.linalg.cholesky(self.noise)), friction)[1]
+        noise = noise_root @ np.swapaxes(noise_root, 1, 2)
         without = self._solve(whiten, 0.0)[2]
         parts = dict(self._parts(self.X @ without))
         cov = np.stack([parts[name] for name in SOURCES], axis=1)
@@ -153,7 +157,7 @@ class _Linear:
         )
 
     def _parts(self, gain: Array) -> list[tuple[str, Array]]:
-        """Each cause's covariance of the touched point, by its gain on the reading, (n, 3, 6)."""
+        """Return each source's covariance of the touched point, given its gain on the reading, (n, 3, 6)."""
         found = [("noise", gain @ self.noise @ np.swapaxes(gain, 1, 2)),
                  ("drift", gain @ self.drift @ np.swapaxes(gain, 1, 2))]  # fmt: skip
         off = gain @ self.D - self.Q
@@ -163,7 +167,7 @@ class _Linear:
         return found
 
     def _solve(self, whiten: Array, friction: float) -> tuple[NDArray[np.bool_], Array, Array]:
-        """Whether the touch is known at all, a root of its covariance C, (n, 5, 5), and its gain, (n, 5, 6)."""
+        """Return whether the touch is observable, a root of its covariance C, (n, 5, 5), and its gain, (n, 5, 6)."""
         n = len(self.H)
         J = np.zeros((n, 6 + 2, UNKNOWNS))
         J[:, :6] = whiten @ self.H
@@ -179,31 +183,104 @@ class _Linear:
         return known, root, gain
 
 
-def unweighted_budget_of(lin: Array, D: Array, sources: ErrorSources, friction: float) -> Array:
-    """Covariance of the centreline's point [m²] by cause, (n, causes, 3, 3), of a method that takes the probe as exact
-    and the direction of the force as free, and weighs its readings by the sensor's noise alone.
+def unweighted_error_budget(lin: Array, D: Array, sources: ErrorSources, friction: float) -> Array:
+    """Return the covariance of the centreline point [m²] by source, (n, causes, 3, 3), for an unweighted method.
+
+    Such a method takes the probe as exact and the direction of the force as free, and weights its readings by sensor
+    noise alone.
 
     Args:
-        lin, D, sources: as in `budget_of`, of touches that there are.
+        lin, D, sources: as in `error_budget`, of valid touches.
         friction: standard deviation of the true friction ratio.
     """
-    touches = _Linear.of(np.zeros((len(lin), UNKNOWNS)), lin, D, sources)
+    touches = _LinearizedTouches.of(np.zeros((len(lin), UNKNOWNS)), lin, D, sources)
     touches = replace(touches, X=touches.X_centre, Q=touches.Q_centre)
     whiten = np.linalg.inv(np.linalg.cholesky(touches.noise))
     gain = touches.X @ touches._solve(whiten, math.inf)[2]
     parts = dict(touches._parts(gain))
-    rubbed = min(friction, 1.0) * (gain @ touches.H - touches.X)[:, :, ALONG - 1 :]
-    cov = [*(parts[name] for name in SOURCES), rubbed @ np.swapaxes(rubbed, 1, 2)]
+    by_friction = min(friction, 1.0) * (gain @ touches.H - touches.X)[:, :, ALONG - 1 :]
+    cov = [*(parts[name] for name in SOURCES), by_friction @ np.swapaxes(by_friction, 1, 2)]
     return np.stack(cov, axis=1)
 
 
 def by_s_of(rod: Rod, s: float) -> Array:
-    """Derivative of s_contact by the touch for a force normal to the surface, (UNKNOWNS,).
+    """Return the derivative of s_contact by the touch for a force normal to the surface, (UNKNOWNS,).
 
-    s_contact = s + r tan(β - α) with β the force's lean towards the tip: ∂/∂s = 1 + tan² α, ∂/∂a_2 = r / cos² α.
+    s_contact = s + r tan(β - α) with β the inclination of the force towards the tip: ∂/∂s = 1 + tan² α,
+    ∂/∂a_2 = r / cos² α.
     """
     tan = rod.taper_at(s)
     found = np.zeros(UNKNOWNS)
     found[S] = 1.0 + tan * tan
     found[ALONG] = float(rod.radius_at(s)) * (1.0 + tan * tan)
     return found
+
+
+_NODES = 16
+_AT_ONCE = 512  # covariances: what fits into a cache
+_HALLEY = 3  # steps, each of which trebles the digits
+# u is at angle arccos c from the longest axis. Nodes squeezed towards c = 0 keep needle-like ellipsoids exact.
+_X, _W = np.polynomial.legendre.leggauss(_NODES)
+_PHI = (np.arange(_NODES // 2) + 0.5) * (np.pi / _NODES)
+_C2 = np.repeat(((_X + 1.0) / 2.0) ** 6, len(_PHI))
+_COS2 = np.tile(np.cos(_PHI) ** 2, _NODES)
+_WEIGHT = np.repeat(1.5 * ((_X + 1.0) / 2.0) ** 2 * _W, len(_PHI)) / len(_PHI)
+
+
+def radius_95(cov: Array, share: float = 0.95) -> float:
+    """Return the radius r with P(|e| ≤ r) = share for a normal error with zero mean; see `radii_95`.
+
+    Args:
+        cov: [m²], (3, 3), positive semidefinite.
+        share: in (0, 1).
+
+    Returns:
+        Radius [m]; NaN or infinite where the covariance is.
+    """
+    return float(radii_95(np.asarray(cov, dtype=float)[None], share)[0])
+
+
+def radii_95(cov: Array, share: float = 0.95) -> Array:
+    """Return the radii for many covariances.
+
+    Writes e by its direction and length: |e|² = ρ² (uᵀ cov u) with ρ² chi-square of three degrees of freedom,
+        independent
+    of the direction u, which is uniform on the sphere; P is the mean over u of the chi-square distribution at
+    r²/(uᵀ cov u), by Gauss-Legendre and trapezoidal quadrature on one octant. Halley's method solves for r, starting
+    between the radii of a line, a disc and a ball.
+
+    Args:
+        cov: [m²], (n, 3, 3), each positive semidefinite.
+        share: in (0, 1).
+
+    Returns:
+        Radii [m], (n,); NaN or infinite where a covariance is.
+    """
+    finite = np.asarray(np.isfinite(cov).all(axis=(1, 2)))
+    radii = np.where(np.isnan(cov).any(axis=(1, 2)), np.nan, np.inf)
+    eigenvalues = np.clip(np.linalg.eigvalsh(np.where(finite[:, None, None], cov, 0.0)), 0.0, None)
+    radii[finite] = 0.0
+    for first in range(0, len(cov), _AT_ONCE):
+        part = np.arange(first, min(first + _AT_ONCE, len(cov)))
+        part = part[eigenvalues[part, 2] > 0.0]
+        radii[part] = np.sqrt(eigenvalues[part, 2]) * _of_largest(eigenvalues[part], share)
+    return np.asarray(radii)
+
+
+def _of_largest(eigenvalues: Array, share: float) -> Array:
+    """Return radii relative to the longest axis, (n,), for ascending eigenvalues (n, 3)."""
+    low, middle = (eigenvalues[:, i, None] / eigenvalues[:, 2, None] for i in (0, 1))
+    across = low * _COS2 + middle * (1.0 - _COS2)
+    inverse = 1.0 / np.sqrt(np.maximum(_C2 + (1.0 - _C2) * across, 1e-300))
+    line, disc, ball = (math.sqrt(float(chdtri(dof, 1.0 - share))) for dof in (1, 2, 3))
+    r = (line**2 + (disc**2 - line**2) * middle + (ball**2 - disc**2) * low)[:, 0] ** 0.5
+    for _ in range(_HALLEY):
+        x = r[:, None] * inverse
+        square = x * x
+        bell = math.sqrt(2.0 / math.pi) * x * np.exp(-0.5 * square)
+        slopes = bell * inverse
+        off = (erf(x * math.sqrt(0.5)) - bell) @ _WEIGHT - share
+        slope = (slopes * x) @ _WEIGHT
+        bend = (slopes * inverse * (2.0 - square)) @ _WEIGHT
+        r = r - 2.0 * off * slope / (2.0 * slope * slope - off * bend)
+    return r

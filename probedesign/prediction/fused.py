@@ -1,42 +1,208 @@
-"""How well several fused touches of one point will locate it, over a grid of places, forces and sides."""
+"""Prediction for several fused touches of one point: press schedule, error budget, and a grid of conditions.
+
+Readings of the model's own touches are linearised as in `Estimator.fuse` (`estimation/fusion.py`), so the total is the
+covariance that it returns. With C the covariance of the common unknowns, the residuals of one error source contribute
+C A C to it, A their part of the information matrix: the contributions of all sources add up to C. For the error
+sources, whose prior is one residual each, this is a product of C's own columns; for errors that are independent at each
+touch it is half the derivative by the logarithm of the standard deviation, taken by differences. The budget is that of
+contacts without friction, μ = 0; the source "friction" is what the prior on friction adds to their sum.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.estimation.fusion import BETTER_THAN_NOTHING
-from probedesign.frames import Array
-from probedesign.prediction.fused_budget import FUSED_CAUSES, FusedBudget, ModelPress
-from probedesign.prediction.press_schedule import PressSchedule
-from probedesign.prediction.quantile import radius_95
-from probedesign.prediction.reach import ACCURACIES_MM
+from probedesign.errors import InputError
+from probedesign.estimation.error_sources import CAUSES as SOURCES
+from probedesign.estimation.fused import MomentsAbout
+from probedesign.estimation.fusion import BETTER_THAN_NOTHING, Fusion, Reading, channels_of
+from probedesign.estimation.fusion_state import FusionState
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.observation import covariance
+from probedesign.estimation.surface_contact_kernel import POINT, VALUE
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array, pose
+from probedesign.prediction.budget import radius_95, rms_of
+from probedesign.prediction.thresholds import ACCURACIES_MM, force_for_accuracy
 from probedesign.prediction.touches import Touches
 from probedesign.units import MM
 
+MAX_TOUCHES = 20
+
+
+@dataclass(frozen=True)
+class PressSchedule:
+    """How several touches of one point are made and fused: the base presses on, in equal steps of the force.
+
+    Attributes:
+        touches: number of touches of one fixed point of the world, the base oriented as in its mount.
+        moments_about: point whose moments alone are used; None: forces too.
+    """
+
+    touches: int = 5
+    moments_about: MomentsAbout | None = "sensor"
+
+    def __post_init__(self) -> None:
+        """Raises InputError for a number of touches out of range."""
+        if not 2 <= self.touches <= MAX_TOUCHES:
+            raise InputError(
+                f"touches = {self.touches} must lie in 2 ... {MAX_TOUCHES} to be fused into one estimate"
+            )
+
+    def forces(self, greatest_N: float) -> tuple[float, ...]:
+        """Return the normal force of each touch in the order of time [N]; the last is the largest."""
+        return (*(greatest_N * k / self.touches for k in range(1, self.touches)), greatest_N)
+
+    @property
+    def text(self) -> str:
+        """Description for users."""
+        counted = (
+            f"moments about the {self.moments_about} alone" if self.moments_about else "forces and moments"
+        )
+        return f"{self.touches} touches fused as the base presses on, {counted}"
+
+
+FUSED_CAUSES = (*SOURCES, "friction", "robot")
+"""Error sources of fused touches, in the order of the tables."""
+_STEP = 2e-3
+"""Relative step of the differences; their error is its square."""
+_SCATTER = "stiffness scatter"
+
+
+@dataclass(frozen=True)
+class FusedErrorBudget:
+    """Error budget of one point that is touched several times.
+
+    Attributes:
+        cov: of the touched point in the world [m²] by error source, (causes, 3, 3), in the order of `FUSED_CAUSES`.
+        total: by all error sources, as the estimator returns it [m²], (3, 3).
+        cov_noise: by sensor noise and the prior on friction, all else exactly known [m²], (3, 3).
+    """
+
+    cov: Array
+    total: Array
+    cov_noise: Array
+
+    @property
+    def rms(self) -> Array:
+        """RMS error by source [m], (causes,)."""
+        return rms_of(self.cov)
+
+
+class LinearizedPresses:
+    """Touches of one point by the model, linearised as the estimator fuses them.
+
+    Attributes:
+        converged: whether every touch has an equilibrium; nothing else is valid if not.
+    """
+
+    def __init__(
+        self, model: ProbeModel, priors: Tolerances, gravity: Array, touches: Array, schedule: PressSchedule
+    ) -> None:
+        """Args:
+        model: of the probe.
+        priors: standard deviations of the error sources.
+        gravity: base axes [m/s²], (3,).
+        touches: unknowns, dead loads and tip of each, in the order of time, (k, TOUCH).
+        schedule: how they are made.
+        """
+        cov, none = model.noise_base(), np.zeros(6)
+        readings = tuple(Reading(none, cov, np.eye(4), gravity, True) for _ in touches)
+        self.fusion = Fusion(model, readings, priors, channels_of(model, schedule.moments_about), gravity)
+        self.state = FusionState(self.fusion, touches.copy())
+        self.converged = self.state.linearise()
+        if not self.converged:
+            return
+        wrenches = self.state.lin[:, 0:6, VALUE]
+        points = self.state.lin[:, POINT : POINT + 3, VALUE]
+        readings = tuple(
+            Reading(w.copy(), covariance(model, w), pose(p=-p), gravity, True)
+            for w, p in zip(wrenches, points, strict=True)
+        )
+        sources = self.fusion.sources  # of the same gravity at all poses
+        self.fusion = replace(self.fusion, readings=readings)
+        self.fusion.__dict__["sources"] = sources
+        self.state.fusion = self.fusion
+
+    @property
+    def wrenches(self) -> Array:
+        """Wrenches at the base without noise, (k, 6)."""
+        return np.array([reading.wrench for reading in self.fusion.readings])
+
+    @property
+    def Ts_world_base(self) -> Array:
+        """Poses that put the touched point at the world's origin, (k, 4, 4)."""
+        return np.array([reading.T_world_base for reading in self.fusion.readings])
+
+    def cov(
+        self, priors: Tolerances | None = None, D: Array | None = None, friction: float | None = None
+    ) -> Array:
+        """Return the covariance of the touched point as `Estimator.fuse` computes it [m²], (3, 3).
+
+        Args:
+            priors: of bias and robot; those of the presses if None.
+            D: error columns; those of the presses if None.
+            friction: prior standard deviation of the friction ratio; that of the model if None.
+        """
+        return self.state.solved(priors or self.fusion.priors, D, friction=friction)[2]
+
+    def split(self) -> FusedErrorBudget:
+        """Return the covariance by error source."""
+        priors = self.fusion.priors
+        total = self.cov()
+        noise = self.cov(
+            replace(priors, robot_mm=0.0, drift_steps=0.0, walk_steps=0.0), np.zeros_like(self.state.D)
+        )
+        whole = self.cov(friction=0.0)
+        with_sources = self.state.cov_with_sources()
+        parts = {}
+        for name in SOURCES[2:]:
+            here = with_sources[:, [c for c, of in enumerate(self.fusion.sources[0].names) if of == name]]
+            parts[name] = here @ here.T
+        parts["drift"] = self._by(lambda f: (replace(priors, drift_steps=f * priors.drift_steps,
+                                                     walk_steps=f * priors.walk_steps), None))  # fmt: skip
+        parts["robot"] = self._by(lambda f: (replace(priors, robot_mm=f * priors.robot_mm), None))
+        if _SCATTER in self.fusion.sources[0].names:
+            parts[_SCATTER] = self._by(lambda f: (priors, self._scattered(f)))
+        parts["noise"] = whole - sum(parts.values())
+        parts["friction"] = total - whole
+        return FusedErrorBudget(np.array([parts[name] for name in FUSED_CAUSES]), total, noise)
+
+    def _by(self, changed: Callable[[float], tuple[Tolerances, Array | None]]) -> Array:
+        """Return C A C of a source whose standard deviation is scaled by a factor."""
+        more, less = (self.cov(*changed(1.0 + sign * _STEP), friction=0.0) for sign in (1.0, -1.0))
+        return np.asarray((more - less) / (4.0 * _STEP))
+
+    def _scattered(self, factor: float) -> Array:
+        D = self.state.D.copy()
+        D[:, :, self.fusion.sources[0].names.index(_SCATTER)] *= factor
+        return D
+
+
 SHOWN_N = 0.005
-"""Greatest force at which fused touches are shown: too light for a single one to say much."""
+"""Largest force at which fused touches are shown: too light for a single touch to be located well."""
 Line = tuple[float, str]
 """Contact fraction and direction."""
 
 
 @dataclass(frozen=True)
 class FusedCondition:
-    """Several touches of one point, pressed on. Numbers that do not exist are None.
+    """Prediction for several touches of one point as the base presses on. Numbers that do not exist are None.
 
     Attributes:
         contact_fraction: arclength of the touched section over length.
-        force_N: of the last touch; the others are even parts of it.
-        direction: which way the object pushes.
-        touches: how many.
-        result: what `Estimator.fuse` would answer; "gives_way" and "out_of_range" as of the last touch.
+        force_N: normal force of the last touch; the others are equal steps up to it.
+        direction: in which the object pushes.
+        touches: number of touches.
+        result: result code of `Estimator.fuse`; "gives_way" (buckled) and "out_of_range" refer to the last touch.
         predicted_error_mm: RMS distance between true and estimated contact point, the touched point of the surface in
-            the world, by all causes of `budget_mm` together, as the estimator states it.
-        predicted_error_95_mm: 95 % of the estimates lie within this distance.
-        noise_error_mm: RMS distance by the sensor's noise and the prior on friction where all else is exactly known.
-        noise_error_95_mm: 95 % of the estimates lie within this distance, likewise.
-        budget_mm: RMS distance by each cause; their squares add up to that of predicted_error_mm.
+            the world, by all error sources of `budget_mm`, as the estimator returns it.
+        predicted_error_95_mm: radius that contains 95 % of the errors.
+        noise_error_mm: RMS distance by sensor noise and the prior on friction, all else exactly known.
+        noise_error_95_mm: its 95 % radius.
+        budget_mm: RMS distance by error source; the squares add up to that of predicted_error_mm.
         total_error_mm, total_error_95_mm: the predicted errors under their former names.
     """
 
@@ -55,10 +221,11 @@ class FusedCondition:
 
 
 @dataclass(frozen=True)
-class FusedReach:
-    """Greatest force from which fused touches of one place are so well located, all causes counted: straight in
-    logarithms between the forces of the grid; None where no force of the grid does. The lightest force of the grid
-    where that is enough already.
+class FusedForceThresholds:
+    """Largest force of fused touches needed for a given RMS error at one position, by all error sources.
+
+    Interpolated linearly in logarithms between the forces of the grid; None where no force of the grid suffices, the
+    smallest force of the grid where that suffices already.
     """
 
     contact_fraction: float
@@ -68,8 +235,8 @@ class FusedReach:
     force_mN_for_5_mm: float | None
 
 
-def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedReach, ...]:
-    """Along the probe."""
+def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedForceThresholds, ...]:
+    """Return the force thresholds of fused touches at each position."""
     lines = dict.fromkeys((c.contact_fraction, c.direction) for c in conditions)
     found = []
     for line in lines:
@@ -79,24 +246,14 @@ def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedReach, ...]:
             np.array([c.force_N for c in here]),
             np.array([c.predicted_error_mm for c in here], dtype=float),
         )
-        found.append(FusedReach(*line, *(_needed(forces, errors, accuracy) for accuracy in ACCURACIES_MM)))
+        needed = (force_for_accuracy(forces, errors, accuracy) for accuracy in ACCURACIES_MM)
+        found.append(FusedForceThresholds(*line, *(None if f is None else 1e3 * f for f in needed)))
     return tuple(found)
 
 
-def _needed(forces: Array, errors: Array, accuracy_mm: float) -> float | None:
-    """[mN]"""
-    enough = np.flatnonzero(errors <= accuracy_mm)
-    if not len(enough):
-        return None
-    j = int(enough[0])
-    if j == 0:
-        return 1e3 * float(forces[0])
-    x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
-    return 1e3 * float(np.exp(np.interp(-np.log(accuracy_mm), -y, x)))
-
-
 def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> list[FusedCondition]:
-    """One a place, at the force nearest to that: the worst of the located directions."""
+    """Return one condition per position: the located direction with the largest error, at the force nearest to
+    `force_N`."""
     nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
     found: dict[float, FusedCondition] = {}
     for c in conditions:
@@ -108,7 +265,7 @@ def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> lis
 
 
 def forces_of(schedule: PressSchedule, forces_N: Sequence[float]) -> set[float]:
-    """Of every touch that presses up to these take."""
+    """Return the forces of all touches of presses up to the given forces [N]."""
     return {force for greatest in forces_N for force in schedule.forces(greatest)}
 
 
@@ -118,12 +275,12 @@ def fused_conditions(
     forces_N: Sequence[float],
     schedule: PressSchedule,
 ) -> tuple[FusedCondition, ...]:
-    """Of all lines, for each greatest force.
+    """Predict all lines at each largest force.
 
     Args:
-        lines: the first of those that were touched.
+        lines: the first of the lines that were solved.
         touches: by force, at least those of `forces_of`.
-        forces_N: greatest forces.
+        forces_N: largest forces [N].
         schedule: how the touches are made.
     """
     places = list(dict.fromkeys(place for place, _ in lines))
@@ -139,12 +296,13 @@ def fused_conditions(
 def fused_condition(
     line: Line, touches: Sequence[Touches], i: int, force: float, schedule: PressSchedule
 ) -> FusedCondition:
-    """One condition.
+    """Predict one condition.
 
     Args:
-        line: which.
-        touches: of it, in the order of time; i: its row in them.
-        force: of the last.
+        line: contact fraction and direction.
+        touches: in the order of time.
+        i: row of the line in them.
+        force: of the last touch [N].
         schedule: how they are made.
     """
     found = FusedCondition(line[0], force, line[1], schedule.touches, "gives_way")
@@ -152,9 +310,9 @@ def fused_condition(
         return found
     last = touches[-1]
     estimator = last.estimator
-    press = ModelPress(estimator.model, estimator.priors, estimator.model.gravity_base,
+    press = LinearizedPresses(estimator.model, estimator.priors, estimator.model.gravity_base,
                        np.array([of.touch[i] for of in touches]), schedule)  # fmt: skip
-    if not press.held:
+    if not press.converged:
         return found
     budget = press.split()
     result = _result(budget, float(last.sensor_use[i]), estimator.model.rod.length, schedule)
@@ -176,12 +334,12 @@ def fused_condition(
 
 
 def _mm(cov: Array) -> tuple[float, float]:
-    """RMS and 95 % distance of a covariance."""
+    """Return the RMS error and the 95 % radius of a covariance [mm]."""
     return math.sqrt(max(float(np.trace(cov)), 0.0)) / MM, radius_95(cov) / MM
 
 
-def _result(budget: FusedBudget, sensor_use: float, length: float, schedule: PressSchedule) -> str:
-    """What the estimator answers: better than no reading at all or nothing."""
+def _result(budget: FusedErrorBudget, sensor_use: float, length: float, schedule: PressSchedule) -> str:
+    """Return the estimator's result code: "ok" needs a smaller error than a uniform prior along the probe."""
     if sensor_use > 1.0:
         return "out_of_range"
     rms = math.sqrt(max(float(np.trace(budget.total)), 0.0))

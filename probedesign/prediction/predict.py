@@ -1,7 +1,10 @@
-"""How well a probe will feel, before it is printed: sensitivity, detection, saturation, localisation error."""
+"""Prediction of a probe's performance before it is printed: sensitivity, detection, saturation and localisation
+error."""
 
+import csv
+import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,13 +13,21 @@ import numpy as np
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
 from probedesign.prediction.budget import CAUSES
-from probedesign.prediction.fused import FusedCondition, FusedReach, forces_of, fused_conditions, fused_reach
-from probedesign.prediction.press_schedule import PressSchedule
-from probedesign.prediction.reach import LADDER_N, Reach, reach_of
-from probedesign.prediction.sampled import Sampled
+from probedesign.prediction.fused import (
+    FUSED_CAUSES,
+    FusedCondition,
+    FusedForceThresholds,
+    PressSchedule,
+    forces_of,
+    fused_conditions,
+    fused_reach,
+)
+from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_thresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
 from probedesign.prediction.workspace import Workspace, workspace_of
+from probedesign.rod.equilibrium import Equilibrium
 from probedesign.units import MM
 
 __all__ = [
@@ -27,36 +38,36 @@ __all__ = [
     "Prediction",
     "predict",
     "predict_touch",
+    "tip_sag",
     "tip_sag_mm",
 ]
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
-_WEAK_N = 1e-6  # a push so light that everything answers in proportion
+_WEAK_N = 1e-6  # small enough for the response to be linear
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One touch and what it will give. Numbers that do not exist are None.
+    """Prediction for one touch. Numbers that do not exist are None.
 
     Attributes:
         contact_fraction: arclength of the touched section over length.
-        force_N: how hard the object pushes, normal to the surface.
-        direction: which way it pushes, a key of `DIRECTIONS`.
-        result: what the estimator would answer; "ok" is a located contact. "gives_way": the probe cannot
-            push back so hard.
+        force_N: normal force.
+        direction: in which the object pushes, a key of `DIRECTIONS`.
+        result: result code of the estimator; "ok" is a located contact, "gives_way" a probe that buckles.
         predicted_error_mm: RMS distance between true and estimated contact point, the touched point of the surface,
-            by all causes of `budget_mm` together.
-        predicted_error_95_mm: 95 % of the estimates lie within this distance.
-        noise_error_mm: RMS distance by the sensor's noise and the prior on friction where all else is exactly known.
-        noise_error_95_mm: 95 % of the estimates lie within this distance, likewise.
-        std_s_mm: standard deviation of s_contact, by all causes.
-        deflection_mm: how far the contact point moved from where the free probe had it.
-        moment_per_N_Nmm, force_per_N_N: change of the base's moment and force per newton more.
-        moment_per_mm_Nmm, force_per_mm_N: the same per millimetre of pressing on at the same s.
-        sensor_use: largest share of a channel's range that the reading takes.
-        budget_mm: RMS distance by each cause; their squares add up to that of predicted_error_mm.
+            by all error sources of `budget_mm`.
+        predicted_error_95_mm: radius that contains 95 % of the errors.
+        noise_error_mm: RMS distance by sensor noise and the prior on friction, all else exactly known.
+        noise_error_95_mm: its 95 % radius.
+        std_s_mm: standard deviation of s_contact by all error sources.
+        deflection_mm: distance of the contact point from its place on the free probe.
+        moment_per_N_Nmm, force_per_N_N: derivative of the base's moment and force by the normal force.
+        moment_per_mm_Nmm, force_per_mm_N: the same by the indentation at constant s.
+        sensor_use: largest fraction of a channel's range that the reading takes.
+        budget_mm: RMS distance by error source; the squares add up to that of predicted_error_mm.
         total_error_mm, total_error_95_mm: the predicted errors under their former names.
     """
 
@@ -82,8 +93,10 @@ class Condition:
 
 @dataclass(frozen=True)
 class Detection:
-    """Force that one reading detects with probability one half, at one place from one side, noise and drift counted
-    (`Estimator.detectable`); None where the probe does not hold as much."""
+    """Force that one reading detects with probability 0.5 at one position, noise and drift included.
+
+    See `Estimator.detectable`; None where the probe buckles before.
+    """
 
     contact_fraction: float
     direction: str
@@ -91,24 +104,55 @@ class Detection:
 
 
 @dataclass(frozen=True)
+class MonteCarloResult:
+    """Monte Carlo result of one condition; None where nothing was located.
+
+    Attributes:
+        contact_fraction, force_N, direction: of the condition.
+        draws: number of print samples.
+        located: number of draws with the result "ok".
+        error_mm, error_95_mm: RMS distance and 95 % quantile of the best candidates, those with the result
+            "inconsistent" included.
+        standard_error_mm: of that RMS.
+        first_order_mm: predicted by the error budget.
+        differs: whether the two differ by more than a tenth and two standard errors.
+        inside: number of "ok" draws whose 95 % ellipsoid contains the true point.
+        touches: number of fused touches; 1 is a single reading.
+    """
+
+    contact_fraction: float
+    force_N: float
+    direction: str
+    draws: int
+    located: int
+    error_mm: float | None
+    error_95_mm: float | None
+    standard_error_mm: float | None
+    first_order_mm: float | None
+    differs: bool
+    touches: int = 1
+    inside: int = 0
+
+
+@dataclass(frozen=True)
 class Prediction:
-    """What a probe will feel.
+    """Predicted performance of a probe.
 
     Attributes:
         name, fingerprint: of the probe.
-        assumptions: what of the design is assumed; the numbers rest on it.
+        assumptions: assumed values of the design that the numbers depend on.
         mass_g: of the flexible part.
-        tip_sag_mm: how far gravity alone moves the tip.
-        noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels that was counted with.
+        tip_sag_mm: displacement of the tip along gravity.
+        noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels.
         friction: prior standard deviation of tangential over normal force; None where the direction is free.
         conditions: the grid.
-        detection: along the probe.
-        reach: what a touch costs the object, along the probe.
-        tolerances: how well the probe is known, standard deviations, and where each number comes from.
+        detection: detection limits along the probe.
+        reach: force thresholds along the probe.
+        tolerances: standard deviations of the error sources, with the source of each number.
         fused: the same grid, each point touched several times and fused.
-        fused_reach: force that they take for a wanted accuracy, along the probe.
+        fused_reach: force thresholds of fused touches.
         pressing: how they are made.
-        workspace: where the contact point can be, the base standing still.
+        workspace: reachable contact points with a fixed base.
         monte_carlo: of the conditions that are located; empty if none was run.
     """
 
@@ -122,16 +166,16 @@ class Prediction:
     friction: float | None
     conditions: tuple[Condition, ...]
     detection: tuple[Detection, ...]
-    reach: tuple[Reach, ...]
+    reach: tuple[ForceThresholds, ...]
     tolerances: Tolerances
     fused: tuple[FusedCondition, ...] = ()
-    fused_reach: tuple[FusedReach, ...] = ()
+    fused_reach: tuple[FusedForceThresholds, ...] = ()
     pressing: PressSchedule = PRESSING
     workspace: Workspace = NO_WORKSPACE
-    monte_carlo: tuple[Sampled, ...] = ()
+    monte_carlo: tuple[MonteCarloResult, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON; every key ends in its unit."""
+        """Return plain data for JSON; every key ends in its unit."""
         return {"schema": 1, **asdict(self), "tolerance_sources": self.tolerances.sources()}
 
 
@@ -146,18 +190,19 @@ def predict(
     """Predict sensitivity and contact error over a grid of touches.
 
     The error is the first-order covariance of the estimator's own residuals at touches of the model without friction,
-    with all error sources and the prior on friction (`budget.py`): what `estimate` and `fuse` state at such a touch.
+    including all error sources and the prior on friction (`budget.py`): what `estimate` and `fuse` return at such a
+    touch.
 
     Args:
-        model: the probe.
-        fractions: of the length where it is touched, in (0, 1].
-        forces_N: how hard [N].
-        directions: keys of `DIRECTIONS`: which way the object pushes.
-        tolerances: how well the probe is known; as `Tolerances.of` the model has it if None.
-        pressing: how the touches of one point are made that are fused.
+        model: of the probe.
+        fractions: contact positions over the length, in (0, 1].
+        forces_N: normal forces [N].
+        directions: keys of `DIRECTIONS`: in which the object pushes.
+        tolerances: standard deviations of the error sources; `Tolerances.of` the model if None.
+        pressing: how the fused touches of one point are made.
 
     Raises:
-        InputError: a fraction, force or direction that makes no sense.
+        InputError: a fraction, force or direction is out of range.
     """
     check_grid(fractions, forces_N, directions)
     estimator = Estimator(model, tolerances)
@@ -174,15 +219,17 @@ def predict(
                   for line in lines for force in forces_N}  # fmt: skip
     fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
                   for place in fractions for force in forces_N for side in directions)  # fmt: skip
-    if estimator.free().ok:  # else it cannot even stand
+    if estimator.free().ok:
         pressed = forces_of(pressing, forces_N)
         touches = touches_of(estimator, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
-        reach = reach_of(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
+        reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, reach[i].greatest_force_N) for i, line in enumerate(lines)
         )
-        told = {force: conditions_of(touches[force], lines) for force in forces_N}
-        conditions = {(*line, force): told[force][i] for i, line in enumerate(lines) for force in forces_N}
+        by_force = {force: conditions_of(touches[force], lines) for force in forces_N}
+        conditions = {
+            (*line, force): by_force[force][i] for i, line in enumerate(lines) for force in forces_N
+        }
         fused = fused_conditions(lines, touches, forces_N, pressing)
         workspace = workspace_of(reach, touches, model.gravity_base)
     return Prediction(
@@ -215,8 +262,8 @@ def predict_touch(
     direction: str,
     tolerances: Tolerances | None = None,
 ) -> Condition:
-    """One condition; see `predict`."""
-    if not estimator.free().ok:  # it cannot even stand
+    """Predict one condition; see `predict`."""
+    if not estimator.free().ok:
         return Condition(fraction, force_N, direction, "gives_way")
     if tolerances is not None:
         estimator = estimator.with_tolerances(tolerances)
@@ -225,7 +272,7 @@ def predict_touch(
 
 
 def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
-    """What touches of some lines at one force will give."""
+    """Return the conditions of some lines at one force."""
     results = touches.results()
     return [
         _condition(touches, i, line, result)
@@ -264,23 +311,88 @@ def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -
 
 
 def tip_sag_mm(estimator: Estimator) -> float | None:
-    """How far gravity alone moves the tip [mm]; None if the probe cannot stand."""
-    free, length = estimator.free(), estimator.model.rod.length
-    return float(np.linalg.norm(free.p_at(length) - [0.0, 0.0, length]) / MM) if free.ok else None
+    """Return the sag of the tip [mm], see `tip_sag`; None if the probe has no stable free equilibrium."""
+    free = estimator.free()
+    return tip_sag(free, estimator.model.rod.length, estimator.model.gravity_base) / MM if free.ok else None
+
+
+def tip_sag(free: Equilibrium, length: float, gravity: Array) -> float:
+    """Return the displacement of the free tip along gravity from the straight probe [m]; 0 without gravity.
+
+    Measured sags of a campaign (`tip_sag_mm`) have the same definition.
+
+    Args:
+        free: equilibrium without contact.
+        length: of the probe [m].
+        gravity: base axes [m/s²], (3,).
+    """
+    if not gravity.any():
+        return 0.0
+    return float((free.p_at(length) - [0.0, 0.0, length]) @ gravity / np.linalg.norm(gravity))
 
 
 def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | None) -> Detection:
-    """In proportion to a weak push; none where the probe gives way before."""
+    """Return the detection limit, which is proportional to a weak push; None where the probe buckles before."""
     if not touches.ok[i] or most is None:
         return Detection(*line, None)
     felt = touches.estimator.detectable(touches.wrench_by_force[i])
     return Detection(*line, 1e3 * felt if felt <= most else None)
 
 
-def _nothing(lines: Sequence[tuple[float, str]]) -> tuple[Reach, ...]:
-    """What a probe that cannot stand can do."""
-    return tuple(Reach(*line, None, None, None, None, "gives_way", None) for line in lines)
+def _nothing(lines: Sequence[tuple[float, str]]) -> tuple[ForceThresholds, ...]:
+    """Return the thresholds of a probe without a stable free equilibrium."""
+    return tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
 
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+Row = Mapping[str, Any]
+
+
+def conditions_csv(prediction: Prediction) -> bytes:
+    """Return a CSV table with a row per condition, single (touches = 1) and fused; the error sources are its last
+    columns."""
+    single = [{"touches": 1, **asdict(c)} for c in prediction.conditions]
+    rows = [_spread(row) for row in [*single, *(asdict(c) for c in prediction.fused)]]
+    first = ["contact_fraction", "force_N", "direction", "touches", "result"]
+    causes = [_column(cause) for cause in FUSED_CAUSES]
+    between = [
+        name for name in dict.fromkeys(k for row in rows for k in row) if name not in (*first, *causes)
+    ]
+    return _csv([*first, *between, *causes], rows)
+
+
+def along_csv(prediction: Prediction) -> bytes:
+    """Return a CSV table with a row per position and direction: detection, thresholds, limits; fused_ is of fused
+    touches."""
+    rows: dict[tuple[float, str], dict[str, Any]] = {}
+    shown: tuple[Detection | ForceThresholds, ...] = (*prediction.detection, *prediction.reach)
+    for one in shown:
+        rows.setdefault((one.contact_fraction, one.direction), {}).update(asdict(one))
+    for fused in prediction.fused_reach:
+        forces = {f"fused_{k}": v for k, v in asdict(fused).items() if k.startswith("force_")}
+        rows[fused.contact_fraction, fused.direction].update(forces)
+    for path in prediction.workspace.paths:
+        rows[path.contact_fraction, path.direction]["pressed_mm"] = path.pressed_mm
+    names = list(dict.fromkeys(k for row in rows.values() for k in row))
+    return _csv(names, list(rows.values()))
+
+
+def _spread(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the row with the error sources as columns of their own."""
+    budget = row.pop("budget_mm") or {}
+    return row | {_column(cause): value for cause, value in budget.items()}
+
+
+def _column(cause: str) -> str:
+    return f"budget_{cause.replace(' ', '_')}_mm"
+
+
+def _csv(names: Sequence[str], rows: Sequence[Row]) -> bytes:
+    text = io.StringIO()
+    table = csv.DictWriter(text, names, lineterminator="\n")
+    table.writeheader()
+    table.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    return text.getvalue().encode()

@@ -1,9 +1,9 @@
-"""The paper's Table I, predicted: one setting for the sensor, one for the stereo reference, none for any row.
+"""Prediction of the paper's Table I: one setting for the sensor, one for the stereo reference, none for single rows.
 
 Source of the measured errors: "Spatial Position Estimation of Lightweight and Delicate Objects using a Soft haptic
 Probe", Table I (`data/table1.csv`): the distance between the estimated contact point and the one that two cameras
-reconstructed. The text speaks of 25 experiments, the table has 23 rows. Which way each was pushed is not told: x, y or
-z; predicted is the root of the mean square over the four sides that pushed without friction.
+reconstructed. The text mentions 25 experiments, the table has 23 rows. The push directions are not given; the
+prediction is the root mean square over the four directions without friction.
 """
 
 import csv
@@ -17,35 +17,38 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
+from probedesign.design import Design, check_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.budget import CAUSES, unweighted_budget_of
+from probedesign.materials import ELASTIC_50A
+from probedesign.prediction.budget import CAUSES, unweighted_error_budget
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 from probedesign.units import MM
 
 REFERENCE_MM = 1.0
-"""RMS error of the stereo reference at the contact. Assumed, a round number: the paper tells none; its smallest errors
-are 0.7 mm and hold it, and its shapes are off by 3.6 mm, of which a contact point cannot have much. `by_reference`
-tells what other numbers give."""
+"""RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest
+errors of
+0.7 mm include it; its shapes differ by 3.6 mm, of which a contact point can have only a part. `by_reference` lists the
+agreement for other values."""
 FACTOR = 2.0
 THICKER_MM = (-0.5, -0.2, 0.2, 0.5)
 REFERENCES_MM = (0.0, 0.5, 0.7, 1.0, 1.3, 1.6, 2.0)
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """One condition of the table.
 
     Attributes:
-        probe, force_N, contact_fraction: which.
-        measured_error_mm: the paper's.
-        predicted_error_mm: by all causes and the reference, RMS; None where the probe gives way without friction.
+        probe, force_N, contact_fraction: of the condition.
+        measured_error_mm: as published.
+        predicted_error_mm: RMS by all error sources and the reference; None where the probe buckles without friction.
         own_error_mm: the same without the reference.
-        noise_error_mm: by the sensor's noise alone.
-        largest_cause: of the probe's own.
-        within: whether predicted and measured differ by no more than a factor of two.
-        why: what is known of a miss, else empty.
+        noise_error_mm: by sensor noise alone.
+        largest_cause: the probe's largest error source.
+        within: whether predicted and measured error differ by a factor of two at most.
+        why: explanation of a larger difference, else empty.
     """
 
     probe: str
@@ -61,13 +64,13 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Score:
-    """How well a setting agrees with the table.
+class AgreementScore:
+    """Agreement of a setting with the table.
 
     Attributes:
-        setting: which.
-        within: rows within a factor of two, of all.
-        predicted: rows that there is a prediction of.
+        setting: name of the setting.
+        within: number of rows within a factor of two.
+        predicted: number of rows with a prediction.
         rank_correlation: Spearman's, of the rows predicted.
     """
 
@@ -79,27 +82,27 @@ class Score:
 
 @dataclass(frozen=True)
 class TableOne:
-    """The table, predicted.
+    """The predicted table.
 
     Attributes:
-        rows: as the paper orders them.
-        score: of these.
-        reference_mm: of the stereo reference.
+        rows: in the paper's order.
+        score: of these rows.
+        reference_mm: RMS error of the stereo reference.
         noise_force_mN, noise_moment_Nmm: of one reading.
         by_reference: scores with other references.
-        by_diameter: scores with all diameters so much thicker or thinner, and with the tip alone so.
+        by_diameter: scores with all diameters changed, and with the tip diameter alone changed.
     """
 
-    rows: tuple[Row, ...]
-    score: Score
+    rows: tuple[TableRow, ...]
+    score: AgreementScore
     reference_mm: float
     noise_force_mN: float
     noise_moment_Nmm: float
-    by_reference: tuple[Score, ...]
-    by_diameter: tuple[Score, ...]
+    by_reference: tuple[AgreementScore, ...]
+    by_diameter: tuple[AgreementScore, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return {"schema": 1, **asdict(self)}
 
 
@@ -109,14 +112,16 @@ def table_one(
     """Predict the table.
 
     Args:
-        models: of the three probes, with how well each is known, by name: large, medium, small.
+        models: of the three probes, with their tolerances, by name: large, medium, small.
         reference_mm: RMS error of the stereo reference.
     """
     rows = rows_of(models, reference_mm)
     noise = models["large"][0].noise
     own = [row.own_error_mm for row in rows]
-    references = tuple(_score(f"reference {r:g} mm", [_with(row, e, r) for row, e in zip(rows, own, strict=True)])
-                       for r in REFERENCES_MM)  # fmt: skip
+    references = tuple(
+        _score(f"reference {r:g} mm", [_with_reference(row, e, r) for row, e in zip(rows, own, strict=True)])
+        for r in REFERENCES_MM
+    )
     thicker = [_score(f"all diameters {by:+g} mm", rows_of(_thickened(models, by, by), reference_mm))
                for by in THICKER_MM]  # fmt: skip
     tips = [
@@ -126,41 +131,50 @@ def table_one(
                     references, (*thicker, *tips))  # fmt: skip
 
 
-def rows_of(models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float) -> list[Row]:
-    """Each row beside what is predicted."""
-    return [_row(*models[said["probe"]], said, reference_mm) for said in measured()]
+def rows_of(models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float) -> list[TableRow]:
+    """Return the rows with their predictions."""
+    return [_row(*models[row_data["probe"]], row_data, reference_mm) for row_data in measured()]
 
 
 @cache
 def measured() -> tuple[dict[str, str], ...]:
-    """The table's rows as they stand in the file."""
+    """Return the table's rows as in the file."""
     text = files("probedesign.prediction").joinpath("data/table1.csv").read_text()
     return tuple(csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")))
 
 
-def _row(model: ProbeModel, tolerances: Tolerances, said: dict[str, str], reference_mm: float) -> Row:
-    force, fraction = float(said["force_N"]), float(said["contact_fraction"])
+def _row(
+    model: ProbeModel, tolerances: Tolerances, row_data: dict[str, str], reference_mm: float
+) -> TableRow:
+    force, fraction = float(row_data["force_N"]), float(row_data["contact_fraction"])
     lines = [(fraction, direction) for direction in DIRECTIONS]
     touches = touches_of(Estimator(model, tolerances), lines, [force])[force]
-    held, own, noise, largest = touches.ok, None, None, "none"
-    if held.any():
-        # As the published method: neither the error sources nor friction weigh on its readings.
-        cov = unweighted_budget_of(touches.lin[held], touches.D[held], touches.sources, model.friction)
+    stable, own, noise, largest = touches.ok, None, None, "none"
+    if stable.any():
+        # As the published method: error sources and friction do not enter the weights of its readings.
+        cov = unweighted_error_budget(touches.lin[stable], touches.D[stable], touches.sources, model.friction)
         squares = np.trace(cov, axis1=2, axis2=3).mean(axis=0)
         own, noise = math.sqrt(squares.sum()) / MM, math.sqrt(squares[0]) / MM
         largest = CAUSES[int(np.argmax(squares))]
-    row = Row(
-        said["probe"], force, fraction, float(said["contact_error_mm"]), None, own, noise, largest, False, ""
+    row = TableRow(
+        row_data["probe"],
+        force,
+        fraction,
+        float(row_data["contact_error_mm"]),
+        None,
+        own,
+        noise,
+        largest,
+        False,
+        "",
     )
-    return _with(row, own, reference_mm)
+    return _with_reference(row, own, reference_mm)
 
 
-def _with(row: Row, own: float | None, reference_mm: float) -> Row:
-    """The row with a reference."""
+def _with_reference(row: TableRow, own: float | None, reference_mm: float) -> TableRow:
+    """Return the row with the error of a reference added."""
     if own is None:
-        why = (
-            "without friction the probe gives way under less; the paper's blade must have held it by friction"
-        )
+        why = "without friction the probe buckles below this force; in the experiment friction must have stabilised it"
         return replace(row, predicted_error_mm=None, within=False, why=why)
     predicted = math.hypot(own, reference_mm)
     ratio = predicted / row.measured_error_mm
@@ -169,24 +183,24 @@ def _with(row: Row, own: float | None, reference_mm: float) -> Row:
     why = (
         ""
         if within
-        else f"{max(ratio, 1 / ratio):.2g} times {more} than measured; largest here: {row.largest_cause}"
+        else f"{max(ratio, 1 / ratio):.2g} times {more} than measured; largest error source: {row.largest_cause}"
     )
     return replace(row, predicted_error_mm=predicted, within=within, why=why)
 
 
-def _score(setting: str, rows: list[Row]) -> Score:
-    held = [row for row in rows if row.predicted_error_mm is not None]
-    predicted = np.array([row.predicted_error_mm for row in held], dtype=float)
-    seen = np.array([row.measured_error_mm for row in held])
-    return Score(
-        setting, sum(row.within for row in rows), len(held), float(spearmanr(predicted, seen).statistic)
+def _score(setting: str, rows: list[TableRow]) -> AgreementScore:
+    stable = [row for row in rows if row.predicted_error_mm is not None]
+    predicted = np.array([row.predicted_error_mm for row in stable], dtype=float)
+    seen = np.array([row.measured_error_mm for row in stable])
+    return AgreementScore(
+        setting, sum(row.within for row in rows), len(stable), float(spearmanr(predicted, seen).statistic)
     )
 
 
 def _thickened(
     models: dict[str, tuple[ProbeModel, Tolerances]], base_mm: float, tip_mm: float
 ) -> dict[str, tuple[ProbeModel, Tolerances]]:
-    """The same probes with other diameters."""
+    """Return the same probes with other diameters."""
     found = {}
     for name, (model, tolerances) in models.items():
         by = np.interp(model.rod.s, [0.0, model.rod.length], [base_mm, tip_mm]) * MM / 2.0
@@ -194,3 +208,28 @@ def _thickened(
         rigid = model.rod.rigid_length * float(radius[0] / model.rod.radius[0])
         found[name] = replace(model, rod=replace(model.rod, radius=radius, rigid_length=rigid)), tolerances
     return found
+
+
+PROBES = {"large": (150.0, 12.0, 2.0), "medium": (100.0, 8.0, 2.0), "small": (50.0, 5.0, 1.5)}
+"""Length, base and tip diameter [mm]. The lengths are from Table I; all diameters except the large probe's base are
+assumed: the paper shows them in a figure without numbers."""
+_MEASURED = {"youngs_modulus_mpa": 2.32, "shear_modulus_mpa": 0.761, "density_kg_m3": 1010.0}
+_PROVENANCE = {
+    "youngs_modulus_mpa": "identified",
+    "shear_modulus_mpa": "identified",
+    "density_kg_m3": "datasheet",
+}
+
+
+def paper_design(name: str) -> Design:
+    """Return the design of one of the paper's probes, as in designs/large.toml, medium.toml and small.toml.
+
+    Args:
+        name: a key of `PROBES`.
+    """
+    length, base, tip = PROBES[name]
+    probe = {"shape": "cone", "length_mm": length, "base_d_mm": base, "tip_d_mm": tip,
+             "assumed": ["tip_d_mm"] if name == "large" else ["base_d_mm", "tip_d_mm"]}  # fmt: skip
+    material = {"resin": "elastic-50a", **_MEASURED, "provenance": _PROVENANCE}
+    contact = {"friction": ELASTIC_50A.friction.value}
+    return check_design({"schema": 1, "name": name, "probe": probe, "material": material, "contact": contact})

@@ -1,4 +1,8 @@
-"""Touches of a probe over places, sides and forces, and what a reading of each is worth."""
+"""Equilibrium touches of a probe's surface, and the error with which one reading of each locates it.
+
+`SurfaceRod` and `ForceContinuation` follow a press from the free probe by continuation in the force; `touches_of`
+solves a grid of positions, directions and forces.
+"""
 
 import math
 from collections.abc import Sequence
@@ -9,25 +13,201 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.errors import InputError
-from probedesign.estimation.error_sources import ErrorSources
+from probedesign.estimation import surface_contact_kernel as kernel
+from probedesign.estimation.error_sources import FINE, NOTHING, ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import (
+    ALONG,
+    AROUND,
     BY_TOUCH,
     CENTRE,
     DEAD,
     NORMAL,
     OWN,
+    PHI,
     POINT,
     ROWS,
+    TIP,
     TOUCH,
+    TURN,
     UNKNOWNS,
     VALUE,
     S,
 )
 from probedesign.frames import Array
-from probedesign.prediction.budget import Budget, budget_of
-from probedesign.prediction.model_touch import SurfaceRod
-from probedesign.prediction.quantile import radii_95
+from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+
+_MIN_STEP = 1e-3
+"""Force step, relative to the force reached, below which a press is not divided further: the probe buckles."""
+_MAX_TURN = 0.3
+"""Predicted rotation of the tip in one step [rad]."""
+_MAX_PREDICTION_ERROR = 0.15
+"""Rotation between the predicted and the solved tip [rad]; a larger one has left the solution branch."""
+
+
+@dataclass(frozen=True)
+class SurfaceRod:
+    """A rod under gravity whose surface is touched.
+
+    Attributes:
+        rod: the rod.
+        gravity: base axes [m/s²], (3,).
+        mass: of the flexible part [kg].
+        free: the equilibrium without contact.
+    """
+
+    rod: Rod
+    gravity: Array
+    mass: float
+    free: Equilibrium
+
+    def linearize(self, touch: Array) -> Array | None:
+        """Solve a touch in place and return its linearisation.
+
+        Args:
+            touch: unknowns, dead loads and tip, (TOUCH,); dead loads and tip are made consistent with the unknowns.
+
+        Returns:
+            Values and derivatives by the touch, (ROWS, 1 + UNKNOWNS); None where the rod has no equilibrium.
+        """
+        lin = np.empty((ROWS, 1 + UNKNOWNS))
+        work = np.empty(kernel.work_size(0))
+        converged = kernel.linearise_touch(self.rod.body, self.gravity, self.mass, FINE, touch, 0, work, lin)
+        return lin if converged else None
+
+    def begin_press(
+        self, s: float, phi: float, ratios: tuple[float, float] = (0.0, 0.0)
+    ) -> "ForceContinuation":
+        """Return a press of negligible force at a point of the surface.
+
+        Args:
+            s: arclength [m]; limited to the end of the flank.
+            phi: angle around the section [rad].
+            ratios: of tangential over normal force, around and along.
+        """
+        touch = np.zeros(TOUCH)
+        touch[S], touch[PHI], touch[NORMAL] = min(s, self.rod.flank_end), phi, NOTHING
+        touch[AROUND], touch[ALONG] = ratios
+        touch[TIP:] = self.free.tip
+        return ForceContinuation(self, touch, self.linearize(touch) if self.free.ok else None)
+
+
+class ForceContinuation:
+    """A press at one point of the surface, followed by continuation in the normal force."""
+
+    def __init__(self, on: SurfaceRod, touch: Array, lin: Array | None) -> None:
+        """Args:
+        on: the rod.
+        touch: initial touch, consistent, (TOUCH,).
+        lin: its linearisation; None where there is no equilibrium.
+        """
+        self.on, self.touch, self.lin = on, touch, lin
+
+    @property
+    def is_stable(self) -> bool:
+        """Return whether every force so far has an equilibrium on the branch."""
+        return self.lin is not None
+
+    def increase_to(self, force: float, ratios: tuple[float, float] | None = None) -> Array | None:
+        """Return the touch at a larger normal force, (TOUCH,); None where the probe buckles before it.
+
+        Args:
+            force: [N], not less than at the previous call.
+            ratios: of friction at that force, reached linearly with it; unchanged if None.
+        """
+        target = self.touch[:UNKNOWNS].copy()
+        target[NORMAL] = force
+        if ratios is not None:
+            target[AROUND], target[ALONG] = ratios
+        while self.lin is not None:
+            goal = target - self.touch[:UNKNOWNS]
+            turn = self.lin[TURN : TURN + 3, BY_TOUCH : BY_TOUCH + UNKNOWNS] @ goal
+            share = first = min(1.0, _MAX_TURN / max(float(np.linalg.norm(turn)), 1e-300))
+            smallest = _MIN_STEP * max(first, self.force / max(abs(goal[NORMAL]), 1e-300))
+            while not self._try_step(share * goal):
+                share *= 0.3
+                if share < min(smallest, 0.3 * first):
+                    self.lin = None
+                    return None
+            if share == 1.0:
+                return self.touch.copy()
+        return None
+
+    def _try_step(self, step: Array) -> bool:
+        """Take a step if the rod has an equilibrium there on the same branch, and return whether it has."""
+        assert self.lin is not None
+        ahead = self.touch.copy()
+        kernel.move_touch(ahead, self.lin, step)
+        predicted = ahead[TIP:].copy()
+        lin = self.on.linearize(ahead)
+        if lin is None or np.linalg.norm(ahead[TIP:] - predicted) > _MAX_PREDICTION_ERROR:
+            return False
+        self.touch, self.lin = ahead, lin
+        return True
+
+    def shift(self, by_s: float, by_phi: float) -> bool:
+        """Move the touch over the surface by (m, rad) at constant force; return whether there is an equilibrium."""
+        step = np.zeros(UNKNOWNS)
+        step[S], step[PHI] = by_s, by_phi
+        return self.lin is not None and self._try_step(step)
+
+    @property
+    def force(self) -> float:
+        """Normal force reached so far [N]."""
+        return float(self.touch[NORMAL])
+
+
+def slide(on: SurfaceRod, s: float, phi: float, forces: Sequence[float]) -> float:
+    """Return how far a fixed object slides along the rod while the base presses on along a straight line.
+
+    The base moves against the outward normal of the free rod. Friction, which would shorten the slide, is neglected: to
+    stick, a straight press of a slender probe needs several times the normal force along it, because the surface
+    rotates with the section.
+
+    Args:
+        on: the rod.
+        s: arclength of the first touch [m].
+        phi: angle around the section [rad].
+        forces: ascending normal forces [N].
+
+    Returns:
+        Largest change of arclength from the first touch [m]; infinite where the object slips off the end of the flank
+        or the probe buckles.
+    """
+    press, max_slide = on.begin_press(s, phi), 0.0
+    if press.lin is None:
+        return math.inf
+    begin = float(press.touch[S])
+    start = press.lin[POINT : POINT + 3, 0].copy()
+    push = press.lin[0:3, BY_TOUCH + NORMAL]
+    across = np.linalg.svd(push[None])[2][1:]
+    for force in forces:
+        if press.increase_to(force) is None:
+            return math.inf
+        for _ in range(_MAX_ITERATIONS):
+            assert press.lin is not None
+            off = across @ (press.lin[POINT : POINT + 3, 0] - start)
+            if np.linalg.norm(off) <= _LATERAL_TOLERANCE * on.rod.length:
+                break
+            change = np.linalg.solve(across @ press.lin[POINT : POINT + 3, BY_TOUCH : BY_TOUCH + 2], -off)
+            change *= min(1.0, _MAX_SLIDE * on.rod.length / max(abs(float(change[0])), 1e-300))
+            ahead = float(press.touch[S] + change[0])
+            if not 0.0 <= ahead <= on.rod.flank_end or not press.shift(float(change[0]), float(change[1])):
+                return math.inf
+        else:
+            return math.inf
+        max_slide = max(max_slide, abs(float(press.touch[S]) - begin))
+    return max_slide
+
+
+_MAX_ITERATIONS = 12
+_LATERAL_TOLERANCE = 1e-6
+"""Distance from the straight line, relative to the length, that counts as zero."""
+_MAX_SLIDE = 0.05
+"""Slide in one iteration, relative to the length."""
+
 
 DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
 """Direction in which the object pushes, as an angle about the tangent from the section's x axis [rad]."""
@@ -35,18 +215,18 @@ DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
 
 @dataclass(frozen=True)
 class Touches:
-    """The touches of several lines, a line being one place and one side, at one normal force without friction.
+    """Touches of n lines (a position and a direction each) at one normal force without friction.
 
-    Rows of numbers are NaN where the probe gives way.
+    Rows are NaN where the probe buckles.
 
     Attributes:
-        estimator: that the readings are for; its priors and its model's friction are those of the budget.
+        estimator: whose priors and friction the error budget includes.
         sources: its error sources under the mount's gravity.
         force_N: normal force [N].
         touch: unknowns, dead loads and tip of each, (n, TOUCH).
         lin: linearisations, (n, ROWS, 1 + UNKNOWNS + parameters), see `surface_contact_kernel`.
         D: one standard deviation of each error source, (n, 12, J), see `ErrorSources.columns_at`.
-        held: greatest normal force up to this one that each line holds [N], (n,).
+        max_stable_force: largest normal force up to this one with an equilibrium [N], (n,).
     """
 
     estimator: Estimator
@@ -55,16 +235,16 @@ class Touches:
     touch: Array
     lin: Array
     D: Array
-    held: Array
+    max_stable_force: Array
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Which the probe holds, (n,)."""
+        """Which touches have an equilibrium, (n,)."""
         return np.asarray(np.isfinite(self.lin[:, 0, VALUE]))
 
     @property
     def wrench(self) -> Array:
-        """At the base, free of noise [N, N·m], (n, 6)."""
+        """Wrenches at the base without noise [N, N·m], (n, 6)."""
         return self.lin[:, 0:6, VALUE]
 
     @property
@@ -74,55 +254,54 @@ class Touches:
 
     @property
     def wrench_by_force(self) -> Array:
-        """Change of the base wrench by a newton more, (n, 6)."""
+        """Derivative of the base wrench by the normal force, (n, 6)."""
         return self.lin[:, 0:6, BY_TOUCH + NORMAL]
 
     @cached_property
-    def budget(self) -> Budget:
-        """Errors of each."""
-        return budget_of(self.touch, self.lin, self.D, self.sources, self.estimator.model.friction)
+    def budget(self) -> ErrorBudget:
+        """Error budget of each touch."""
+        return error_budget(self.touch, self.lin, self.D, self.sources, self.estimator.model.friction)
 
     @cached_property
     def rms(self) -> tuple[Array, Array]:
-        """Error of the touched point by all causes and by the sensor's noise alone [m], (n,) each."""
+        """RMS error of the touched point by all error sources, and by sensor noise alone [m], (n,) each."""
         total, noise = (np.sqrt(np.trace(cov, axis1=1, axis2=2))
                         for cov in (self.budget.total, self.budget.cov_noise))  # fmt: skip
         return total, noise
 
     @cached_property
     def within_95(self) -> tuple[Array, Array]:
-        """The distance that 95 of 100 such errors stay within [m], (n,) each."""
+        """Radius that contains 95 % of these errors [m], (n,) each."""
         return radii_95(self.budget.total), radii_95(self.budget.cov_noise)
 
     @cached_property
     def sensor_use(self) -> Array:
-        """Largest share of a channel's range that the readings take, (n,)."""
+        """Largest fraction of a channel's range that each reading takes, (n,)."""
         model = self.estimator.model
         read = model.to_sensor(self.wrench, model.gravity_base)
         return np.asarray((np.abs(read) / model.wrench_range).max(axis=1))
 
     @cached_property
     def press_per_N(self) -> Array:
-        """How much further one newton more presses in, along the force [m/N], (n,)."""
+        """Derivative of the indentation along the force by the normal force [m/N], (n,)."""
         force = self.touch[:, DEAD : DEAD + 3]
         by = self.lin[:, POINT : POINT + 3, BY_TOUCH + NORMAL]
         return np.asarray(np.einsum("ni,ni->n", force, by) / np.linalg.norm(force, axis=1))
 
     @cached_property
     def free_centre(self) -> Array:
-        """Where the free probe has the centreline's points that are touched [m], (n, 3)."""
+        """Touched points of the centreline on the free probe [m], (n, 3)."""
         rod = self.estimator.model.rod
         at = [s - float(rod.radius_at(s)) * rod.taper_at(s) for s in np.nan_to_num(self.touch[:, S])]
         return self.estimator.free().p_at(np.clip(at, 0.0, rod.length))
 
     @cached_property
     def deflection(self) -> Array:
-        """How far that point has moved from there [m], (n,)."""
+        """Distance of each point from its place on the free probe [m], (n,)."""
         return np.asarray(np.linalg.norm(self.centre - self.free_centre, axis=1))
 
     def results(self) -> list[str]:
-        """What the estimator answers to readings without noise; "gives_way" where the probe cannot push back so
-        hard."""
+        """Return the estimator's result code for each reading without noise; "gives_way" where the probe buckles."""
         return [self._result(i) for i in range(len(self.touch))]
 
     def _result(self, i: int) -> str:
@@ -139,12 +318,15 @@ class Touches:
 def touches_of(
     estimator: Estimator, lines: Sequence[tuple[float, str]], forces_N: Sequence[float]
 ) -> dict[float, Touches]:
-    """Touches of all lines, by force.
+    """Solve all lines at all forces.
 
     Args:
-        estimator: of a probe that can stand; its priors count.
+        estimator: of a probe with a stable free equilibrium.
         lines: contact fraction (arclength of the touched section over the length) and direction of each.
         forces_N: normal forces [N], in any order.
+
+    Returns:
+        Touches by force.
     """
     model, forces = estimator.model, sorted(set(forces_N))
     gravity = model.gravity_base
@@ -155,28 +337,28 @@ def touches_of(
     touch = np.full((m, n, TOUCH), np.nan)
     lin = np.full((m, n, ROWS, 1 + UNKNOWNS + OWN + len(model.rod.s)), np.nan)
     D = np.full((m, n, 12, len(sources.names)), np.nan)
-    held = np.zeros((m, n))
+    max_stable_force = np.zeros((m, n))
     for i, (fraction, direction) in enumerate(lines):
         # An object that pushes towards +x touches the side at -x.
-        press = on.press(fraction * model.rod.length, DIRECTIONS[direction] + math.pi)
+        press = on.begin_press(fraction * model.rod.length, DIRECTIONS[direction] + math.pi)
         for j, force in enumerate(forces):
-            found = press.to(force)
-            held[j:, i] = press.force
+            found = press.increase_to(force)
+            max_stable_force[j:, i] = press.force
             if found is None:
                 break
             touch[j, i] = found
             lin[j, i], D[j, i] = sources.columns_at(touch[j, i])
     return {
-        force: Touches(estimator, sources, force, touch[j], lin[j], D[j], held[j])
+        force: Touches(estimator, sources, force, touch[j], lin[j], D[j], max_stable_force[j])
         for j, force in enumerate(forces)
     }
 
 
 def check_grid(fractions: Sequence[float], forces_N: Sequence[float], directions: Sequence[str]) -> None:
-    """Refuse touches that make no sense.
+    """Check a grid of touches.
 
     Raises:
-        InputError: a fraction, force or direction is none.
+        InputError: a fraction, force or direction is out of range.
     """
     for fraction in fractions:
         if not 0.0 < fraction <= 1.0:

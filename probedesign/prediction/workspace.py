@@ -1,5 +1,5 @@
-"""Where the contact point can be with the base standing still: how far each place of the probe can be pressed, and what
-it sweeps meanwhile."""
+"""Workspace of the contact point with a fixed base: how far each position can be pressed, and the swept area and
+volume."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,27 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.frames import Array
-from probedesign.prediction.reach import Reach
+from probedesign.prediction.thresholds import ForceThresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches
 from probedesign.units import MM
 
 STEPS = 12
-"""Points of a path that are told, evenly along it from the untouched one."""
+"""Number of points of a path, evenly spaced from the untouched one."""
 _TURNS = 24  # of the angle, for the volume
 _MIRRORED = 1e-3
-"""Of gravity that may lie along y for the two sides across it to count as alike."""
+"""Largest fraction of gravity along y at which both sides across it count as symmetric."""
 
 
 @dataclass(frozen=True)
-class Path:
-    """Where one place of the centreline goes as it is pressed ever harder from one side.
+class PressPath:
+    """Path of one point of the centreline that is pressed with increasing force in one direction.
 
     Attributes:
-        contact_fraction, direction: where and from which side.
-        greatest_force_N: up to which the touch can be read, as `Reach` has it.
-        limit: what ends it.
-        pressed_mm: how far it is then from where it hangs free.
-        x_mm, y_mm, z_mm: on the way, base axes, evenly along it from no force to the greatest.
+        contact_fraction, direction: where and in which direction.
+        greatest_force_N: largest force that can be read, as in `ForceThresholds`.
+        limit: what limits it.
+        pressed_mm: distance from the free position at that force.
+        x_mm, y_mm, z_mm: points in base axes, evenly spaced from zero to the largest force.
     """
 
     contact_fraction: float
@@ -41,31 +41,33 @@ class Path:
 
     @property
     def points(self) -> Array:
-        """[mm], (STEPS, 3)."""
+        """Points of the path [mm], (STEPS, 3)."""
         return np.stack([self.x_mm, self.y_mm, self.z_mm], axis=-1)
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """All of them.
+    """Paths of all positions, and what they sweep.
 
     Attributes:
-        paths: of every place and side that can be touched.
-        area_mm2: of the sheet that the places sweep together, by side; what several places reach counts for each.
-        volume_mm3: that they sweep pushed from all round, between the sides on smooth curves; likewise. None where
-            a side across to gravity is missing.
+        paths: of every position and direction that can be touched.
+        area_mm2: of the sheet that the positions sweep together, by direction; overlapping parts count repeatedly.
+        volume_mm3: that they sweep when pushed from all around, interpolated smoothly between the directions;
+            overlapping parts count repeatedly. None where a direction across gravity is missing.
     """
 
-    paths: tuple[Path, ...] = ()
+    paths: tuple[PressPath, ...] = ()
     area_mm2: dict[str, float] | None = None
     volume_mm3: float | None = None
 
 
-def workspace_of(reach: Sequence[Reach], touches: Mapping[float, Touches], gravity: Array) -> Workspace:
-    """From the touches of all forces.
+def workspace_of(
+    reach: Sequence[ForceThresholds], touches: Mapping[float, Touches], gravity: Array
+) -> Workspace:
+    """Compute the workspace from touches at all forces.
 
     Args:
-        reach: of the lines, in their order.
+        reach: thresholds of the lines, in their order.
         touches: by force, of the same lines.
         gravity: base axes [m/s²], (3,).
     """
@@ -85,9 +87,9 @@ def workspace_of(reach: Sequence[Reach], touches: Mapping[float, Touches], gravi
     return Workspace(paths, {side: _area(sheet) for side, sheet in sheets.items()}, _volume(sheets))
 
 
-def _path(row: Reach, forces: Array, points: Array, free: Array) -> Path:
-    """Of one line; between the forces straight."""
-    assert row.greatest_force_N is not None, "asked of what can be touched"
+def _path(row: ForceThresholds, forces: Array, points: Array, free: Array) -> PressPath:
+    """Return the path of one line; it is linear between the forces."""
+    assert row.greatest_force_N is not None, "only positions with a largest force have a path"
     there = np.isfinite(points[:, 0]) & (forces <= row.greatest_force_N)
     way = np.vstack([free, points[there]])
     if there.any() and not there[-1]:
@@ -99,24 +101,25 @@ def _path(row: Reach, forces: Array, points: Array, free: Array) -> Path:
     even = np.linspace(0.0, gone[-1], STEPS)
     x, y, z = (tuple(np.interp(even, gone, part).tolist()) for part in way.T)
     pressed = float(np.linalg.norm(way[-1] - free))
-    return Path(row.contact_fraction, row.direction, row.greatest_force_N, row.limit, pressed, x, y, z)
+    return PressPath(row.contact_fraction, row.direction, row.greatest_force_N, row.limit, pressed, x, y, z)
 
 
-def _sheet(paths: Sequence[Path], side: str) -> Array:
-    """Paths of one side from the clamp to the tip, (n + 1, STEPS, 3)."""
+def _sheet(paths: Sequence[PressPath], side: str) -> Array:
+    """Return the paths of one direction from base to tip, (n + 1, STEPS, 3)."""
     along = sorted((path for path in paths if path.direction == side), key=lambda path: path.contact_fraction)
     return np.array([np.zeros((STEPS, 3)), *(path.points for path in along)])
 
 
 def _area(sheet: Array) -> float:
-    """[mm²], of triangles."""
+    """Return the area of a sheet, made of triangles [mm²]."""
     a, b, c, d = sheet[:-1, :-1], sheet[1:, :-1], sheet[1:, 1:], sheet[:-1, 1:]
     halves = (np.linalg.norm(np.cross(q - a, r - a), axis=-1).sum() / 2.0 for q, r in ((b, c), (c, d)))
     return float(sum(halves))
 
 
 def _volume(sheets: Mapping[str, Array]) -> float | None:
-    """[mm³], a place's paths as a Fourier series of the angle that has the four sides right."""
+    """Return the swept volume [mm³]; a position's paths are a Fourier series of the angle through the four
+    directions."""
     if set(sheets) != set(DIRECTIONS) or len({len(sheet) for sheet in sheets.values()}) > 1:
         return None
     plus, minus, left, right = (sheets[side] for side in ("+x", "-x", "+y", "-y"))
@@ -133,7 +136,7 @@ def _volume(sheets: Mapping[str, Array]) -> float | None:
 
 
 def _between(change: Array, along: int) -> Array:
-    """Differences along one axis as means over each cell's four edges."""
+    """Return differences along one axis as means over each cell's four edges."""
     for axis in range(3):
         if axis != along:
             n = change.shape[axis]

@@ -7,13 +7,19 @@ import numpy as np
 
 from probedesign.design import Design
 from probedesign.errors import InputError
+from probedesign.optimization.objective import (
+    METRICS,
+    DesignMetrics,
+    TaskErrors,
+    design_metrics,
+    predict_task,
+)
+from probedesign.optimization.task import Task
+from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
 from probedesign.prediction.predict import Prediction
-from probedesign.prediction.press_schedule import MAX_TOUCHES, PressSchedule
 from probedesign.probe import build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, span_of
 from probedesign.reports.html_page import HtmlTable, Section, report_page
-from probedesign.search.task import Task
-from probedesign.search.worth import FIGURES, Touched, Worth, touches, worth
 from probedesign.units import MM
 
 MAX_DESIGNS = 6
@@ -29,15 +35,15 @@ class ComparedDesign:
 
     Attributes:
         design: the design.
-        worth: its metrics for the task.
+        metrics: its metrics for the task.
         along: its touches at `PLACES`.
         by_force: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
         prediction: for pushes across gravity with the task's force.
     """
 
     design: Design
-    worth: Worth
-    along: Touched
+    metrics: DesignMetrics
+    along: TaskErrors
     by_force: tuple[float, ...]
     prediction: Prediction
 
@@ -62,15 +68,18 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
         pressing=PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), moments),
     )  # fmt: skip
     rms = tuple(
-        task.combined(touches(model, replace(task, forces_N=(f,)), slipping=False).errors) for f in FORCES_N
+        task.combined(predict_task(model, replace(task, forces_N=(f,)), slipping=False).errors)
+        for f in FORCES_N
     )
     along = replace(task, fractions=PLACES, forces_N=(task.force_N,), gravities=task.gravities[:1])
-    return ComparedDesign(design, worth(design, task), touches(model, along, slipping=False), rms, prediction)
+    return ComparedDesign(
+        design, design_metrics(design, task), predict_task(model, along, slipping=False), rms, prediction
+    )
 
 
 def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
     """Return one row per metric, one column per design."""
-    rows = [[name, *(_cell(getattr(one.worth, name)) for one in compared)] for name in FIGURES]
+    rows = [[name, *(_cell(getattr(one.metrics, name)) for one in compared)] for name in METRICS]
     return HtmlTable(["", *(one.design.name for one in compared)], rows)
 
 

@@ -13,7 +13,7 @@ from probedesign.frames import Array
 from probedesign.prediction.fused import FusedCondition
 from probedesign.prediction.predict import Condition, Prediction
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.workspace import STEPS, Path, Workspace
+from probedesign.prediction.workspace import STEPS, PressPath, Workspace
 from probedesign.reports.chart import (
     COLOURS,
     DASHES,
@@ -207,7 +207,7 @@ def _draw_sheet(chart: Chart, sheet: Array, across: int, colour: str, name: str)
     chart.line(flat[:, -1, 0].tolist(), flat[:, -1, 1].tolist(), colour, mark="o", width=2.0, name=name)
 
 
-def _sheet(paths: Sequence[Path], side: str) -> Array:
+def _sheet(paths: Sequence[PressPath], side: str) -> Array:
     along = sorted((path for path in paths if path.direction == side), key=lambda path: path.contact_fraction)
     return np.array([path.points for path in along]).reshape(-1, STEPS, 3)
 

@@ -13,9 +13,9 @@ from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose, wrench_map
+from probedesign.prediction.print_samples import perturbed_rod
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.prediction.worlds import printed
 from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
@@ -166,15 +166,15 @@ class SimulatedTest:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Ground truth of a campaign: the printed probe, its pose and gravity.
+    """Ground truth of a campaign: the perturbed_rod probe, its pose and gravity.
 
     Attributes:
         model: of the probe as designed.
         plan: of the campaign.
-        rod: as printed.
+        rod: as perturbed_rod.
         T_world_base: pose of the base as the campaign states it, (4, 4).
         T_world_mount: true pose of that frame, (4, 4).
-        T_world_true: true pose of the printed base, (4, 4).
+        T_world_true: true pose of the perturbed_rod base, (4, 4).
         stated_gravity: as the campaign states it [m/s²], (3,).
         gravity_world: true gravity.
         tolerances: from which it was drawn.
@@ -316,7 +316,7 @@ def _displacement(shift: Array, turn: Array) -> Array:
 
 
 def _rod(model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, rng: np.random.Generator) -> Rod:
-    """Return the printed probe; moduli of the plan are exact.
+    """Return the perturbed_rod probe; moduli of the plan are exact.
 
     Stiffness scatter between touches is not a property of the print.
     """
@@ -329,4 +329,4 @@ def _rod(model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, rng: np.
     ):
         if chosen is not None:
             by[i] = math.log(chosen / design)
-    return printed(model.rod, by)
+    return perturbed_rod(model.rod, by)

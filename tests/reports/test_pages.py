@@ -12,7 +12,7 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
-from probedesign.prediction.fused_budget import FUSED_CAUSES
+from probedesign.prediction.fused import FUSED_CAUSES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
 from probedesign.reports.html_page import Section, html_document

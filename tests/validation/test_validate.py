@@ -13,8 +13,8 @@ from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
-from probedesign.prediction.paper_probes import paper_design
 from probedesign.prediction.predict import predict_touch
+from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
 from probedesign.reports.validation_page import (
     centreline,

@@ -1,4 +1,4 @@
-"""What a probe is asked to do: how hard, where, under which gravity and how often it touches, and what counts."""
+"""Task of a probe: forces, positions, gravity, number of touches, and which parts of the readings are used."""
 
 import math
 from collections.abc import Iterator
@@ -12,22 +12,22 @@ from probedesign.estimation.fused import MomentsAbout
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
-from probedesign.prediction.press_schedule import MAX_TOUCHES, PressSchedule
+from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
 
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Of the length, where the error is averaged over: the part that touches, less the tip itself."""
+"""Contact positions over the length whose error is averaged: the part that touches, without the tip itself."""
 MAX_GRAVITY = 100.0
-"""Of a task [m/s²], on each axis."""
+"""Largest gravity of a task on each axis [m/s²]."""
 Combine = Literal["mean", "worst"]
 Vector = tuple[float, float, float]
 
 
 class Case(NamedTuple):
-    """One place, force and gravity of a task.
+    """One position, force and gravity of a task.
 
     Attributes:
         contact_fraction: arclength of the touched section over the length.
-        force_N: normal force; of several touches that of the strongest.
+        force_N: normal force; of several touches the largest.
         gravity_base_m_s2: gravity in base axes.
     """
 
@@ -38,17 +38,17 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """One way to use a probe, or several at once: every place with every force under every gravity is one case.
+    """How a probe is used: every combination of position, force and gravity is one case.
 
     Attributes:
-        forces_N: normal force of the contact; of several touches that of the strongest, the others even parts of it.
-        touches: of one fixed point as the base presses on; 1 is a single reading.
-        moments_about: with several touches, which moments count alone; None: forces too.
-        base_repeat_mm: how far the base is off at each touch for itself, on each axis; None: as the design has it.
-        bias_walk_steps: how far the bias walks from one touch to the next, in steps of resolution; None: likewise.
-        fractions: of the length, where.
-        gravities: in base axes [m/s²]; none: that of the design's mount.
-        combine: "mean": the RMS over the cases is the error; "worst": that of the worst case.
+        forces_N: normal contact forces; of several touches the largest, the others are equal steps up to it.
+        touches: number of touches of one fixed point as the base presses on; 1 is a single reading.
+        moments_about: with several touches, the point whose moments alone are used; None: forces too.
+        base_repeat_mm: standard deviation of the base position at each touch, on each axis; None: the design's.
+        bias_walk_steps: walk of the bias between touches, in steps of resolution; None: the design's.
+        fractions: contact positions over the length.
+        gravities: in base axes [m/s²]; empty: that of the design's mount.
+        combine: "mean": the error is the RMS over the cases; "worst": the largest.
     """
 
     forces_N: tuple[float, ...] = (0.005,)
@@ -61,9 +61,9 @@ class Task:
     combine: Combine = "mean"
 
     def __post_init__(self) -> None:
-        """Raises InputError where a value makes no sense."""
+        """Raises InputError for a value out of range."""
         if not self.forces_N:
-            raise InputError("forces: a task needs one or more")
+            raise InputError("forces: a task needs at least one")
         for force in self.forces_N:
             if not 0.0 < force <= 100.0:
                 raise InputError(f"force = {force:g} N must lie in (0, 100]")
@@ -84,7 +84,7 @@ class Task:
 
     @property
     def force_N(self) -> float:
-        """The greatest force."""
+        """Largest force."""
         return max(self.forces_N)
 
     @property
@@ -93,28 +93,28 @@ class Task:
         return None if self.touches == 1 else PressSchedule(self.touches, self.moments_about)
 
     def priors(self, model: ProbeModel) -> Tolerances:
-        """Standard deviations of the error sources: the design's, but for what the task says."""
-        asked: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
+        """Return the standard deviations of the error sources: the design's, except for those that the task sets."""
+        changed: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
         return replace(
-            Tolerances.of(model), **{name: value for name, value in asked.items() if value is not None}
+            Tolerances.of(model), **{name: value for name, value in changed.items() if value is not None}
         )
 
     def models(self, model: ProbeModel) -> Iterator[ProbeModel]:
-        """The probe under each gravity of the task."""
+        """Yield the probe under each gravity of the task."""
         if not self.gravities:
             yield model
         for gravity in self.gravities:
             yield replace(model, gravity_base=np.array(gravity, dtype=float))
 
     def combined(self, errors: tuple[float, ...]) -> float:
-        """The error that the task is judged by, from that of each case."""
+        """Combine the errors of all cases to the error of the task."""
         if self.combine == "worst":
             return max(errors)
         return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
     @property
     def text(self) -> str:
-        """In one line, for people."""
+        """Description in one line, for users."""
         over = "RMS over" if self.combine == "mean" else "worst of"
         where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
         if len(self.gravities) > 1:
@@ -134,5 +134,6 @@ class Task:
 
 
 def side_of(gravity: Array) -> float:
-    """Direction in which an object pushes sideways to gravity, as an angle about the axis [rad]; +y without any."""
+    """Return the direction in which an object pushes across gravity, as an angle about the axis [rad]; +y without
+    gravity."""
     return math.atan2(gravity[1], gravity[0]) + math.pi / 2.0

@@ -1,4 +1,4 @@
-"""The search for a body: derivatives, printability, optima that can be told beforehand, limits that cannot be kept."""
+"""Optimisation of a design: derivatives, print constraints, known optima, infeasible limits."""
 
 import csv
 from dataclasses import replace
@@ -11,18 +11,17 @@ from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.design_file import render_design
 from probedesign.errors import InputError
+from probedesign.optimization.confirm import confirm
+from probedesign.optimization.constraints import Limit, check_limits, parse_limit
+from probedesign.optimization.design_space import DesignSpace
+from probedesign.optimization.evaluator import DesignEvaluator, critical_load_factor, differences
+from probedesign.optimization.grid import design_dict
+from probedesign.optimization.objective import design_metrics, predict_task
+from probedesign.optimization.optimum import OptimizationProblem, optimum
+from probedesign.optimization.task import Task
 from probedesign.prediction.predict import predict
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
-from probedesign.search.bearing import borne
-from probedesign.search.body import Body
-from probedesign.search.confirm import confirm
-from probedesign.search.goal import Limit, check_limits, parse_limit
-from probedesign.search.grid import tables_of
-from probedesign.search.optimum import Search, optimum
-from probedesign.search.task import Task
-from probedesign.search.trial import Trial, differences
-from probedesign.search.worth import touches, worth
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 TASK = Task()
@@ -35,31 +34,31 @@ def quiet(_step, _share):
 @pytest.fixture(scope="module")
 def large():
     """The paper's large probe with 3 % on E."""
-    tables = tables_of(load_design(LARGE))
+    tables = design_dict(load_design(LARGE))
     tables["material"]["stiffness_spread"] = 0.03
     return check_design(tables)
 
 
-def test_the_error_is_what_predict_says_of_fused_and_single_touches(large):
+def test_the_error_equals_the_prediction_for_fused_and_single_touches(large):
     """One model, one set of priors: the error that bodies are judged by is the predicted one, all causes counted."""
     probe = build_probe(large)
     predicted = probe.predict(fractions=(0.7,), forces_N=(0.01,), directions=("+y",))
     for touched, condition in ((5, predicted.fused[0]), (1, predicted.conditions[0])):
         task = Task((0.01,), touched, fractions=(0.7,))
-        assert 1e3 * touches(probe.model, task).errors[0] == pytest.approx(
+        assert 1e3 * predict_task(probe.model, task).errors[0] == pytest.approx(
             condition.predicted_error_mm, rel=1e-5
         )
     felt = predict(probe.model, (0.8,), (0.01,), ("+y",)).detection[0].detectable_force_mN
-    assert worth(large, TASK).detectable_mN == pytest.approx(felt, rel=1e-6)
+    assert design_metrics(large, TASK).detectable_mN == pytest.approx(felt, rel=1e-6)
 
 
 def test_several_tasks_at_once_are_combined(large):
     model = build_probe(large).model
     task = Task((0.005, 0.02), fractions=(0.5, 0.8), gravities=((9.81, 0.0, 0.0), (0.0, 0.0, 9.81)))
-    found = touches(model, task, slipping=False)
+    found = predict_task(model, task, slipping=False)
     assert len(found.cases) == len(set(found.cases)) == 8
     single = [
-        touches(model, replace(task, forces_N=(c.force_N,), fractions=(c.contact_fraction,),
+        predict_task(model, replace(task, forces_N=(c.force_N,), fractions=(c.contact_fraction,),
                                gravities=(c.gravity_base_m_s2,)), slipping=False).errors[0]
         for c in found.cases
     ]  # fmt: skip
@@ -68,62 +67,64 @@ def test_several_tasks_at_once_are_combined(large):
     assert replace(task, combine="worst").combined(found.errors) == max(found.errors)
 
 
-def test_the_priors_are_the_designs_but_for_what_the_task_says(large):
+def test_the_task_overrides_priors_of_the_design(large):
     probe = build_probe(large)
     assert TASK.priors(probe.model) == probe.tolerances
     other = Task(base_repeat_mm=0.05, bias_walk_steps=0.4).priors(probe.model)
     assert other == replace(probe.tolerances, robot_mm=0.05, walk_steps=0.4)
-    errors = [touches(probe.model, t).errors for t in (TASK, Task(base_repeat_mm=0.05))]
+    errors = [predict_task(probe.model, t).errors for t in (TASK, Task(base_repeat_mm=0.05))]
     assert all(wide > narrow for narrow, wide in zip(*errors, strict=True))
 
 
 @pytest.mark.parametrize("free", [("cone",), ("taper",)])
 def test_sag_and_reach_have_exact_slopes(large, free):
-    body = Body.of(large, free)
-    trial, x = Trial(body, TASK), body.x_of(large) * 0.8
+    body = DesignSpace.of(large, free)
+    trial, x = DesignEvaluator(body, TASK), body.x_of(large) * 0.8
     for name in ("sag_mm", "reach_mm"):
         # the fast solver's own rounding over the step
         np.testing.assert_allclose(
             trial.gradient(name, x),
-            differences(lambda y, name=name: trial.figures(y)[name], x, central=True),
+            differences(lambda y, name=name: trial.metrics(y)[name], x, central=True),
             rtol=2e-3, atol=2e-3 * np.abs(trial.gradient(name, x)).max(),
         )  # fmt: skip
 
 
 def test_a_taper_through_a_cones_diameters_is_the_cone(large):
-    body = Body.of(large, ("taper",))
+    body = DesignSpace.of(large, ("taper",))
     s, d = body.knots_mm(body.x_of(large))
     np.testing.assert_allclose(d, 12.0 - 10.0 * s / 150.0, atol=1e-9)  # a cubic spline draws a line exactly
 
 
 @pytest.mark.parametrize(("x", "rule"), [((12.0, 1.4), "smallest_feature"), ((3.7, 3.6), "slenderness")])
-def test_the_rules_kept_are_those_of_the_print_check(large, x, rule):
-    body, x = Body.of(large, ("cone",)), np.array(x)
+def test_the_print_constraints_are_those_of_the_print_check(large, x, rule):
+    body, x = DesignSpace.of(large, ("cone",)), np.array(x)
     broken = [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0]
     errors = [f.rule for f in check_print(body.design(x)).errors if f.part == "probe"]
     assert broken == [f"print rule {rule}"] and errors == [rule]
 
 
-def test_the_best_cone_is_better_by_all_causes_and_tells_where_it_is_not(large):
-    search = Search(large, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
+def test_the_best_cone_improves_the_error_and_lists_worse_cases(large):
+    search = OptimizationProblem(large, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
     found = optimum(search, "best", quiet)
     assert found.after.error_mm < found.before.error_mm
     assert found.after.sag_mm <= 60.0 and found.after.print_errors == 0 and found.design.name == "best"
     for factor in (0.97, 1.03):  # either way along the base it gets worse
         x = np.array([found.design.probe.base_d_mm * factor, found.design.probe.tip_d_mm])
-        assert search.problem.trial.figures(x)["error_mm"] > found.after.error_mm
+        assert search.problem.evaluator.metrics(x)["error_mm"] > found.after.error_mm
     assert found.worse
     for row in found.worse[:2]:
         task = Task((row.force_N,), fractions=(row.contact_fraction,))
-        was, now = (1e3 * touches(build_probe(d).model, task).errors[0] for d in (large, found.design))
+        was, now = (1e3 * predict_task(build_probe(d).model, task).errors[0] for d in (large, found.design))
         assert now > was and (was, now) == pytest.approx((row.start_error_mm, row.best_error_mm), rel=1e-3)
 
 
-def test_the_worst_case_is_what_is_minimised_where_asked(large):
+def test_combine_worst_minimises_the_worst_case(large):
     limits = (Limit("sag_mm", True, 60.0),)
     mean, worst = (
         optimum(
-            Search(large, ("cone",), Task(fractions=(0.4, 0.8), combine=how), limits=limits), "best", quiet
+            OptimizationProblem(large, ("cone",), Task(fractions=(0.4, 0.8), combine=how), limits=limits),
+            "best",
+            quiet,
         )
         for how in ("mean", "worst")
     )
@@ -133,24 +134,30 @@ def test_the_worst_case_is_what_is_minimised_where_asked(large):
     )  # a search ends within a thousandth
 
 
-def test_an_object_that_slides_off_a_soft_tip_holds_a_body_back(large):
+def test_an_object_slides_off_a_soft_tip(large):
     """7 to 1.5 mm bends so far at 0.9 of its length that the object comes off the tip."""
-    soft = worth(Body.of(large, ("cone",)).design(np.array([7.0, 1.5])), TASK)
-    stiff = worth(large, TASK)
+    soft = design_metrics(DesignSpace.of(large, ("cone",)).design(np.array([7.0, 1.5])), TASK)
+    stiff = design_metrics(large, TASK)
     assert soft.slide_mm is None and 0.0 < stiff.slide_mm < 1.0
-    assert worth(large, Task(touches=1)).slide_mm is None
+    assert design_metrics(large, Task(touches=1)).slide_mm is None
 
 
-def test_a_limit_that_binds_is_reached_and_not_passed(large):
+def test_an_active_limit_is_reached_and_not_exceeded(large):
     task = replace(TASK, fractions=(0.5, 0.8))
-    found = optimum(Search(large, ("cone",), task, limits=(Limit("sag_mm", True, 12.0),)), "best", quiet)
-    assert 11.9 < found.after.sag_mm <= 12.0 and "sag_mm <= 12" in found.binding
+    found = optimum(
+        OptimizationProblem(large, ("cone",), task, limits=(Limit("sag_mm", True, 12.0),)), "best", quiet
+    )
+    assert 11.9 < found.after.sag_mm <= 12.0 and "sag_mm <= 12" in found.active_constraints
 
 
-def test_limits_that_cannot_be_kept_say_which_bind(large):
+def test_infeasible_limits_are_named(large):
     limits = (Limit("sag_mm", True, 2.0), Limit("error_mm", True, 1.0))
     with pytest.raises(InputError, match=r"sag_mm <= 2 \(there .*error_mm <= 1 \(there"):
-        optimum(Search(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits), "best", quiet)
+        optimum(
+            OptimizationProblem(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits),
+            "best",
+            quiet,
+        )
 
 
 def test_the_real_estimator_errs_as_predicted(large):
@@ -162,35 +169,35 @@ def test_the_real_estimator_errs_as_predicted(large):
         assert 0.75 * found.located <= found.inside <= found.located
 
 
-def test_the_force_that_a_body_bears_is_told_before_it_gives_way(large):
+def test_the_critical_load_is_predicted_below_buckling(large):
     """Held just below, lost just above; told from forces below, so to a part in a hundred."""
     task = replace(TASK, fractions=(0.9,))
     for base_d_mm in (5.8, 6.0):
-        probe = build_probe(Body.of(large, ("cone",)).design(np.array([base_d_mm, 1.5])))
-        most = borne(probe.model, task, 1.4)
+        probe = build_probe(DesignSpace.of(large, ("cone",)).design(np.array([base_d_mm, 1.5])))
+        most = critical_load_factor(probe.model, task, 1.4)
         assert 1.0 < most < 1.4
         held = [
-            touches(probe.model, replace(task, forces_N=(f * most * task.force_N,))).errors[0]
+            predict_task(probe.model, replace(task, forces_N=(f * most * task.force_N,))).errors[0]
             for f in (0.99, 1.01)
         ]
         assert np.isfinite(held[0]) and np.isinf(held[1])
 
 
-def test_a_body_that_no_clamp_ring_passes_is_none(large):
-    body = Body.of(large, ("taper",))
+def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
+    body = DesignSpace.of(large, ("taper",))
     x = np.array([6.0, 14.0, 6.0, 4.0, 2.0])  # the flange of a 6 mm base is 17 mm, of which 3 mm are its lip
     assert [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0] == [
         "room for the clamp ring"
     ]
-    assert not Trial(body, TASK).stands(x)
+    assert not DesignEvaluator(body, TASK).is_stable(x)
     x[1] = 12.0
-    assert Trial(body, TASK).stands(x)
+    assert DesignEvaluator(body, TASK).is_stable(x)
 
 
-def test_a_start_that_gives_way_is_bettered_too(large):
+def test_a_start_that_buckles_is_improved(large):
     """Nothing leads a search out of where a probe gives way: it starts from a thicker one."""
-    limp = Body.of(large, ("cone",)).design(np.array([4.0, 1.5]))
-    found = optimum(Search(limp, ("cone",), replace(TASK, fractions=(0.6, 0.9))), "best", quiet)
+    limp = DesignSpace.of(large, ("cone",)).design(np.array([4.0, 1.5]))
+    found = optimum(OptimizationProblem(limp, ("cone",), replace(TASK, fractions=(0.6, 0.9))), "best", quiet)
     assert found.before.error_mm is None and found.after.error_mm < 2.0
 
 
@@ -214,7 +221,7 @@ def test_a_start_that_gives_way_is_bettered_too(large):
         (["--places", "0.5:1.5:0.5"], "must lie in (0, 1]"),
     ],
 )
-def test_a_wrong_wish_is_one_line(arguments, said, tmp_path, capsys):
+def test_invalid_options_are_refused_in_one_line(arguments, said, tmp_path, capsys):
     out = tmp_path / "best.toml"
     assert run(["optimize", str(LARGE), "--out", str(out), *arguments]) == 2
     err = capsys.readouterr().err
@@ -223,11 +230,11 @@ def test_a_wrong_wish_is_one_line(arguments, said, tmp_path, capsys):
 
 def test_limits_read_as_written():
     limit = parse_limit("sag_mm <= 60")
-    assert limit == Limit("sag_mm", True, 60.0) and limit.room(30.0) == 0.5 and limit.room(90.0) == -0.5
+    assert limit == Limit("sag_mm", True, 60.0) and limit.margin(30.0) == 0.5 and limit.margin(90.0) == -0.5
     check_limits([parse_limit("sag_mm>=10"), parse_limit("sag_mm<=60")])
 
 
-def test_what_cannot_be_written_is_not_sought(tmp_path, capsys):
+def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
     """A search takes a minute; its answer must have a place before."""
     (tmp_path / "file").write_text("")
     assert run(["optimize", str(LARGE), "--out", str(tmp_path / "file/best.toml")]) == 2
@@ -237,11 +244,11 @@ def test_what_cannot_be_written_is_not_sought(tmp_path, capsys):
 
 def test_a_hollow_body_prints_as_it_is_written(large):
     """It lies at a rule of printing; rounding the dimensions does not break it."""
-    tables = tables_of(large)
+    tables = design_dict(large)
     tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
-    search = Search(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
+    search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
     found = optimum(search, "best", quiet)
-    assert any("print rule" in text for text in found.binding) and found.after.print_errors == 0
+    assert any("print rule" in text for text in found.active_constraints) and found.after.print_errors == 0
 
 
 def test_the_front_begins_with_the_best_cone(large, tmp_path):
@@ -254,12 +261,12 @@ def test_the_front_begins_with_the_best_cone(large, tmp_path):
     assert float(row["base_d_mm"]) == pytest.approx(load_design(out).probe.base_d_mm, abs=1e-6)
 
 
-def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys, monkeypatch):
+def test_the_optimum_is_kept_where_no_front_is_found(large, tmp_path, capsys, monkeypatch):
     def none(*_):
         raise InputError("none of 1 bodies keeps every limit")
 
     pytest.importorskip("optuna")
-    monkeypatch.setattr("probedesign.search.front.front", none)
+    monkeypatch.setattr("probedesign.optimization.pareto.pareto_front", none)
     out = tmp_path / "best.toml"
     arguments = ["--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
     assert run(["optimize", str(LARGE), *arguments]) == 2
@@ -267,23 +274,25 @@ def test_the_best_body_is_kept_where_no_front_is_found(large, tmp_path, capsys, 
     assert "best.toml is written, but none of 1 bodies" in err and load_design(out).name == "best"
 
 
-def test_a_start_that_gives_way_is_not_drawn(large, tmp_path, capsys):
+def test_a_start_that_buckles_is_not_drawn(large, tmp_path, capsys):
     limp, out = tmp_path / "limp.toml", tmp_path / "best.toml"
-    limp.write_text(render_design(check_design(Body.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3))))
+    limp.write_text(
+        render_design(check_design(DesignSpace.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3)))
+    )
     assert run(["optimize", str(limp), "--places", "0.9:0.9:1", "--confirm", "2", "--out", str(out)]) == 0
     assert "start: gives way, so nothing was drawn" in capsys.readouterr().out and out.exists()
 
 
 @pytest.mark.parametrize("shape", ["cone", "cylinder", "profile"])
 def test_with_the_length_alone_the_diameters_stay(large, shape):
-    tables = tables_of(large)
+    tables = design_dict(large)
     tables["probe"] |= {"shape": shape}
     if shape == "cylinder":
         tables["probe"]["tip_d_mm"] = 12.0
     if shape == "profile":
         tables["probe"]["profile_mm"] = [[0.0, 12.0], [60.0, 5.0], [150.0, 2.0]]
     start = check_design(tables)
-    body = Body.of(start, ("length",))
+    body = DesignSpace.of(start, ("length",))
     assert body.design(body.x_of(start)).probe == start.probe
     longer = body.design(np.array([18.0])).probe  # centimetres
     assert longer.length_mm == 180.0 and longer.shape == shape
@@ -292,16 +301,19 @@ def test_with_the_length_alone_the_diameters_stay(large, shape):
 
 def test_with_the_length_alone_the_longest_that_may_be_reached_is_found(large):
     limits = (Limit("reach_mm", True, 140.0), Limit("reach_mm", False, 120.0))
-    found = optimum(Search(large, ("length",), replace(TASK, fractions=(0.7,)), limits=limits), "best", quiet)
+    found = optimum(
+        OptimizationProblem(large, ("length",), replace(TASK, fractions=(0.7,)), limits=limits), "best", quiet
+    )
     assert 120.0 <= found.after.reach_mm <= 140.0 and found.after.thinnest_mm == 2.0
-    assert len(found.binding) == 1 and "reach_mm" in found.binding[0]
+    assert len(found.active_constraints) == 1 and "reach_mm" in found.active_constraints[0]
 
 
 @pytest.mark.slow
 def test_a_free_taper_is_no_worse_than_the_best_cone(large):
     limits = (Limit("sag_mm", True, 60.0),)
     cone, taper = (
-        optimum(Search(large, (free,), TASK, limits=limits), "best", quiet) for free in ("cone", "taper")
+        optimum(OptimizationProblem(large, (free,), TASK, limits=limits), "best", quiet)
+        for free in ("cone", "taper")
     )
     assert taper.after.error_mm < cone.after.error_mm * 1.001 and taper.after.print_errors == 0
     assert taper.after.sag_mm <= 60.0

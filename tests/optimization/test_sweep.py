@@ -1,4 +1,4 @@
-"""A sweep: which designs, what is kept, what an interruption and a wrong design leave."""
+"""Parameter sweep: grid, journal, resumption after an interruption, invalid designs."""
 
 import json
 from pathlib import Path
@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
+from probedesign.core.parallel import Journal
 from probedesign.design import load_design
 from probedesign.errors import InputError
+from probedesign.optimization.grid import design_dict, grid_points, parse_axis, with_values
+from probedesign.optimization.objective import METRICS
+from probedesign.optimization.sweep import _write_tables, evaluate_point
+from probedesign.optimization.task import Task
 from probedesign.probe import build_probe
-from probedesign.search.grid import parse_axis, points, tables_of, varied
-from probedesign.search.journal import Journal
-from probedesign.search.sweep import _write_tables, judged
-from probedesign.search.task import Task
-from probedesign.search.worth import FIGURES
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 ASKED = {"schema": 1, "vary": {"a": [1, 2]}}
@@ -27,7 +27,7 @@ def test_the_end_of_a_range_counts_in_spite_of_rounding():
 
 
 def test_every_combination_once():
-    grid = points([parse_axis("probe.tip_d_mm=1:3:1"), parse_axis("probe.base_d_mm=8,12")])
+    grid = grid_points([parse_axis("probe.tip_d_mm=1:3:1"), parse_axis("probe.base_d_mm=8,12")])
     assert len({tuple(point.items()) for point in grid}) == len(grid) == 6
 
 
@@ -35,7 +35,7 @@ def test_every_combination_once():
     ("text", "said"),
     [
         ("probe.tipd_mm=1:2:1", "did you mean 'probe.tip_d_mm'?"),
-        ("probe.tip_d_mm=2:1:0.5", "never leads"),
+        ("probe.tip_d_mm=2:1:0.5", "wrong sign"),
         ("probe.tip_d_mm=1:2", "not START:STOP:STEP"),
         ("probe.tip_d_mm=nan:2:1", "not START:STOP:STEP"),
         ("probe.tip_d_mm=1:2:1e-9", "coarser step"),
@@ -43,29 +43,29 @@ def test_every_combination_once():
         ("probe.tip_d_mm=1,,2", "empty value"),
     ],
 )
-def test_a_wrong_range_is_one_line(text, said):
+def test_an_invalid_range_is_refused(text, said):
     with pytest.raises(InputError, match=said.replace("?", r"\?")):
         parse_axis(text)
 
 
 def test_a_key_is_varied_and_no_other():
-    base = tables_of(load_design(LARGE))
-    changed = varied(base, {"probe.tip_d_mm": 3.0})
+    base = design_dict(load_design(LARGE))
+    changed = with_values(base, {"probe.tip_d_mm": 3.0})
     assert changed["probe"].pop("tip_d_mm") == 3.0
     assert changed == base | {"probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"}}
 
 
-def test_a_design_that_cannot_be_says_why_and_one_that_gives_way_too():
-    base = tables_of(load_design(LARGE))
-    refused = judged(base, 0, {"probe.tip_d_mm": 13.0}, Task())
-    limp = judged(base, 1, {"probe.base_d_mm": 2.0}, Task())
+def test_invalid_and_buckling_designs_give_a_reason():
+    base = design_dict(load_design(LARGE))
+    refused = evaluate_point(base, 0, {"probe.tip_d_mm": 13.0}, Task())
+    limp = evaluate_point(base, 1, {"probe.base_d_mm": 2.0}, Task())
     assert refused["result"] == "refused" and "wider than base_d_mm" in refused["reason"]
     assert limp["result"] == "gives_way" and limp["error_mm"] is None and limp["mass_g"] > 0.0
 
 
-def test_what_the_sensor_cannot_read_is_not_ok():
+def test_a_reading_out_of_range_is_not_ok():
     """20 N near the base: the probe bears it, the range of 12 N does not."""
-    found = judged(tables_of(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
+    found = evaluate_point(design_dict(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
     assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
 
 
@@ -74,7 +74,7 @@ def test_values_of_several_kinds_become_a_table(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     for values in ([2, "abc"], [True, 2.5], [2, 3]):
         records = [{"point": i, "probe.tip_d_mm": value, "result": "refused", "reason": "so"}
-                   | dict.fromkeys(FIGURES) for i, value in enumerate(values)]  # fmt: skip
+                   | dict.fromkeys(METRICS) for i, value in enumerate(values)]  # fmt: skip
         _write_tables(records, ["probe.tip_d_mm"], tmp_path)
         rows = parquet.read_table(tmp_path / "sweep.parquet").to_pylist()
         kept = values if values == [2, 3] else list(map(str, values))
@@ -85,7 +85,7 @@ def test_the_error_of_one_touch_is_the_prediction():
     design = load_design(LARGE)
     probe = build_probe(design)
     predicted = probe.predict(fractions=(0.8,), forces_N=(0.02,), directions=("+y",)).conditions[0]
-    found = judged(tables_of(design), 0, {}, Task((0.02,), 1, fractions=(0.8,)))
+    found = evaluate_point(design_dict(design), 0, {}, Task((0.02,), 1, fractions=(0.8,)))
     np.testing.assert_allclose(found["error_mm"], predicted.predicted_error_mm, rtol=1e-6)
     # The same formula of one solved alone and one among many: the fast mode's own 1e-6 of the moment.
     np.testing.assert_allclose(found["sensor_use"], predicted.sensor_use, rtol=1e-9)
@@ -98,19 +98,19 @@ def journal_of(path: Path, records: int) -> bytes:
     return path.read_bytes()
 
 
-def test_half_a_record_is_dropped_and_what_was_whole_stays(tmp_path):
+def test_an_incomplete_record_is_dropped_and_complete_ones_are_kept(tmp_path):
     path = tmp_path / "sweep.jsonl"
     whole = journal_of(path, 2)
     for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
         path.write_bytes(whole[:-cut])
         journal = Journal.open(path, ASKED)
-        assert sorted(journal.results) == [0] and "half-written" in journal.notes[0]
+        assert sorted(journal.results) == [0] and "incomplete" in journal.notes[0]
         with journal.appending() as appender:
             appender.add({"point": 1, "error_mm": 1.0})
         assert path.read_bytes() == whole
 
 
-def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
+def test_results_of_another_sweep_and_corrupt_lines_are_refused_unchanged(tmp_path):
     path = tmp_path / "sweep.jsonl"
     content = journal_of(path, 3)
     with pytest.raises(InputError, match="another sweep"):
@@ -119,12 +119,12 @@ def test_another_sweeps_results_and_a_broken_line_are_left_alone(tmp_path):
     for rubbish in (b"rubbish\n", b'{"point": "one"}\n'):
         broken = b"".join([lines[0], rubbish, *lines[2:]])
         path.write_bytes(broken)
-        with pytest.raises(InputError, match="line 2 is no record"):
+        with pytest.raises(InputError, match="line 2 is not a record"):
             Journal.open(path, ASKED)
         assert path.read_bytes() == broken
 
 
-def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
+def test_a_sweep_resumes(tmp_path, capsys):
     """Two workers, one lost record, one design that cannot be: nothing is computed twice."""
     pytest.importorskip("distributed")
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -137,20 +137,20 @@ def test_a_sweep_goes_on_where_it_stopped(tmp_path, capsys):
     assert run(command) == 0
     out, err = capsys.readouterr()
     again = json.loads(out)
-    assert first["computed"] == 4 and again["computed"] == 1 and "half-written" in err
+    assert first["computed"] == 4 and again["computed"] == 1 and "incomplete" in err
     assert again["points"] == first["points"]
     assert [p["result"] for p in again["points"]] == ["ok", "ok", "refused", "refused"]
     table = parquet.read_table(tmp_path / "sweep.parquet").to_pylist()
     assert [row["error_mm"] for row in table] == [p["error_mm"] for p in first["points"]]
 
 
-def test_a_scheduler_that_is_not_there(tmp_path, capsys, monkeypatch):
+def test_an_unreachable_scheduler_is_refused(tmp_path, capsys, monkeypatch):
     pytest.importorskip("distributed")
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("probedesign.search.sweep.SCHEDULER_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("probedesign.optimization.sweep.SCHEDULER_TIMEOUT_S", 1.0)
     command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=2,3", "--out", str(tmp_path / "new"),
                "--scheduler", "tcp://127.0.0.1:9"]  # fmt: skip
     assert run(command) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not answer" in err
+    assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not respond" in err
     assert not (tmp_path / "new").exists()

@@ -1,4 +1,4 @@
-"""The error budget: its sums and limits, and that the real estimator errs as stated in drawn worlds."""
+"""The error budget: its sums and limits, and that the real estimator errs as stated in drawn samples."""
 
 import json
 from dataclasses import fields, replace
@@ -15,14 +15,14 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import CAUSES
-from probedesign.prediction.model_touch import SurfaceRod, slide
-from probedesign.prediction.monte_carlo import Plan, drawn_errors, sample
+from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
 from probedesign.prediction.predict import predict, predict_touch
-from probedesign.prediction.worlds import Worlds, printed
+from probedesign.prediction.print_samples import PrintSamples, perturbed_rod
+from probedesign.prediction.touches import SurfaceRod, slide
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 GRAVITY = np.array([9.81, 0.0, 0.0])
 TOUCH = (0.6, 0.05, "+y")
 
@@ -57,10 +57,10 @@ def budget(large, known, touch=TOUCH, friction=None):
     ("fraction", "phi", "force", "ratios"),
     [(0.4, -1.2, 0.1, (0.0, 0.0)), (0.8, 2.0, 0.03, (0.4, -0.3)), (1.0, 0.5, 0.01, (0, 0.6))],
 )
-def test_a_press_ends_where_the_independent_solver_has_it(large, fraction, phi, force, ratios):
+def test_a_press_agrees_with_the_independent_solver(large, fraction, phi, force, ratios):
     on = surface_rod(large)
-    press = on.press(fraction * large.length, phi, ratios)
-    assert press.to(force) is not None
+    press = on.begin_press(fraction * large.length, phi, ratios)
+    assert press.increase_to(force) is not None
     around, along = ratios
     found = solve_surface_force(
         large.rod, GRAVITY, fraction * large.length, phi, force, (along, around), mode="reference"
@@ -71,12 +71,12 @@ def test_a_press_ends_where_the_independent_solver_has_it(large, fraction, phi, 
     np.testing.assert_allclose(press.lin[0:6, VALUE], wanted, atol=3e-6 * np.abs(wanted).max())
 
 
-def test_a_probe_that_gave_way_stays_given_way(large):
-    press = surface_rod(large).press(large.length, 1.5)
-    held = [press.to(force) is not None for force in (0.01, 0.1, 1.0)]
+def test_a_buckled_press_stays_buckled(large):
+    press = surface_rod(large).begin_press(large.length, 1.5)
+    held = [press.increase_to(force) is not None for force in (0.01, 0.1, 1.0)]
     assert held == [True, False, False]
-    again = surface_rod(large).press(large.length, 1.5)
-    assert again.to(0.98 * press.force) is not None and again.to(1.05 * press.force) is None
+    again = surface_rod(large).begin_press(large.length, 1.5)
+    assert again.increase_to(0.98 * press.force) is not None and again.increase_to(1.05 * press.force) is None
 
 
 def test_an_object_slides_off_a_soft_tip_and_stays_on_a_stiff_stem(large):
@@ -89,7 +89,7 @@ def test_an_object_slides_off_a_soft_tip_and_stays_on_a_stiff_stem(large):
 # Sums and limits
 
 
-def test_with_everything_known_only_noise_and_friction_are_left(large):
+def test_an_exact_model_leaves_noise_and_friction(large):
     found = budget(large, Tolerances.none())
     assert {name for name, rms in found.items() if rms > 1e-9} == {"noise", "friction"}
 
@@ -105,7 +105,7 @@ def test_the_causes_add_up_and_none_exceeds_the_total(large, friction):
         assert max(c.budget_mm.values()) <= c.predicted_error_mm
 
 
-def test_more_tolerance_is_more_error(large):
+def test_larger_tolerances_give_larger_errors(large):
     """A posterior covariance grows with every prior."""
     names = [f.name for f in fields(Tolerances) if f.name not in ("tared", "youngs_modulus_by_diameter")]
     twice = Tolerances(**{name: 2.0 * getattr(Tolerances(), name) for name in names})
@@ -115,17 +115,17 @@ def test_more_tolerance_is_more_error(large):
     assert once < more < 2.0 * once
 
 
-def test_identified_E_goes_with_the_diameters(large):
+def test_identified_E_is_correlated_with_the_diameters(large):
     """E·d⁴ was measured: diameters that are all thicker by one share bend as before, by an E that is softer by d⁻⁴."""
     shared = only(diameter_share=0.01, youngs_modulus_by_diameter=-4.0)
     by = parameters_of(large.rod, shared)["diameter"][0]
-    other = printed(large.rod, by)
+    other = perturbed_rod(large.rod, by)
     for place in (0, -1):
         before, after = (rod.youngs_modulus * rod.radius[place] ** 4 for rod in (large.rod, other))
         assert after == pytest.approx(before, rel=1e-12)  # rounding
 
 
-def test_E_that_goes_with_the_diameters_is_counted_less(large):
+def test_correlation_of_E_with_the_diameters_reduces_the_error(large):
     """0.075 mm on the diameters make 3 % of stiffness at the base, more at the tip: what both share is gone."""
     apart = only(youngs_modulus=0.01, diameter_mm=0.075)
     together = replace(apart, youngs_modulus_by_diameter=-4.7)  # as identified by cameras on this probe
@@ -134,7 +134,7 @@ def test_E_that_goes_with_the_diameters_is_counted_less(large):
     assert stiffness[1] < 0.6 * stiffness[0]
 
 
-def test_a_tare_takes_gravitys_direction_off_a_light_touch(large):
+def test_a_tare_removes_the_error_of_gravitys_direction(large):
     with_, without = (
         budget(large, only(gravity_deg=0.2, tared=tared), (0.6, 0.005, "+y"), 0.0)["gravity"]
         for tared in (True, False)
@@ -142,7 +142,7 @@ def test_a_tare_takes_gravitys_direction_off_a_light_touch(large):
     assert with_ < 0.1 * without  # what is left is how the sag bends what the touch does
 
 
-def test_a_round_probe_may_be_turned_about_its_axis(large):
+def test_clocking_does_not_matter_for_a_round_probe(large):
     off = budget(large, only(clocking_deg=5.0))["clocking"]
     assert off < 1e-5  # by symmetry none; what is left is the columns' rounding
 
@@ -165,12 +165,12 @@ def test_a_round_probe_may_be_turned_about_its_axis(large):
         ({"gravity_deg": 0.4, "tared": False}, "gravity"),
     ],
 )
-def test_one_wrong_thing_misleads_the_estimator_as_the_budget_states(large, some, cause):
-    """Readings without noise of worlds in which one thing alone is drawn, and no friction."""
+def test_one_error_source_gives_the_error_of_the_budget(large, some, cause):
+    """Readings without noise of samples in which one thing alone is drawn, and no friction."""
     model, n = replace(large.model, friction=0.0), 8
     known = only(**some)
-    worlds = Worlds.draw(model, known, n, 1)
-    wrenches, points = worlds.touched(0.6, -np.pi / 2, (0.05,), np.random.default_rng(1))
+    samples = PrintSamples.draw(model, known, n, 1)
+    wrenches, points = samples.simulate_touches(0.6, -np.pi / 2, (0.05,), np.random.default_rng(1))
     estimator = Estimator(model, known)
     off = [
         estimator.estimate(w).candidates[0].p_surface_base - p
@@ -182,12 +182,12 @@ def test_one_wrong_thing_misleads_the_estimator_as_the_budget_states(large, some
     assert stats.chi2(n).ppf(1e-4) * 0.9 < share.sum() < stats.chi2(n).ppf(1.0 - 1e-4) * 1.1
 
 
-def test_the_truth_lies_in_the_stated_ellipsoids(large):
+def test_coverage_of_the_95_percent_ellipsoids(large):
     """All causes and friction drawn from the priors, at two places: a small sample of the coverage."""
     n = 150
-    worlds = Worlds.draw(large.model, large.tolerances, n, 3)
+    samples = PrintSamples.draw(large.model, large.tolerances, n, 3)
     for fraction in (0.4, 0.7):
-        answers = drawn_errors(worlds, fraction, 0.03, np.pi / 2, None, np.random.default_rng(5))
+        answers = locate_draws(samples, fraction, 0.03, np.pi / 2, None, np.random.default_rng(5))
         located = [a for a in answers if a.result == "ok"]
         assert len(located) >= 0.97 * n
         inside = sum(a.inside for a in located)
@@ -195,9 +195,11 @@ def test_the_truth_lies_in_the_stated_ellipsoids(large):
         assert inside >= stats.binom(len(located), 0.93).ppf(1e-3)
 
 
-def test_monte_carlo_agrees(large):
+def test_monte_carlo_agrees_with_the_budget(large):
     prediction = predict(large.model, (0.3, 0.8), (0.02,), ("+y",))
-    found = sample(Plan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1)
+    found = run_monte_carlo(
+        MonteCarloPlan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1
+    )
     for row in found:
         # 4 of its own standard errors, and what the second order may be where the place is vague to 3 mm.
         assert (
@@ -206,10 +208,10 @@ def test_monte_carlo_agrees(large):
         assert 0 < row.located <= row.draws == 150
 
 
-def test_monte_carlo_goes_on_where_it_stopped(large, tmp_path):
+def test_monte_carlo_resumes_from_its_checkpoint(large, tmp_path):
     prediction = predict(large.model, (0.3, 0.5, 0.8), (0.02,), ("+y",))
-    plan = Plan(large.model, Tolerances(), 5, 2)
-    whole = sample(plan, prediction, None, workers=1)
+    plan = MonteCarloPlan(large.model, Tolerances(), 5, 2)
+    whole = run_monte_carlo(plan, prediction, None, workers=1)
     calls = []
 
     def stop(share):
@@ -217,28 +219,31 @@ def test_monte_carlo_goes_on_where_it_stopped(large, tmp_path):
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt, match="2 of 3 conditions are kept"):
-        sample(plan, prediction, tmp_path, stop, workers=1)
+    with pytest.raises(KeyboardInterrupt, match="2 of 3 conditions are saved"):
+        run_monte_carlo(plan, prediction, tmp_path, stop, workers=1)
     (kept,) = tmp_path.iterdir()
     assert len(json.loads(kept.read_text())["conditions"]) == 2
     calls.clear()
-    assert sample(plan, prediction, tmp_path, calls.append, workers=1) == whole
+    assert run_monte_carlo(plan, prediction, tmp_path, calls.append, workers=1) == whole
     assert calls == [1.0]
 
 
-def test_another_plan_is_another_file_and_a_broken_one_is_named(large, tmp_path):
+def test_plans_have_separate_checkpoints_and_a_corrupt_one_is_refused(large, tmp_path):
     prediction = predict(large.model, (0.5,), (0.02,), ("+y",))
-    one, other = Plan(large.model, Tolerances(), 4, 2), Plan(large.model, Tolerances(), 4, 3)
+    one, other = (
+        MonteCarloPlan(large.model, Tolerances(), 4, 2),
+        MonteCarloPlan(large.model, Tolerances(), 4, 3),
+    )
     assert one.key != other.key != replace(one, tolerances=Tolerances(density=0.02)).key
     (tmp_path / f"monte-carlo-{one.key}.json").write_text('{"conditions": {"[0.5')
-    with pytest.raises(InputError, match="is not what a Monte Carlo left"):
-        sample(one, prediction, tmp_path, workers=1)
+    with pytest.raises(InputError, match="is not a Monte Carlo checkpoint"):
+        run_monte_carlo(one, prediction, tmp_path, workers=1)
 
 
 # What the object feels
 
 
-def test_the_force_needed_is_where_the_error_is_met(large):
+def test_the_force_threshold_gives_the_requested_error(large):
     reach = predict(large.model, (0.4,), (0.02,), ("+y",)).reach[0]
     for accuracy, force in ((2.0, reach.force_mN_for_2_mm), (5.0, reach.force_mN_for_5_mm)):
         # Straight in logarithms between forces a third apart.
@@ -249,7 +254,7 @@ def test_the_force_needed_is_where_the_error_is_met(large):
 
 
 @pytest.mark.parametrize(("fraction", "limit"), [(0.1, "sensor"), (0.6, "gives_way")])
-def test_the_greatest_force_is_where_it_ends(large, fraction, limit):
+def test_the_maximum_force_is_where_the_result_changes(large, fraction, limit):
     reach = predict(large.model, (fraction,), (0.02,), ("+y",)).reach[0]
     assert reach.limit == limit
     below, above = (predict_touch(large.estimator(), fraction, share * reach.greatest_force_N, "+y").result
@@ -271,7 +276,7 @@ def test_tolerances_come_from_the_design(large):
 
 
 @pytest.mark.parametrize("bad", [{"diameter_mm": -0.1}, {"creep": float("nan")}, {"diametre_mm": 0.1}])
-def test_tolerances_that_are_none_are_refused(large, bad):
+def test_invalid_tolerances_are_refused(large, bad):
     data = large.design.model_dump(by_alias=True, exclude_none=True)
     with pytest.raises(InputError, match="tolerances"):
         check_design({**data, "tolerances": bad})

@@ -1,4 +1,4 @@
-"""What of a design may change, as a few numbers: diameters of a cone or of a free taper, length, section."""
+"""Design space: diameters of a cone or a free taper, length and section ratio as a vector of a few numbers."""
 
 import math
 from dataclasses import dataclass
@@ -14,47 +14,48 @@ from probedesign.errors import InputError
 from probedesign.frames import Array
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
+from probedesign.optimization.grid import design_dict
 from probedesign.printing import rules as limits
-from probedesign.search.grid import tables_of
 from probedesign.units import MM
 
-Free = Literal["cone", "taper", "length", "section"]
+FreeParameter = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5
-"""Diameters that a free taper is drawn through, evenly along the probe."""
-PIECES = 11
-"""Frusta that a free taper is made of: none of the usual places of touch lies on a knot between two."""
+"""Number of control diameters of a free taper, evenly spaced along the probe."""
+FRUSTA = 11
+"""Number of frusta of a free taper: none of the usual contact positions lies on a knot between two."""
 LENGTH_MM, RATIO = (20.0, 400.0), (0.2, 0.9)
 _UNIT = {"length": 10.0, "section": 0.1}
-"""Of the numbers, so that all of them are between one and fifty."""
-_ROUNDED = 2e-3
-"""Of a rule's limit, kept free where a ratio varies: rounded like the diameters, it must not break the rule."""
+"""Units of the coordinates, chosen so that all of them are between one and fifty."""
+_ROUNDING_MARGIN = 2e-3
+"""Margin of a rule's limit where a ratio varies: it is rounded like the diameters and must not violate the rule."""
 DIGITS = 3
-"""Of a millimetre, in a design file: no printer knows the thousandth."""
+"""Decimals of a millimetre in a design file; no printer resolves the thousandth."""
 
 
 @dataclass(frozen=True)
-class Body:
-    """The family of designs that differ from one in its body alone.
+class DesignSpace:
+    """Designs that differ from a start in their flexible part alone.
 
-    A point x of the family: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm]
-    and ten times the section's ratio. A free taper is the cubic spline through its diameters: linear in them.
+    A point x: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm] and ten times
+        the
+    section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
 
     Attributes:
-        start: the design that it is about.
-        controls: how many diameters; 2 is a cone, 0 where they stay as they are.
+        start: the design that the others differ from.
+        controls: number of control diameters; 2 is a cone, 0 leaves the diameters unchanged.
         free: what varies.
     """
 
     start: Design
     controls: int
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
 
     @classmethod
-    def of(cls, start: Design, free: tuple[Free, ...]) -> "Body":
-        """The family of a design.
+    def of(cls, start: Design, free: tuple[FreeParameter, ...]) -> "DesignSpace":
+        """Return the design space about a design.
 
         Raises:
-            InputError: the section has nothing to vary, or a cone and a taper are asked for at once.
+            InputError: the section has nothing to vary, or both a cone and a taper are requested.
         """
         if "cone" in free and "taper" in free:
             raise InputError(
@@ -70,24 +71,24 @@ class Body:
 
     @property
     def size(self) -> int:
-        """Of x."""
+        """Dimension of x."""
         return self.controls + ("length" in self.free) + ("section" in self.free)
 
     @property
     def ratio_key(self) -> str:
-        """Of the section."""
+        """Key of the section's ratio in the design file."""
         return "bore_ratio" if self.start.probe.section == "hollow" else "flatness"
 
     @cached_property
     def spline(self) -> Array:
-        """From control diameters to those at the knots, (knots, controls)."""
+        """Matrix from control diameters to diameters at the knots, (knots, controls)."""
         at = np.linspace(0.0, 1.0, self.controls)
-        to = at if self.controls == 2 else np.linspace(0.0, 1.0, PIECES + 1)
+        to = at if self.controls == 2 else np.linspace(0.0, 1.0, FRUSTA + 1)
         drawn: Array = make_interp_spline(at, np.eye(self.controls), k=min(3, self.controls - 1))(to)
         return drawn
 
     def x_of(self, design: Design) -> Array:
-        """The nearest point of the family: the design's diameters where the controls are."""
+        """Return the nearest point to a design: its diameters at the controls."""
         knots = np.array(design.probe.blunt_mm)
         at = np.linspace(0.0, knots[-1, 0], self.controls)
         x = list(np.interp(at, knots[:, 0], knots[:, 1]))
@@ -98,19 +99,19 @@ class Body:
         return np.array(x)
 
     def length_mm(self, x: Array) -> float:
-        """[mm]."""
+        """Return the length of a point [mm]."""
         return (
             float(x[self.controls] * _UNIT["length"]) if "length" in self.free else self.start.probe.length_mm
         )
 
     def ratio(self, x: Array) -> float | None:
-        """Of the section, None where it is round."""
+        """Return the section's ratio, None where it is round."""
         if "section" in self.free:
             return float(x[-1] * _UNIT["section"])
         return getattr(self.start.probe, self.ratio_key, None)
 
     def knots_mm(self, x: Array) -> tuple[Array, Array]:
-        """Arclengths and diameters [mm], (knots,) each."""
+        """Return arclengths and diameters [mm], (knots,) each."""
         if not self.controls:
             s, d = np.array(self.start.probe.blunt_mm).T
             return s * (self.length_mm(x) / s[-1]), d
@@ -119,7 +120,7 @@ class Body:
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """Least and most of each number."""
+        """Lower and upper bound of each coordinate."""
         found = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
         for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
             if name in self.free:
@@ -127,9 +128,9 @@ class Body:
         return found
 
     def printable(self, x: Array) -> dict[str, Array]:
-        """How far the rules of printing are kept, 0 at the limit below which they call an error.
+        """Return the margins of the print rules; 0 is the limit below which they report an error.
 
-        At most quadratic in x, so their central differences are exact.
+        The margins are at most quadratic in x, so their central differences are exact.
         """
         s, d = self.knots_mm(x)
         ratio, hollow = self.ratio(x), self.start.probe.section == "hollow"
@@ -145,17 +146,17 @@ class Body:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
         if self.controls > 2:
-            rules["room for the clamp ring"] = (_widest_mm(d[0]) - d) / limits.MIN_THICKNESS
+            rules["room for the clamp ring"] = (_max_ring_passage_mm(d[0]) - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
-        spare = _ROUNDED if "section" in self.free else 0.0
+        spare = _ROUNDING_MARGIN if "section" in self.free else 0.0
         return {name: room - spare for name, room in rules.items()}
 
     def tables(self, x: Array, digits: int) -> dict[str, Any]:
-        """The tables of its design file, dimensions rounded to so many digits of a millimetre."""
+        """Return the tables of the design file of a point, dimensions rounded to the given decimals of a millimetre."""
         s, d = self.knots_mm(x)
         s, d = np.round(s, digits).tolist(), (np.round(d, digits) if self.controls else d).tolist()
-        data = tables_of(self.start)
+        data = design_dict(self.start)
         probe: dict[str, Any] = data["probe"]
         profile = [list(pair) for pair in zip(s, d, strict=True)]
         for key in ("profile_mm", "tip_d_mm", "assumed") if self.controls else ():
@@ -171,14 +172,14 @@ class Body:
         return data
 
     def design(self, x: Array, digits: int = DIGITS) -> Design:
-        """The design there.
+        """Return the design of a point.
 
         Raises:
-            InputError: no design may be so.
+            InputError: the design is invalid.
         """
         return check_design(self.tables(x, digits))
 
 
-def _widest_mm(base_d_mm: float) -> float:
-    """Over which the clamp ring comes that holds the flange of such a base [mm]."""
+def _max_ring_passage_mm(base_d_mm: float) -> float:
+    """Return the largest diameter that the clamp ring of the flange passes, for a base diameter [mm]."""
     return max_ring_passage_d(flange_for(base_d_mm * MM)) / MM

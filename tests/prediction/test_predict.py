@@ -14,17 +14,18 @@ from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.fused_budget import ModelPress
+from probedesign.optimization.grid import design_dict
+from probedesign.optimization.objective import design_metrics
+from probedesign.optimization.task import Task
+from probedesign.prediction.budget import radius_95
+from probedesign.prediction.fused import LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import Condition, predict, predict_touch
-from probedesign.prediction.press_schedule import PressSchedule
-from probedesign.prediction.quantile import radius_95
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force
-from probedesign.search.grid import tables_of
 from probedesign.sensor import Noise
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
         for moments, bound in zip(("base", None), bounds, strict=True):
             schedule = PressSchedule(5, moments)
             steps = touches_of(estimator, [(fraction, "+y")], schedule.forces(force))
-            press = ModelPress(estimator.model, known, large.model.gravity_base,
+            press = LinearizedPresses(estimator.model, known, large.model.gravity_base,
                                np.array([step.touch[0] for step in steps.values()]), schedule)  # fmt: skip
             # The bounds let the bias walk about the base; the estimator lets it walk at the sensor, where it arises.
             # They take the friction of each touch for independent.
@@ -107,7 +108,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
 @pytest.mark.parametrize(
     ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.6, 0.02, "+x"), (0.8, 0.05, "-x")]
 )
-def test_it_is_the_estimators_own_covariance(large, fraction, force, direction):
+def test_the_prediction_is_the_covariance_of_the_estimator(large, fraction, force, direction):
     """Noise, all error sources and friction: what `estimate` states of a reading of that very touch."""
     estimator = large.estimator()
     found = predict_touch(estimator, fraction, force, direction)
@@ -163,7 +164,7 @@ def test_noisy_readings_err_as_predicted(large):
     assert inside >= stats.binom(readings, 0.95).ppf(rare)
 
 
-def test_a_slight_touch_errs_as_one_over_its_force(large):
+def test_the_error_of_a_light_touch_is_inversely_proportional_to_force(large):
     estimator = Estimator(large.model, Tolerances.none())
     errors = [predict_touch(estimator, 0.6, f, "+y").predicted_error_mm for f in (1e-5, 2e-5, 4e-5)]
     # What is left is how far the touch itself moves the point: 40 µN at 90 mm, a hundredth of a millimetre.
@@ -187,7 +188,7 @@ def test_the_noise_alone_is_proportional_to_the_noise(large):
     assert once.noise_force_mN == pytest.approx(1e3 * noise.force, rel=1e-15)
 
 
-def test_the_lever_arm_is_as_vague_as_the_force(large):
+def test_the_lever_arm_is_as_uncertain_as_the_force(large):
     """σ_s ≈ s σ_F/F where the moment is read sharply: the bound that no single touch can beat."""
     found = predict_touch(Estimator(large.model, Tolerances.none()), 0.4, 0.02, "+y")
     noise = large.model.noise
@@ -217,7 +218,7 @@ def test_compliances_are_those_of_pressing_on(large):
     assert found.force_per_mm_N == pytest.approx(found.force_per_N_N / per_N_mm, rel=1e-4)
 
 
-def test_a_touch_at_the_detectable_force_is_on_the_verge(large):
+def test_the_detectable_force_is_the_limit_of_detection(large):
     """Detected with probability one half, by prediction, search and estimator alike."""
     found = predict(large.model, (0.6,), (0.01,), ("+y",)).detection[0]
     force = 1e-3 * found.detectable_force_mN
@@ -232,7 +233,7 @@ def test_a_touch_beyond_the_sensor_is_flagged(large):
     assert above.result == "out_of_range" and above.sensor_use > 1.0
 
 
-def test_a_touch_that_the_probe_cannot_hold_has_no_numbers(large):
+def test_a_touch_that_buckles_the_probe_has_no_numbers(large):
     found = predict_touch(large.estimator(), 1.0, 5.0, "+y")
     assert found.result in ("gives_way", "not_converged")
     assert found == Condition(1.0, 5.0, "+y", found.result)
@@ -240,12 +241,12 @@ def test_a_touch_that_the_probe_cannot_hold_has_no_numbers(large):
 
 def made_of(youngs_mpa):
     """The large probe of another material."""
-    tables = tables_of(load_design(DESIGNS / "large.toml"))
+    tables = design_dict(load_design(DESIGNS / "large.toml"))
     tables["material"] |= {"youngs_modulus_mpa": youngs_mpa, "shear_modulus_mpa": youngs_mpa / 3.0}
     return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))
 
 
-def test_a_force_that_is_not_borne_is_not_felt():
+def test_a_force_beyond_buckling_is_not_detectable():
     """So soft a tip hangs and gives way under less than the sensor tells."""
     soft = made_of(0.02)
     borne = {(r.contact_fraction, r.direction): r.greatest_force_N for r in soft.reach}
@@ -277,7 +278,7 @@ def test_the_grid_is_whole(prediction):
     assert len(prediction.conditions) == 8 and len(prediction.detection) == 4
 
 
-def test_the_promised_keys_are_in_the_json(prediction):
+def test_the_documented_keys_are_in_the_json(prediction):
     document = json.loads(json.dumps(prediction.as_dict(), allow_nan=False))
     promised = {"contact_fraction", "force_N", "direction", "predicted_error_mm", "predicted_error_95_mm"}
     for condition in document["conditions"]:
@@ -290,7 +291,21 @@ def test_the_promised_keys_are_in_the_json(prediction):
 def test_mass_and_sag_are_the_probes(large, prediction):
     assert prediction.mass_g == pytest.approx(1e3 * large.mass, rel=1e-12)
     tip = large.solve(mode="reference").p_base[-1]
-    assert prediction.tip_sag_mm == pytest.approx(1e3 * np.linalg.norm(tip - [0, 0, large.length]), abs=1e-3)
+    assert prediction.tip_sag_mm == pytest.approx(1e3 * tip[0], abs=1e-3)  # gravity is along x
+
+
+def test_sag_is_measured_along_gravity_as_in_campaigns(large):
+    """Under oblique gravity the tip does not move along it: prediction and optimisation use the same component."""
+    gravity = np.array([6.0, 0.0, 7.0])
+    model = replace(large.model, gravity_base=gravity)
+    moved = large.rod.solve(gravity, mode="reference").p_at(large.length) - [0.0, 0.0, large.length]
+    wanted = 1e3 * moved @ gravity / np.linalg.norm(gravity)
+    assert 0.0 < wanted < 0.9e3 * np.linalg.norm(moved)
+    assert predict(model, (0.5,), (0.01,), ("+y",)).tip_sag_mm == pytest.approx(wanted, abs=1e-3)
+    tables = design_dict(large.design)
+    tables["mount"]["gravity_base_m_s2"] = gravity.tolist()
+    found = design_metrics(check_design(tables), Task(fractions=(0.5,)))
+    assert found.sag_mm == pytest.approx(wanted, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -306,7 +321,7 @@ def test_mass_and_sag_are_the_probes(large, prediction):
         {"directions": ("up",)},
     ],
 )
-def test_a_grid_that_makes_no_sense_is_refused(large, grid):
+def test_an_invalid_grid_is_refused(large, grid):
     with pytest.raises(InputError):
         large.predict(**{"fractions": (0.5,), "forces_N": (0.01,), "directions": ("+x",), **grid})
 

@@ -1,42 +1,39 @@
-"""A grid of designs, computed by workers of dask, kept as it comes."""
+"""Parameter sweep: a grid of designs, computed by dask workers and recorded result by result."""
 
 import csv
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
 from probedesign.design import Design, check_design
 from probedesign.errors import InputError, MissingDependencyError
 from probedesign.files import write_atomically
-from probedesign.search.grid import Axis, points, tables_of, varied
-from probedesign.search.journal import Journal, Record, fingerprint
-from probedesign.search.task import Task
-from probedesign.search.workers import deaf_to_interruption, settings
-from probedesign.search.worth import FIGURES, worth
+from probedesign.optimization.grid import GridAxis, design_dict, grid_points, with_values
+from probedesign.optimization.objective import METRICS, design_metrics
+from probedesign.optimization.task import Task
 
 if TYPE_CHECKING:
     from distributed import Client
 
 PROGRESS = "sweep.jsonl"
 SCHEDULER_TIMEOUT_S = 10.0
-_PIECE = 8
-"""Designs a worker takes at a time: half a second of work, so little is lost and little is waited for."""
-
-Tell = Callable[[str, float | None], None]
+_CHUNK = 8
+"""Designs that a worker takes at a time: half a second of work, so little is lost on interruption."""
 
 
 @dataclass(frozen=True)
-class Swept:
-    """What a sweep found.
+class SweepResult:
+    """Result of a sweep.
 
     Attributes:
-        records: one a point, in the grid's order: point, the keys varied, result, reason, figures.
-        computed: how many of them this run computed.
+        records: one per point, in the grid's order: point, the keys varied, result, reason, metrics.
+        computed: number of points computed by this run.
         files: written.
-        notes: what was mended.
+        notes: repairs of the journal.
     """
 
     records: list[Record]
@@ -46,107 +43,110 @@ class Swept:
 
     @property
     def failed(self) -> list[Record]:
-        """Points without figures."""
+        """Points without the result "ok"."""
         return [record for record in self.records if record["result"] != "ok"]
 
 
 def sweep(
     design: Design,
-    axes: list[Axis],
+    axes: list[GridAxis],
     task: Task,
     folder: Path,
     scheduler: str | None,
     workers: int,
-    tell: Tell,
-) -> Swept:
-    """Compute what the folder does not hold yet, then write sweep.csv and sweep.parquet.
+    on_progress: OnProgress,
+) -> SweepResult:
+    """Compute the points that the folder does not contain yet, then write sweep.csv and sweep.parquet.
 
     Args:
-        design: where the keys that do not vary come from.
-        axes: the keys that do.
-        task: that the designs are judged by.
-        folder: for sweep.jsonl, which a later run goes on with, and the tables.
-        scheduler: address of a dask scheduler; None for a cluster of this machine.
-        workers: processes of that.
-        tell: told what is at work and how much is done.
+        design: source of the keys that do not vary.
+        axes: the keys that vary.
+        task: by which the designs are judged.
+        folder: for sweep.jsonl, with which a later run resumes, and the tables.
+        scheduler: address of a dask scheduler; None for a cluster on this machine.
+        workers: number of its processes.
+        on_progress: receives the current step and the completed fraction.
 
     Raises:
-        InputError: the grid makes no sense, the scheduler does not answer, or the folder holds another sweep.
+        InputError: the grid is invalid, the scheduler does not respond, or the folder contains another sweep.
         MissingDependencyError: dask or pyarrow is not installed.
     """
-    grid, base = points(axes), tables_of(design)
+    grid, base = grid_points(axes), design_dict(design)
     _require_tables()
-    asked = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
+    request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
-    journal = Journal.open(folder / PROGRESS, asked)
+    journal = Journal.open(folder / PROGRESS, request)
     missing = [i for i in range(len(grid)) if i not in journal.results]
     if missing:
-        with _client(scheduler, min(workers, -(-len(missing) // _PIECE)), tell) as client, \
+        with _client(scheduler, min(workers, -(-len(missing) // _CHUNK)), on_progress) as client, \
                 journal.appending() as appender:  # fmt: skip
             for done, record in enumerate(_computed(client, base, grid, missing, task), 1):
                 appender.add(record)
-                tell(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
+                on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
     records = [journal.results[i] for i in range(len(grid))]
-    return Swept(
+    return SweepResult(
         records, len(missing), _write_tables(records, [axis.key for axis in axes], folder), journal.notes
     )
 
 
-def judged(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:
-    """One record: a design that cannot be, or that does not stand, says why and stops nothing."""
+def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:
+    """Return the record of one design; an invalid or unstable one gives the reason and does not stop the sweep."""
     record: Record = {"point": number, **point, "result": "ok", "reason": ""}
     try:
-        found = worth(check_design(varied(base, point)), task)
+        found = design_metrics(check_design(with_values(base, point)), task)
     except InputError as error:
-        return record | {"result": "refused", "reason": str(error)} | dict.fromkeys(FIGURES)
-    except Exception as error:  # a worker's trouble with one design must not cost the others
+        return record | {"result": "refused", "reason": str(error)} | dict.fromkeys(METRICS)
+    except Exception as error:  # the failure of one design must not end the sweep
         reason = f"{type(error).__name__}: {error}"
-        return record | {"result": "failed", "reason": reason} | dict.fromkeys(FIGURES)
+        return record | {"result": "failed", "reason": reason} | dict.fromkeys(METRICS)
     if found.error_mm is None:
-        record |= {"result": "gives_way", "reason": "the probe cannot push back so hard everywhere"}
-    elif not found.locates:
-        reason = (
-            f"at a place the error, {found.worst_error_mm:.3g} mm, is no less than with no reading at all"
-        )
+        record |= {
+            "result": "gives_way",
+            "reason": "the probe buckles under the force at one position or more",
+        }
+    elif not found.is_observable:
+        reason = f"the largest error, {found.worst_error_mm:.3g} mm, is not smaller than without a reading"
         record |= {"result": "unobservable", "reason": reason}
     elif found.sensor_use is not None and found.sensor_use > 1.0:
-        reason = f"the readings take {found.sensor_use:.3g} of the sensor's range"
+        reason = f"the readings take {found.sensor_use:.3g} times the sensor's range"
         record |= {"result": "out_of_range", "reason": reason}
     return record | found.as_dict()
 
 
-def _judge_piece(base: dict[str, Any], piece: list[tuple[int, dict[str, Any]]], task: Task) -> list[Record]:
-    return [judged(base, number, point, task) for number, point in piece]
+def _evaluate_chunk(
+    base: dict[str, Any], chunk: list[tuple[int, dict[str, Any]]], task: Task
+) -> list[Record]:
+    return [evaluate_point(base, number, point, task) for number, point in chunk]
 
 
 def _computed(
     client: "Client", base: dict[str, Any], grid: list[dict[str, Any]], missing: list[int], task: Task
 ) -> Iterator[Record]:
-    """Records in the order in which they are done."""
+    """Yield records in the order of completion."""
     from distributed import as_completed
 
-    pieces = [
-        [(i, grid[i]) for i in missing[start : start + _PIECE]] for start in range(0, len(missing), _PIECE)
+    chunks = [
+        [(i, grid[i]) for i in missing[start : start + _CHUNK]] for start in range(0, len(missing), _CHUNK)
     ]
-    futures = [client.submit(_judge_piece, base, piece, task, pure=False) for piece in pieces]
-    by_key = {future.key: piece for future, piece in zip(futures, pieces, strict=True)}
+    futures = [client.submit(_evaluate_chunk, base, chunk, task, pure=False) for chunk in chunks]
+    by_key = {future.key: chunk for future, chunk in zip(futures, chunks, strict=True)}
     for future in as_completed(futures):
         error = future.exception() if future.status == "error" else None
         if future.status == "finished":
             yield from future.result()
-        else:  # the worker itself was lost, again and again
+        else:  # the worker process died repeatedly
             for number, point in by_key[future.key]:
                 lost = {"result": "failed", "reason": f"worker lost: {error or future.status}"}
-                yield {"point": number, **point, **lost, **dict.fromkeys(FIGURES)}
+                yield {"point": number, **point, **lost, **dict.fromkeys(METRICS)}
         future.release()
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client"]:
-    """Workers: those of a scheduler, or processes of this machine.
+def _client(scheduler: str | None, workers: int, on_progress: OnProgress) -> Iterator["Client"]:
+    """Connect to a scheduler, or start worker processes on this machine.
 
     Raises:
-        InputError: nobody answers there.
+        InputError: the scheduler does not respond.
         MissingDependencyError: dask is not installed.
     """
     try:
@@ -154,34 +154,40 @@ def _client(scheduler: str | None, workers: int, tell: Tell) -> Iterator["Client
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
         raise _missing(error.name) from None
-    with dask.config.set(settings() | {"distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S}):
+    with dask.config.set(
+        {
+            "distributed.worker.daemon": True,
+            "distributed.worker.multiprocessing-method": start_method(),
+            "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
+        }
+    ):
         if scheduler is not None:
-            tell(f"reaching {scheduler}", None)
+            on_progress(f"reaching {scheduler}", None)
             try:
                 client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
             except (OSError, ValueError, TypeError) as error:
                 reason = (
-                    f"does not answer within {SCHEDULER_TIMEOUT_S:g} s"
+                    f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
                     if isinstance(error, OSError)
                     else error
                 )
                 raise InputError(
-                    f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or leave --scheduler out"
+                    f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or omit --scheduler"
                 ) from None
             with client:
                 _await_workers(client, scheduler)
                 yield client
             return
-        tell(f"starting {workers} workers", None)
+        on_progress(f"starting {workers} workers", None)
         local = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-        with deaf_to_interruption():
+        with ignore_sigint():
             made = LocalCluster(n_workers=workers, **local)
         with made as cluster, Client(cluster) as client:
             yield client
 
 
 def _await_workers(client: "Client", scheduler: str) -> None:
-    """A scheduler without workers would wait for ever.
+    """Check that a scheduler has workers; without them a sweep would wait forever.
 
     Raises:
         InputError: it has none.
@@ -211,17 +217,17 @@ def _missing(name: str | None) -> MissingDependencyError:
 
 
 def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[Path]:
-    """The same table twice: CSV for people, Parquet for programs."""
+    """Write the same table twice: CSV for people, Parquet for programs."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    columns = ["point", *keys, "result", "reason", *FIGURES]
+    columns = ["point", *keys, "result", "reason", *METRICS]
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(records)
     rows = {name: _column([record[name] for record in records]) for name in columns}
-    kinds = {name: pa.float64() for name in FIGURES} | {"point": pa.int64()}
+    kinds = {name: pa.float64() for name in METRICS} | {"point": pa.int64()}
     table = pa.table({name: pa.array(values, kinds.get(name)) for name, values in rows.items()})
     packed = io.BytesIO()
     parquet.write_table(table, packed)
@@ -232,7 +238,7 @@ def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[
 
 
 def _column(values: list[Any]) -> list[Any]:
-    """Of one kind, as Parquet has it: numbers, names or truths; text where they are mixed."""
+    """Return values of one type, as Parquet requires: numbers, names or booleans; text where they are mixed."""
     plain = [float(value) if type(value) is int else value for value in values]
     if len({type(value) for value in plain if value is not None}) > 1:
         return [None if value is None else str(value) for value in values]

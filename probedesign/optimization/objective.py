@@ -1,4 +1,4 @@
-"""What a design is worth for a task: a few figures that designs are compared, swept and optimised by."""
+"""Metrics of a design for a task, by which designs are compared, swept and optimised."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -12,32 +12,32 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import BETTER_THAN_NOTHING
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
-from probedesign.prediction.budget import budget_of
-from probedesign.prediction.fused_budget import ModelPress
-from probedesign.prediction.model_touch import SurfaceRod, slide
-from probedesign.prediction.touches import touches_of
+from probedesign.optimization.task import Case, Task, side_of
+from probedesign.prediction.budget import error_budget
+from probedesign.prediction.fused import LinearizedPresses
+from probedesign.prediction.predict import tip_sag
+from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
-from probedesign.search.task import Case, Task, side_of
 from probedesign.units import MM
 
-FELT_AT = 0.8
-"""Fraction of the length whose detectable force is reported."""
-NOT_OF_THE_BODY = ("flange_adapter",)
-"""Parts that are the same whatever the body."""
+DETECTION_FRACTION = 0.8
+"""Contact fraction whose detectable force is reported."""
+SHARED_PARTS = ("flange_adapter",)
+"""Parts that do not depend on the flexible part."""
 _WEAK_N = 1e-6
 
 
 @dataclass(frozen=True)
-class Touched:
-    """What the touches of a task give.
+class TaskErrors:
+    """Predicted errors of the touches of a task.
 
     Attributes:
         cases: of the task.
-        errors: RMS of the located point in each, all causes counted [m]; infinite where the probe gives way.
-        sensor_use: largest share of a channel's range that a reading takes; infinite likewise.
-        slide: largest way that the object slides along the probe as the base presses on along a straight line, friction
-            left aside [m]; 0 of single touches, infinite where it slips off or the probe gives way.
+        errors: RMS error of the touched point in each case, by all error sources [m]; infinite where the probe buckles.
+        sensor_use: largest fraction of a channel's range that a reading takes; infinite likewise.
+        slide: largest distance that the object slides along the probe while the base presses on along a straight line,
+            without friction [m]; 0 for single touches, infinite where it slips off or the probe buckles.
     """
 
     cases: tuple[Case, ...]
@@ -47,23 +47,23 @@ class Touched:
 
 
 @dataclass(frozen=True)
-class Worth:
-    """The figures of one design. What does not exist is None.
+class DesignMetrics:
+    """Metrics of one design. Numbers that do not exist are None.
 
     Attributes:
-        error_mm: RMS distance of the located from the touched point, all causes counted, over the task's cases as the
-            task combines them.
-        worst_error_mm: of the worst of them.
-        detectable_mN: force that one reading detects with probability one half at 0.8 of the length, noise and drift
-            counted (`Estimator.detectable`).
-        sag_mm: of the tip, under gravity as mounted.
-        reach_mm: from the base to the tip as it hangs.
-        sensor_use: largest share of a channel's range in the task.
-        slide_mm: that the object slides along the probe in a straight press without friction; None of single touches
-            and where it slips off.
+        error_mm: RMS distance between the estimated and the true touched point, by all error sources, over the task's
+            cases as the task combines them.
+        worst_error_mm: largest error of a case.
+        detectable_mN: force that one reading detects with probability 0.5 at 0.8 of the length, noise and drift
+            included (`Estimator.detectable`).
+        sag_mm: displacement of the tip along gravity, as mounted.
+        reach_mm: distance from the base to the tip of the free probe.
+        sensor_use: largest fraction of a channel's range in the task.
+        slide_mm: slide of the object along the probe in a straight press without friction; None for single touches and
+            where it slips off.
         mass_g: of the flexible part.
-        length_mm, thinnest_mm: of the flexible part, as drawn.
-        print_errors, print_warnings: that the rules of printing find, `NOT_OF_THE_BODY` left out.
+        length_mm, thinnest_mm: of the flexible part, undeformed.
+        print_errors, print_warnings: findings of the print rules, except for `SHARED_PARTS`.
     """
 
     error_mm: float | None
@@ -80,30 +80,30 @@ class Worth:
     print_warnings: int
 
     @property
-    def locates(self) -> bool:
-        """Whether every place is observable: better known than anywhere along the probe alike, L/√12."""
+    def is_observable(self) -> bool:
+        """Whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
         return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * BETTER_THAN_NOTHING
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data; every key ends in its unit."""
+        """Return plain data; every key ends in its unit."""
         return asdict(self)
 
 
-FIGURES = tuple(Worth.__dataclass_fields__)
+METRICS = tuple(DesignMetrics.__dataclass_fields__)
 
 
-def worth(design: Design, task: Task) -> Worth:
-    """The figures of a design; about 50 ms."""
+def design_metrics(design: Design, task: Task) -> DesignMetrics:
+    """Compute the metrics of a design; this takes about 50 ms."""
     probe = build_probe(design)
-    touched = touches(probe.model, task)
-    found = [f.severity for f in check_print(design).findings if f.part not in NOT_OF_THE_BODY]
-    tip = tip_place(probe.model)
-    return Worth(
+    touched = predict_task(probe.model, task)
+    found = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
+    free = probe.rod.solve(probe.model.gravity_base)
+    return DesignMetrics(
         error_mm=_finite(task.combined(touched.errors) / MM),
         worst_error_mm=_finite(max(touched.errors) / MM),
         detectable_mN=_detectable_mN(probe.model, task),
-        sag_mm=None if tip is None else float(np.linalg.norm(tip - [0.0, 0.0, probe.length]) / MM),
-        reach_mm=None if tip is None else float(np.linalg.norm(tip) / MM),
+        sag_mm=tip_sag(free, probe.length, probe.model.gravity_base) / MM if free.ok else None,
+        reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
         sensor_use=_finite(touched.sensor_use),
         slide_mm=_finite(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
@@ -114,19 +114,13 @@ def worth(design: Design, task: Task) -> Worth:
     )
 
 
-def tip_place(model: ProbeModel) -> Array | None:
-    """Where the free tip hangs, base axes [m], (3,); None if the probe cannot stand."""
-    eq = model.rod.solve(model.gravity_base)
-    return eq.p_at(model.rod.length) if eq.ok else None
-
-
-def touches(model: ProbeModel, task: Task, slipping: bool = True) -> Touched:
-    """The touches of a task by the model of a probe, all causes counted.
+def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskErrors:
+    """Predict the errors of a task's touches, including all error sources.
 
     Args:
         model: of the probe.
         task: how it is used.
-        slipping: whether the slide is computed too; else it is 0.
+        slipping: whether the slide is computed too; otherwise it is 0.
     """
     cases, errors, use, slid = list[Case](), list[float](), 0.0, 0.0
     for under in task.models(model):
@@ -135,7 +129,7 @@ def touches(model: ProbeModel, task: Task, slipping: bool = True) -> Touched:
         on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
         sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
         for fraction in task.fractions:
-            found = _at(estimator, on, sources, fraction, task) if sources is not None else None
+            found = _errors_at(estimator, on, sources, fraction, task) if sources is not None else None
             for force in task.forces_N:
                 cases.append(Case(fraction, force, _vector(under.gravity_base)))
                 error, used = (
@@ -146,19 +140,20 @@ def touches(model: ProbeModel, task: Task, slipping: bool = True) -> Touched:
             if slipping and task.schedule is not None and free.ok:
                 s, phi = fraction * under.rod.length, side_of(under.gravity_base) + math.pi
                 slid = max(slid, slide(on, s, phi, task.schedule.forces(task.force_N)))
-    return Touched(tuple(cases), tuple(errors), use, slid)
+    return TaskErrors(tuple(cases), tuple(errors), use, slid)
 
 
-def _at(
+def _errors_at(
     estimator: Estimator, on: SurfaceRod, sources: ErrorSources, fraction: float, task: Task
 ) -> dict[float, tuple[float, float]]:
-    """Error [m] and share of the sensor's range by force, of those forces that one place holds."""
+    """Return the error [m] and the used fraction of the sensor's range at one position, by force, where there is a
+    result."""
     model, schedule = estimator.model, task.schedule
-    press = on.press(fraction * on.rod.length, side_of(on.gravity) + math.pi)
+    press = on.begin_press(fraction * on.rod.length, side_of(on.gravity) + math.pi)
     parts = {force: (force,) if schedule is None else schedule.forces(force) for force in task.forces_N}
     reached = dict[float, Array]()
     for force in sorted({part for of in parts.values() for part in of}):
-        touch = press.to(force)
+        touch = press.increase_to(force)
         if touch is None:
             break
         reached[force] = touch
@@ -169,21 +164,21 @@ def _at(
         if schedule is None:
             touch = reached[force][None].copy()
             lin, D = sources.columns_at(touch[0])
-            cov = budget_of(touch, lin[None], D[None], sources, model.friction).total[0]
+            cov = error_budget(touch, lin[None], D[None], sources, model.friction).total[0]
             wrench = lin[0:6, 0]
         else:
-            fused = ModelPress(
+            fused = LinearizedPresses(
                 model, estimator.priors, on.gravity, np.array([reached[p] for p in of]), schedule
             )
-            if not fused.held:
+            if not fused.converged:
                 continue
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
-            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), _use(model, wrench)
+            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), _sensor_use(model, wrench)
     return found
 
 
-def _use(model: ProbeModel, wrench: Array) -> float:
+def _sensor_use(model: ProbeModel, wrench: Array) -> float:
     return float((np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range).max())
 
 
@@ -196,7 +191,7 @@ def _detectable_mN(model: ProbeModel, task: Task) -> float | None:
     estimator = Estimator(model, task.priors(model))
     if not estimator.free().ok:
         return None
-    weak = touches_of(estimator, [(FELT_AT, "+y")], [_WEAK_N])[_WEAK_N]
+    weak = touches_of(estimator, [(DETECTION_FRACTION, "+y")], [_WEAK_N])[_WEAK_N]
     return 1e3 * estimator.detectable(weak.wrench_by_force[0]) if weak.ok[0] else None
 
 

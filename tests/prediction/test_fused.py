@@ -13,16 +13,14 @@ from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.errors import InputError
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.csv_tables import along_csv, conditions_csv
-from probedesign.prediction.fused_budget import FUSED_CAUSES, ModelPress
-from probedesign.prediction.monte_carlo import Plan, drawn_errors, sample
-from probedesign.prediction.predict import predict
-from probedesign.prediction.press_schedule import PressSchedule
+from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
+from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
+from probedesign.prediction.predict import along_csv, conditions_csv, predict
+from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import touches_of
-from probedesign.prediction.worlds import Worlds
 from probedesign.probe import build_probe
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 TOUCH = (0.7, 0.02, "-x")
 
 
@@ -52,7 +50,9 @@ def press_of(estimator, schedule, touch=TOUCH):
     place, force, side = touch
     steps = touches_of(estimator, [(place, side)], schedule.forces(force))
     touches = np.array([step.touch[0] for step in steps.values()])
-    return ModelPress(estimator.model, estimator.priors, estimator.model.gravity_base, touches, schedule)
+    return LinearizedPresses(
+        estimator.model, estimator.priors, estimator.model.gravity_base, touches, schedule
+    )
 
 
 # Sums and limits
@@ -63,7 +63,7 @@ def press_of(estimator, schedule, touch=TOUCH):
     [PressSchedule(), PressSchedule(3, "base"), PressSchedule(4, None)],
     ids=["sensor", "base", "all"],
 )
-def test_it_is_the_covariance_that_the_fusion_states(large, schedule):
+def test_the_budget_is_the_covariance_of_the_fusion(large, schedule):
     estimator = large.estimator()
     press = press_of(estimator, schedule)
     c = estimator.fuse(press.wrenches, press.Ts_world_base, large.model.gravity_base,
@@ -96,7 +96,7 @@ def test_the_causes_add_up_and_none_exceeds_the_total(prediction):
     ("some", "cause"), [({"robot_mm": 0.05}, "robot"), ({"base_mm": 0.05}, "base place"),
                         ({"diameter_mm": 0.05}, "diameter"), ({"walk_steps": 0.3}, "drift"),
                         ({"stiffness_scatter": 0.02}, "stiffness scatter")])  # fmt: skip
-def test_a_cause_alone_beside_the_noise_is_what_it_adds(large, some, cause):
+def test_a_single_error_source_adds_its_share_to_the_noise(large, some, cause):
     """Where one cause outweighs the noise, its share is nearly all that it adds to the noise's own covariance."""
     found = of(replace_friction(large, 0.0), only(**some))
     alone = of(replace_friction(large, 0.0), Tolerances.none())
@@ -125,7 +125,7 @@ def test_the_grid_is_that_of_single_touches(prediction):
         assert (c.result == "gives_way") == (held[key] == "gives_way")
 
 
-def test_more_touches_and_forces_too_never_harm(large):
+def test_more_touches_and_more_channels_reduce_the_error(large):
     known = only(youngs_modulus=0.03, base_mm=0.05, robot_mm=0.05)
     few, many = (of(large, known, schedule=PressSchedule(k)).predicted_error_mm for k in (3, 9))
     too = of(large, known, schedule=PressSchedule(3, None)).predicted_error_mm
@@ -135,11 +135,11 @@ def test_more_touches_and_forces_too_never_harm(large):
 # The real fusion
 
 
-def test_drawn_touches_are_located_as_predicted_and_stated(large):
+def test_error_and_coverage_of_drawn_fused_touches(large):
     """All causes and friction drawn: RMS against the prediction, and the coverage, of a small sample."""
     n, known = 40, large.tolerances
-    worlds = Worlds.draw(large.model, known, n, 4)
-    answers = drawn_errors(worlds, 0.7, 0.01, np.pi / 2, PressSchedule(), np.random.default_rng(6))
+    samples = PrintSamples.draw(large.model, known, n, 4)
+    answers = locate_draws(samples, 0.7, 0.01, np.pi / 2, PressSchedule(), np.random.default_rng(6))
     located = [a for a in answers if a.result == "ok"]
     assert len(located) >= 0.85 * n
     off = 1e3 * np.array([a.error for a in answers if a.error is not None])
@@ -149,10 +149,10 @@ def test_drawn_touches_are_located_as_predicted_and_stated(large):
     assert sum(a.inside for a in located) >= stats.binom(len(located), 0.92).ppf(1e-3)
 
 
-def test_monte_carlo_tells_fused_from_single(large):
+def test_monte_carlo_distinguishes_fused_and_single_touches(large):
     whole = predict(large.model, (0.7,), (0.02,), ("+y",), large.tolerances)
-    (single, several) = sample(
-        Plan(large.model, large.tolerances, 8, 2), whole, None, workers=1, fused=whole.fused
+    (single, several) = run_monte_carlo(
+        MonteCarloPlan(large.model, large.tolerances, 8, 2), whole, None, workers=1, fused=whole.fused
     )
     assert (single.touches, several.touches) == (1, 5) and several.located > 0
     assert several.first_order_mm == whole.fused[0].predicted_error_mm
@@ -169,12 +169,12 @@ def test_touches_that_cannot_be_fused_are_refused(touches, capsys):
     assert f"touches = {touches}" in capsys.readouterr().err
 
 
-def test_another_way_to_press_is_another_monte_carlo(large):
-    plan = Plan(large.model, large.tolerances, 10, 1)
+def test_the_press_schedule_is_part_of_the_checkpoint_key(large):
+    plan = MonteCarloPlan(large.model, large.tolerances, 10, 1)
     assert plan.key != replace(plan, pressing=PressSchedule(4)).key
 
 
-def test_the_force_that_fused_touches_need_meets_the_error(large):
+def test_the_fused_force_threshold_gives_the_requested_error(large):
     found = large.predict(
         fractions=(0.6,), forces_N=(0.002, 0.003, 0.004, 0.006), directions=("+y",)
     ).fused_reach[0]
@@ -185,7 +185,7 @@ def test_the_force_that_fused_touches_need_meets_the_error(large):
 # Where it can be touched
 
 
-def test_paths_lead_from_the_hanging_probe_to_the_greatest_force(large, prediction):
+def test_paths_lead_from_the_free_probe_to_the_maximum_force(large, prediction):
     assert len(prediction.workspace.paths) == 6
     for path in prediction.workspace.paths:
         s = path.contact_fraction * large.length
@@ -198,7 +198,7 @@ def test_paths_lead_from_the_hanging_probe_to_the_greatest_force(large, predicti
         assert way["xyz".index(path.direction[1])] > 0.5 * path.pressed_mm > 0.0  # bent by up to 60 degrees
 
 
-def test_without_gravity_it_sweeps_a_body_of_revolution(large):
+def test_without_gravity_the_workspace_is_a_body_of_revolution(large):
     model = replace(large.model, gravity_base=np.zeros(3))
     workspace = predict(model, tuple(np.linspace(0.2, 0.8, 7)), (0.02,), ("+x", "-x", "+y")).workspace
     areas = list(workspace.area_mm2.values())

@@ -1,4 +1,4 @@
-"""Which designs a sweep looks at: keys of the design file, each over a range, every combination."""
+"""Grid of designs: keys of the design file, each over a range or a list, in every combination."""
 
 import itertools
 import json
@@ -11,12 +11,12 @@ from probedesign.design_problems import known_keys
 from probedesign.errors import InputError
 from probedesign.naming import unknown
 
-MOST_POINTS = 1_000_000
+MAX_POINTS = 1_000_000
 _HOW = "write KEY=START:STOP:STEP or KEY=A,B,C"
 
 
 @dataclass(frozen=True)
-class Axis:
+class GridAxis:
     """One key that varies.
 
     Attributes:
@@ -28,11 +28,11 @@ class Axis:
     values: tuple[Any, ...]
 
 
-def parse_axis(text: str) -> Axis:
-    """`probe.tip_d_mm=1.5:4:0.25` or `sensor.calibration=si-12-0.12,si-25-0.25`; the end of a range counts.
+def parse_axis(text: str) -> GridAxis:
+    """Parse `probe.tip_d_mm=1.5:4:0.25` or `sensor.calibration=si-12-0.12,si-25-0.25`; the end of a range is included.
 
     Raises:
-        InputError: the key is unknown, or the range is none.
+        InputError: the key is unknown, or the range is invalid.
     """
     key, equals, values = (part.strip() for part in text.partition("="))
     if not equals or not values:
@@ -43,18 +43,18 @@ def parse_axis(text: str) -> Axis:
         table = [name for name in known if name.partition(".")[0] == key.partition(".")[0]]
         raise unknown("--vary", key, table or known)
     if ":" in values:
-        return Axis(key, numbers_of(f"--vary {key}", values))
+        return GridAxis(key, numbers_of(f"--vary {key}", values))
     found = tuple(_value(part.strip()) for part in values.split(","))
     if any(value == "" for value in found):
         raise InputError(f"--vary {text!r}: an empty value; {_HOW}")
-    return Axis(key, found)
+    return GridAxis(key, found)
 
 
-def points(axes: list[Axis]) -> list[dict[str, Any]]:
-    """Every combination of the axes' values, the last axis fastest.
+def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
+    """Return every combination of the axes' values, the last axis fastest.
 
     Raises:
-        InputError: none at all, a key twice, or too many.
+        InputError: there is no axis, a key is given twice, or there are too many points.
     """
     keys = [axis.key for axis in axes]
     twice = next((key for key in keys if keys.count(key) > 1), None)
@@ -63,13 +63,13 @@ def points(axes: list[Axis]) -> list[dict[str, Any]]:
     if twice:
         raise InputError(f"--vary {twice}: given twice; put all its values into one")
     size = math.prod(len(axis.values) for axis in axes)
-    if size > MOST_POINTS:
-        raise InputError(f"{size} designs are too many; at most {MOST_POINTS}: take coarser steps")
+    if size > MAX_POINTS:
+        raise InputError(f"{size} designs are too many; the maximum is {MAX_POINTS}: use coarser steps")
     return [dict(zip(keys, values, strict=True)) for values in itertools.product(*(a.values for a in axes))]
 
 
-def varied(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
-    """The tables of a design file with some keys changed."""
+def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of a design file with some keys changed."""
     data: dict[str, Any] = json.loads(json.dumps(base))
     for key, value in point.items():
         *tables, last = key.split(".")
@@ -80,34 +80,34 @@ def varied(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
-def tables_of(design: Design) -> dict[str, Any]:
-    """What a design file would say of it, plain data."""
+def design_dict(design: Design) -> dict[str, Any]:
+    """Return the tables of a design's file as plain data."""
     tables: dict[str, Any] = design.model_dump(by_alias=True, exclude_none=True, mode="json")
     return tables
 
 
 def numbers_of(what: str, text: str) -> tuple[float | int, ...]:
-    """START:STOP:STEP as its numbers, the end counted; whole ones stay whole.
+    """Return the numbers of START:STOP:STEP, the end included; integers stay integers.
 
     Raises:
-        InputError: it is no range; `what` names it.
+        InputError: the text is not a range; `what` names the option.
     """
     parts = [_value(part.strip()) for part in text.split(":")]
     if len(parts) != 3 or not all(isinstance(part, int | float) for part in parts):
         raise InputError(f"{what}: {text!r} is not START:STOP:STEP in numbers")
     start, stop, step = parts
     if step == 0 or (stop - start) * step < 0:
-        raise InputError(f"{what}: the step of {text!r} never leads from its start to its stop")
+        raise InputError(f"{what}: the step of {text!r} has the wrong sign, or is zero")
     steps = (stop - start) / step
-    if steps > MOST_POINTS:
-        raise InputError(f"{what}: {text!r} has more than {MOST_POINTS} values; take a coarser step")
+    if steps > MAX_POINTS:
+        raise InputError(f"{what}: {text!r} has more than {MAX_POINTS} values; use a coarser step")
     whole = all(isinstance(part, int) for part in parts)
     return tuple(start + i * step if whole else float(f"{start + i * step:.12g}")
                  for i in range(math.floor(steps + 1e-9) + 1))  # fmt: skip
 
 
 def _value(text: str) -> Any:
-    """As TOML would have it: a number, or a name."""
+    """Return the text as TOML would read it: a number, a boolean or a name."""
     for kind in (int, float):
         try:
             number = kind(text)

@@ -1,0 +1,264 @@
+"""The constrained optimisation problem: goals, limits on metrics, and its solution by sequential quadratic
+programming."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from probedesign.errors import InputError
+from probedesign.frames import Array
+from probedesign.naming import unknown
+from probedesign.optimization.evaluator import SAFETY_FACTOR, DesignEvaluator, differences
+
+Goal = Literal["error-at-force", "force-for-error"]
+LIMITED_METRICS = (
+    "error_mm",
+    "worst_error_mm",
+    "sag_mm",
+    "reach_mm",
+    "sensor_use",
+    "slide_mm",
+    "mass_g",
+    "length_mm",
+)
+"""Metrics that may be limited."""
+_LIMIT = re.compile(r"\s*([A-Za-z_]+)\s*(<=|>=)\s*(\S+)\s*")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A bound on a metric.
+
+    Attributes:
+        metric: one of `LIMITED_METRICS`.
+        is_upper: whether it is an upper bound.
+        value: in the unit at the end of the metric's name.
+    """
+
+    metric: str
+    is_upper: bool
+    value: float
+
+    @property
+    def text(self) -> str:
+        """The limit as it is written on the command line."""
+        return f"{self.metric} {'<=' if self.is_upper else '>='} {self.value:g}"
+
+    def margin(self, figure: float) -> float:
+        """Return the distance to the bound relative to its value; negative where the limit is violated."""
+        off = self.value - figure if self.is_upper else figure - self.value
+        return off / abs(self.value)
+
+
+def parse_limit(text: str) -> Limit:
+    """Parse a limit such as `sag_mm<=60` or `reach_mm>=100`.
+
+    Raises:
+        InputError: the text is not a limit, or the metric is unknown.
+    """
+    match = _LIMIT.fullmatch(text)
+    if match is None:
+        raise InputError(
+            f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'"
+        )
+    figure, sign, number = match.groups()
+    if figure not in LIMITED_METRICS:
+        raise unknown("--subject-to", figure, LIMITED_METRICS)
+    try:
+        value = float(number)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < 1e9:
+        raise InputError(f"--subject-to {text!r}: {number} must be a positive number")
+    return Limit(figure, sign == "<=", value)
+
+
+def check_limits(limits: list[Limit]) -> None:
+    """Check that limits do not contradict each other by themselves.
+
+    Raises:
+        InputError: a metric would have to be above and below.
+    """
+    for low in limits:
+        for high in limits:
+            if low.metric == high.metric and not low.is_upper and high.is_upper and low.value > high.value:
+                raise InputError(f"--subject-to {low.text} and {high.text} contradict; drop one of them")
+
+
+SPARE = 1e-3
+"""Relative margin of a limit during the search, so that rounding the dimensions does not violate it."""
+FORCES = (0.05, 20.0)
+"""Bounds of the optimised force, over the task's."""
+_OPTIONS = {"maxiter": 40, "ftol": 1e-4}  # of a logarithm: smaller improvements of the error do not matter
+_SLIP_ALLOWANCE_MM = 0.5
+"""Slide that is allowed at the tip itself, where every press would otherwise count as slipping off."""
+_BROKEN = 1e-6
+_CONFLICT_SHARE = 0.5
+"""Constraints violated by this fraction of the largest violation, at the least infeasible point, are reported as
+conflicting."""
+
+
+class Constraint(NamedTuple):
+    """An inequality constraint: its margin must not be negative.
+
+    Attributes:
+        text: name for users.
+        margin: of a point, one number or several.
+        slope: derivatives of the margin.
+    """
+
+    text: str
+    margin: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+    def min_margin(self, x: Array) -> float:
+        """Return the smallest margin."""
+        return float(np.min(self.margin(x)))
+
+
+@dataclass(frozen=True)
+class NonlinearProgram:
+    """The objective over a design space, with its constraints.
+
+    Attributes:
+        evaluator: the design space with its task.
+        limits: on its metrics.
+    """
+
+    evaluator: DesignEvaluator
+    limits: tuple[Limit, ...]
+
+    def objective(self, x: Array) -> float:
+        """Return the logarithm of the error [mm], or of the force over the task's where the force is minimised."""
+        return float(x[-1] if self.evaluator.with_force else np.log(self.evaluator.metrics(x)["error_mm"]))
+
+    def slope(self, x: Array) -> Array:
+        """Return the gradient of the objective, (n,)."""
+        if self.evaluator.with_force:
+            last: Array = np.eye(len(x))[-1]
+            return last
+        by_error: Array = self.evaluator.gradient("error_mm", x) / self.evaluator.metrics(x)["error_mm"]
+        return by_error
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Lower and upper bound of each coordinate."""
+        low, high = (float(np.log(force)) for force in FORCES)
+        return [*self.evaluator.space.bounds, *([(low, high)] if self.evaluator.with_force else [])]
+
+    def clip(self, x: Array) -> Array:
+        """Return the point within its bounds."""
+        low, high = np.array(self.bounds).T
+        found: Array = np.clip(x, low, high)
+        return found
+
+    @cached_property
+    def constraints(self) -> list[Constraint]:
+        """One constraint per limit and per print rule, and those conflicts buckling and slipping."""
+        rules = self.evaluator.space.printable(self.evaluator.space.x_of(self.evaluator.space.start))
+        slips = [self._slip_constraint] if self.evaluator.task.touches > 1 else []
+        return [*map(self._limit, self.limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
+
+    @property
+    def _slip_constraint(self) -> Constraint:
+        """Constraint that the object does not slip off the tip while the base presses on."""
+        evaluator = self.evaluator
+
+        def margin(x: Array) -> Array:
+            # A slide as long as the distance from the outermost position to the tip ends there.
+            left = (1.0 - max(evaluator.task.fractions)) * evaluator.metrics(x)[
+                "length_mm"
+            ] + _SLIP_ALLOWANCE_MM
+            return np.array([np.log(left / evaluator.metrics(x)["slide_mm"]) - SPARE])
+
+        return Constraint("does not slip off", margin, lambda x: differences(margin, x, central=False).T)
+
+    @property
+    def _buckling_constraint(self) -> Constraint:
+        """Constraint that the critical load exceeds the task's force by the safety factor."""
+        evaluator = self.evaluator
+
+        def margin(x: Array) -> Array:
+            return np.array([np.log(evaluator.metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
+
+        return Constraint(
+            f"bears {SAFETY_FACTOR:g} x the force", margin, lambda x: differences(margin, x, central=False).T
+        )
+
+    def _limit(self, limit: Limit) -> Constraint:
+        # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
+        sign, name, evaluator = (-1.0 if limit.is_upper else 1.0), limit.metric, self.evaluator
+        return Constraint(
+            limit.text,
+            lambda x: np.array([sign * np.log(evaluator.metrics(x)[name] / limit.value) - SPARE]),
+            lambda x: sign * evaluator.gradient(name, x)[None] / evaluator.metrics(x)[name],
+        )
+
+    def _rule(self, name: str) -> Constraint:
+        space = self.evaluator.space
+
+        def margin(x: Array) -> Array:
+            return space.printable(x[: space.size])[name]
+
+        def slope(x: Array) -> Array:
+            return differences(margin, x, central=True).T
+
+        return Constraint(name, margin, slope)
+
+    def solve(self, x0: Array) -> Array:
+        """Return the local optimum reached from a start, feasible or not."""
+        constraints = [{"type": "ineq", "fun": c.margin, "jac": c.slope} for c in self.constraints]
+        return self._slsqp(self.objective, self.slope, x0, self.bounds, constraints)
+
+    def is_feasible(self, x: Array) -> bool:
+        """Return whether every constraint is satisfied."""
+        return all(c.min_margin(x) >= -SPARE for c in self.constraints)
+
+    def active_constraints(self, x: Array) -> tuple[str, ...]:
+        """Return the names of the constraints with no margin left."""
+        return tuple(c.text for c in self.constraints if c.min_margin(x) < 5.0 * SPARE)
+
+    def infeasibility_report(self, starts: list[Array]) -> str:
+        """Return a message with the conflicting constraints at the least infeasible point."""
+        nearest = min((self._least_infeasible(x0) for x0 in starts), key=self._max_violation)
+        limit, conflicts = -_CONFLICT_SHARE * self._max_violation(nearest), []
+        metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.metric for limit in self.limits}
+        for c in self.constraints:
+            if c.min_margin(nearest) <= limit:
+                conflicts.append(f"{c.text} (there {metrics[of[c.text]]:.4g})" if c.text in of else c.text)
+        where = "no design satisfies every limit; at the least infeasible design these limits conflict"
+        return f"{where}: {'; '.join(conflicts)}"
+
+    def _max_violation(self, x: Array) -> float:
+        """Return the largest violation of a constraint."""
+        return max(_BROKEN, *(-c.min_margin(x) for c in self.constraints))
+
+    def _least_infeasible(self, x0: Array) -> Array:
+        """Return the point whose largest violation is smallest: a slack added to every margin is minimised."""
+
+        def slope(z: Array, c: Constraint) -> Array:
+            rows = c.slope(z[:-1])
+            return np.hstack([rows, np.ones((len(rows), 1))])
+
+        constraints = [
+            {"type": "ineq", "fun": lambda z, c=c: c.margin(z[:-1]) + z[-1], "jac": lambda z, c=c: slope(z, c)}
+            for c in self.constraints
+        ]  # fmt: skip
+        start, bounds = np.append(x0, self._max_violation(x0)), [*self.bounds, (0.0, 1e3)]
+        z = self._slsqp(lambda z: float(z[-1]), lambda z: np.eye(len(z))[-1], start, bounds, constraints)
+        return self.clip(z[:-1])
+
+    def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
+               bounds: list[tuple[float, float]], constraints: list[dict[str, Any]]) -> Array:  # fmt: skip
+        options: Any = _OPTIONS
+        solution: Any = minimize(
+            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=options
+        )  # type: ignore[call-overload]
+        low, high = np.array(bounds).T
+        found: Array = np.clip(solution.x, low, high)
+        return found
