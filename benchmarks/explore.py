@@ -28,13 +28,13 @@ from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.exploring.base import Base
-from probedesign.exploring.card_house import card_house, spots
-from probedesign.exploring.cloud import WITHIN_95
-from probedesign.exploring.rehearsal import Errors, Rehearsal, rehearse
-from probedesign.exploring.rehearsal_files import write_rehearsal
 from probedesign.frames import Array
+from probedesign.mapping.base_pose import Base
+from probedesign.mapping.contact_map import WITHIN_95
 from probedesign.rod.friction import ASSUMED_FRICTION
+from probedesign.simulation.card_house import card_house, spots
+from probedesign.simulation.simulated_run import Errors, Rehearsal, rehearse
+from probedesign.simulation.simulated_run_files import write_rehearsal
 from probedesign.units import MILLINEWTON, MM
 
 COMMANDS, HOUSES = 3, 20

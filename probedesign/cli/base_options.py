@@ -8,8 +8,8 @@ from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.exploring.base import Base
     from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.mapping.base_pose import Base
 
 
 @Parameter(name="*")
@@ -39,7 +39,7 @@ class BaseOptions:
         Raises:
             InputError: a value makes no sense.
         """
-        from probedesign.exploring.base import Base
+        from probedesign.mapping.base_pose import Base
 
         said = {entry.name: getattr(self, entry.name) for entry in fields(Base)}
         return replace(Base.of(model), **{name: value for name, value in said.items() if value is not None})

@@ -17,11 +17,11 @@ from probedesign.cli.rehearsal_options import RehearsalOptions
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
-    from probedesign.exploring.explore import Exploration
     from probedesign.frames import Array
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
     from probedesign.live.sources.source import Source
+    from probedesign.mapping.explore import Exploration
 
 
 def explore(
@@ -55,8 +55,8 @@ def explore(
         as_json: print one JSON document: the points and all that is to know of them.
     """
     from probedesign.deployment import load_estimator, load_model
-    from probedesign.exploring.explore import Exploration, check_apart
-    from probedesign.exploring.scene import Scene
+    from probedesign.mapping.explore import Exploration, check_apart
+    from probedesign.reports.map_scene import Scene
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearsal is not None and rehearsal.rehearse is not None:
@@ -84,8 +84,8 @@ def _opened(
     estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions
 ) -> "tuple[Source, BasePoses]":
     """Readings and poses, and everything compiled before the first is read."""
-    from probedesign.exploring.explore import check_poses
     from probedesign.live.run import warm_up
+    from probedesign.mapping.explore import check_poses
 
     poses = check_poses(base.poses(_say), None)
     with working("loading the rod kernels"):
@@ -117,9 +117,9 @@ def _run(
 
 def _truth(opened: "Source") -> "tuple[Array, ...]":
     """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
-    from probedesign.exploring.card_house import true_outlines
-    from probedesign.exploring.explore import Played
     from probedesign.live.sources.replay import ReplaySource
+    from probedesign.mapping.explore import Played
+    from probedesign.simulation.card_house import true_outlines
 
     return true_outlines(opened.recorded_from) if isinstance(opened, Played | ReplaySource) else ()
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.exploring.scene import Scene
+    from probedesign.reports.map_scene import Scene
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg")
 
@@ -36,11 +36,11 @@ def write_cloud(out: Path, scene: "Scene", probe: str, about: list[str]) -> None
         probe: its name and fingerprint.
         about: lines that say what it was found from.
     """
-    from probedesign.exploring.page import page_of
-    from probedesign.exploring.picture import svg_of
-    from probedesign.exploring.ply import ply_of
-    from probedesign.exploring.table import csv_of
     from probedesign.files import write_atomically
+    from probedesign.mapping.map_files import csv_of
+    from probedesign.mapping.ply import ply_of
+    from probedesign.reports.map_page import page_of
+    from probedesign.reports.map_picture import svg_of
 
     about = [*about, "Ellipsoids hold the true point in 95 of 100 cases, as far as stiffness, base, robot and bias are "
              "known as well as said; ± is the RMS distance."]  # fmt: skip

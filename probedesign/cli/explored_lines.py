@@ -7,7 +7,7 @@ from probedesign.cli.explored_files import FILES
 from probedesign.cli.output import counted, print_json
 
 if TYPE_CHECKING:
-    from probedesign.exploring.cloud import Cloud
+    from probedesign.mapping.contact_map import Cloud
 
 
 def print_cloud(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
@@ -18,7 +18,7 @@ def print_cloud(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
         out: the folder that it was written to, if it was.
         as_json: print the document.
     """
-    from probedesign.exploring.table import document_of, lines_of
+    from probedesign.mapping.map_files import document_of, lines_of
 
     if as_json:
         print_json(document_of(cloud))

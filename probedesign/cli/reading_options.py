@@ -65,9 +65,9 @@ class ReadingOptions:
         Raises:
             InputError: it is not.
         """
-        from probedesign.exploring.explore import check_poses, play
         from probedesign.live.sources.replay import RecordingOptions
         from probedesign.live.sources.source import open_source
+        from probedesign.mapping.explore import check_poses, play
 
         if recording is None:
             return open_source(str(self.source), model, say)

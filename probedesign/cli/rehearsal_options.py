@@ -11,7 +11,7 @@ from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.exploring.base import Base
+    from probedesign.mapping.base_pose import Base
 
 
 @Parameter(name="*")
@@ -36,10 +36,10 @@ class RehearsalOptions:
         """
         import numpy as np
 
-        from probedesign.exploring.card_house import spots
-        from probedesign.exploring.rehearsal import Errors, rehearse
-        from probedesign.exploring.rehearsal_files import write_rehearsal
         from probedesign.rod.friction import MAX_FRICTION
+        from probedesign.simulation.card_house import spots
+        from probedesign.simulation.simulated_run import Errors, rehearse
+        from probedesign.simulation.simulated_run_files import write_rehearsal
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")

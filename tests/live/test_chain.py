@@ -8,9 +8,6 @@ import pytest
 from probedesign.errors import InputError
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.frames import pose
-from probedesign.live.netft_box import scene
-from probedesign.live.netft_box.robot import SimulatedRobot
-from probedesign.live.netft_box.scene import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.listener import PoseListener
 from probedesign.live.poses.open_poses import open_poses
@@ -25,6 +22,9 @@ from probedesign.live.processing.touches import SPAN
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import ReplaySource
+from probedesign.simulation import scenes as scene
+from probedesign.simulation.robot import SimulatedRobot
+from probedesign.simulation.scenes import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
 
 RATE, SAMPLES = 500.0, 5
 """Of single samples [Hz], and to a mean: a hundred means a second."""

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.errors import InputError
-from probedesign.live.netft_box.transducer import SimulatedTransducer
 from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
 from probedesign.live.sources.netft.wire import PAGE, RECORDS, SAMPLES_PER_SECOND, Request, parse_request
+from probedesign.simulation.transducer import SimulatedTransducer
 
 
 def configuration_page(configuration: NetFTConfiguration) -> bytes:

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from probedesign.exploring.card_house import spots
-from probedesign.exploring.rehearsal import FIRM, Errors, rehearse
+from probedesign.simulation.card_house import spots
+from probedesign.simulation.simulated_run import FIRM, Errors, rehearse
 from probedesign.units import MILLINEWTON
+from tests.live.conftest import bundle as bundle
+from tests.live.conftest import estimator as estimator
 
 
 @pytest.fixture(scope="module")

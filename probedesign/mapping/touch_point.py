@@ -11,11 +11,11 @@ from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.exploring.dwell import Dwell
-from probedesign.exploring.located import Located
-from probedesign.exploring.series import Series
 from probedesign.frames import Array
 from probedesign.live.processing.touches import BIAS_STEPS
+from probedesign.mapping.dwell import Dwell
+from probedesign.mapping.located import Located
+from probedesign.mapping.segmentation import Series
 
 OPEN_STEPS = 10.0
 """Of the bias, in steps of the sensor's resolution, where the free probe beside the touch ties it down: as good as not

@@ -5,12 +5,12 @@ from html import escape
 
 import numpy as np
 
-from probedesign.exploring.camera import View
-from probedesign.exploring.cloud import WITHIN_95, Point
-from probedesign.exploring.colour import hex_of
-from probedesign.exploring.legend import STROKE_COLOUR, TRUTH_COLOUR, legend
-from probedesign.exploring.scene import FEWEST_MM, Scene
 from probedesign.frames import Array
+from probedesign.mapping.colour import hex_of
+from probedesign.mapping.contact_map import WITHIN_95, Point
+from probedesign.reports.map_camera import View
+from probedesign.reports.map_legend import STROKE_COLOUR, TRUTH_COLOUR, legend
+from probedesign.reports.map_scene import FEWEST_MM, Scene
 from probedesign.units import MM
 
 WIDTH, HEIGHT, EDGE, TOP = 760.0, 640.0, 46.0, 126.0

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.exploring.cloud import WITHIN_95, Cloud
 from probedesign.frames import Array
+from probedesign.mapping.contact_map import WITHIN_95, Cloud
 from probedesign.units import MM
 
 FEWEST_MM = 10.0

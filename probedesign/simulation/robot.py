@@ -12,8 +12,8 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.frames import Array, pose, skew
-from probedesign.live.netft_box.scene import BaseMotion
 from probedesign.live.poses.track import pose_from_matrix
+from probedesign.simulation.scenes import BaseMotion
 from probedesign.units import MM
 
 PERIOD = 0.008

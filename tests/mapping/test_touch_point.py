@@ -9,10 +9,10 @@ from probedesign.errors import InputError
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.exploring.base import Base
-from probedesign.exploring.card_house import spots
-from probedesign.exploring.located import Located
-from probedesign.exploring.rehearsal import Errors, rehearse
+from probedesign.mapping.base_pose import Base
+from probedesign.mapping.located import Located
+from probedesign.simulation.card_house import spots
+from probedesign.simulation.simulated_run import Errors, rehearse
 from probedesign.units import MM
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -2,8 +2,8 @@
 
 import math
 
-from probedesign.exploring.cloud import Cloud
-from probedesign.exploring.colour import colour_of
+from probedesign.mapping.colour import colour_of
+from probedesign.mapping.contact_map import Cloud
 from probedesign.units import MM
 
 _PROPERTIES = (

@@ -18,10 +18,8 @@ from probedesign.errors import InputError
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.exploring.base import Base
-from probedesign.exploring.card_house import Spot
-from probedesign.exploring.robot_way import Way
 from probedesign.frames import Array, pose
+from probedesign.mapping.base_pose import Base
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,
@@ -32,6 +30,8 @@ from probedesign.rod.friction import (
 )
 from probedesign.rod.obstacle import Press, press_against_line
 from probedesign.rod.rod import Mode, Rod
+from probedesign.simulation.card_house import Spot
+from probedesign.simulation.trajectory import Way
 from probedesign.units import MILLINEWTON, MM
 
 LIGHT, FIRM = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON

@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from probedesign.exploring.card_house import SOURCE, card_house, spots, true_outlines
-from probedesign.exploring.cloud import cloud_of
-from probedesign.exploring.located import Located
-from probedesign.exploring.page import page_of
-from probedesign.exploring.picture import svg_of
-from probedesign.exploring.ply import ply_of
-from probedesign.exploring.scene import Scene
-from probedesign.exploring.table import csv_of, lines_of
-from probedesign.exploring.touched import NEVER_SETTLED, Touched
+from probedesign.mapping.contact_map import cloud_of
+from probedesign.mapping.located import Located
+from probedesign.mapping.map_files import csv_of, lines_of
+from probedesign.mapping.ply import ply_of
+from probedesign.mapping.touch_point import NEVER_SETTLED, Touched
+from probedesign.reports.map_page import page_of
+from probedesign.reports.map_picture import svg_of
+from probedesign.reports.map_scene import Scene
+from probedesign.simulation.card_house import SOURCE, card_house, spots, true_outlines
 
 STD_E, STD_BASE = 0.01, 0.05e-3
 NAMES = ("E", "base place", "base place", "base place")

@@ -7,12 +7,12 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.exploring.card_house import SOURCE
-from probedesign.exploring.rehearsal import Rehearsal
 from probedesign.files import write_atomically
 from probedesign.live.poses.pose_file import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
+from probedesign.simulation.card_house import SOURCE
+from probedesign.simulation.simulated_run import Rehearsal
 from probedesign.units import MM
 
 FILES = ("house.mcap", "poses.csv", "truth.csv")

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from probedesign.exploring.located import Located
-from probedesign.exploring.touched import Touched
 from probedesign.frames import Array
+from probedesign.mapping.located import Located
+from probedesign.mapping.touch_point import Touched
 
 APART = 5e-3
 """Points of an object that lie closer than this are not told apart [m], unless said otherwise."""

@@ -10,9 +10,6 @@ from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.exploring.cloud import APART, Cloud, cloud_of
-from probedesign.exploring.series import Gathering, Series
-from probedesign.exploring.touched import Touched, touched
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.open_poses import FIXED
@@ -21,6 +18,9 @@ from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
+from probedesign.mapping.contact_map import APART, Cloud, cloud_of
+from probedesign.mapping.segmentation import Gathering, Series
+from probedesign.mapping.touch_point import Touched, touched
 
 Say = Callable[[str], None]
 

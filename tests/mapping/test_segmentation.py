@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.exploring.series import AGAIN, Gathering
 from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import ContactHistory
+from probedesign.mapping.segmentation import AGAIN, Gathering
 
 STEP = 0.01
 """From one answer to the next [s], about as 36 samples of 3500 a second are."""

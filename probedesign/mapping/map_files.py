@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.exploring.cloud import Cloud, Point
-from probedesign.exploring.touched import MEANINGS, Touched
 from probedesign.frames import Array
+from probedesign.mapping.contact_map import Cloud, Point
+from probedesign.mapping.touch_point import MEANINGS, Touched
 from probedesign.units import MILLINEWTON, MM
 
 PAIRS = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.exploring.dwell import Dwell
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import SPAN, Contact
+from probedesign.mapping.dwell import Dwell
 
 FREE_SPAN = 2.0
 """How much of a free probe's readings next to a touch counts [s]: the bias walks on."""

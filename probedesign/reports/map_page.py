@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.exploring.camera import View
-from probedesign.exploring.cloud import WITHIN_95, Cloud, Point
-from probedesign.exploring.colour import hex_of
-from probedesign.exploring.legend import STROKE_COLOUR, SWATCH, TRUTH_COLOUR, legend
-from probedesign.exploring.picture import NORMAL, svg_of
-from probedesign.exploring.scene import TIMES, Scene
-from probedesign.exploring.table import PAIRS, line_of, unlocated_lines
+from probedesign.mapping.colour import hex_of
+from probedesign.mapping.contact_map import WITHIN_95, Cloud, Point
+from probedesign.mapping.map_files import PAIRS, line_of, unlocated_lines
 from probedesign.reports.html_page import html_document
+from probedesign.reports.map_camera import View
+from probedesign.reports.map_legend import STROKE_COLOUR, SWATCH, TRUTH_COLOUR, legend
+from probedesign.reports.map_picture import NORMAL, svg_of
+from probedesign.reports.map_scene import TIMES, Scene
 from probedesign.units import MILLINEWTON, MM
 
-SCRIPT = Path(__file__).with_name("turning.js")
+SCRIPT = Path(__file__).with_name("map_page.js")
 STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab;
   display: block }
 #said { color: #333; min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }

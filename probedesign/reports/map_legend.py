@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from probedesign.exploring.colour import SURE, VAGUE, hex_of
+from probedesign.mapping.colour import SURE, VAGUE, hex_of
 
 TRUTH_COLOUR, STROKE_COLOUR = "#a08c5a", "#999"
 SWATCH = (34, 14)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from probedesign.deployment import load_estimator, write_frozen
-from probedesign.exploring.card_house import spots
-from probedesign.exploring.rehearsal import Errors, rehearse
-from probedesign.exploring.rehearsal_files import write_rehearsal
+from probedesign.simulation.card_house import spots
+from probedesign.simulation.simulated_run import Errors, rehearse
+from probedesign.simulation.simulated_run_files import write_rehearsal
 from tests.live.conftest import bundle as bundle  # the paper's large probe
 from tests.live.conftest import estimator as estimator
 

@@ -10,9 +10,9 @@ import trimesh
 
 from probedesign.cli.main import run
 from probedesign.deployment import write_frozen
-from probedesign.exploring.cloud import WITHIN_95
-from probedesign.exploring.table import COLUMNS
 from probedesign.live.poses.pose_file import POSE_COLUMNS
+from probedesign.mapping.contact_map import WITHIN_95
+from probedesign.mapping.map_files import COLUMNS
 from probedesign.units import MM
 
 
