@@ -59,10 +59,8 @@ def simulate(
     from contextlib import ExitStack
 
     from probedesign.deployment import load_estimator
-    from probedesign.simulation.netft_box import SimulatedNetFT, parse_faults
-    from probedesign.simulation.robot import SimulatedRobot
-    from probedesign.simulation.scenes import BaseMotion
-    from probedesign.simulation.transducer import SimulatedTransducer
+    from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
+    from probedesign.simulation.robot import BaseMotion, SimulatedRobot
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)

@@ -1,1 +1,1 @@
-"""A series of touches from a moving base into points of the world with their ellipsoids."""
+"""Mapping: locates the points of an object that a probe touches from a moving base, with their covariances."""

@@ -1,4 +1,4 @@
-"""How well it is known where the base is: what a point of the world can be no better than."""
+"""Uncertainty of the base pose, the limit of the accuracy of a point in the world."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -9,20 +9,20 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 
-FARTHEST_MM, FARTHEST_DEG = 10.0, 10.0
-"""A base less well known than this is refused: a turn's errors are no longer in proportion to it, and touches of one
-point no longer lie near to each other. Assumed; the design's `[tolerances]` allow as many degrees."""
+MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
+"""Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point
+no longer lie near each other. Assumed; the `[tolerances]` of a design allow as many degrees."""
 
 
 @dataclass(frozen=True)
-class Base:
-    """Standard deviations of the base's pose as it is told, in the units that options are in.
+class BasePoseUncertainty:
+    """Standard deviations of the reported base pose, in the units of the command line.
 
     Attributes:
-        base_offset_mm: of its place, the same at every pose, on each axis.
-        base_repeat_mm: of its place at each pose for itself, on each axis.
-        tilt_deg: of its turn about its x and its y axis, the same at every pose.
-        clocking_deg: of its turn about its z axis, likewise.
+        base_offset_mm: of the position, constant for all poses, on each axis.
+        base_repeat_mm: of the position at each pose, on each axis.
+        tilt_deg: of the rotation about the base's x and y axes, constant for all poses.
+        clocking_deg: of the rotation about its z axis, likewise.
     """
 
     base_offset_mm: float = Tolerances.base_mm
@@ -31,28 +31,26 @@ class Base:
     clocking_deg: float = Tolerances.clocking_deg
 
     def __post_init__(self) -> None:
-        """Raises InputError where a standard deviation is none, or too great to be meant."""
+        """Raise InputError where a standard deviation is out of range."""
         for entry in fields(self):
             value = getattr(self, entry.name)
-            most = FARTHEST_MM if entry.name.endswith("_mm") else FARTHEST_DEG
-            if not 0.0 <= value <= most:
+            largest = MAX_STD_MM if entry.name.endswith("_mm") else MAX_STD_DEG
+            if not 0.0 <= value <= largest:
                 option = entry.name.replace("_", "-")
-                raise InputError(f"--{option} {value:g} is a standard deviation: say 0 ... {most:g}")
+                raise InputError(
+                    f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {largest:g}"
+                )
 
     @classmethod
-    def of(cls, model: ProbeModel) -> "Base":
-        """Return what the probe's tolerances state of place, scatter and turn."""
-        known = Tolerances.of(model)
-        return cls(known.base_mm, known.robot_mm, known.tilt_deg, known.clocking_deg)
+    def from_model(cls, model: ProbeModel) -> "BasePoseUncertainty":
+        """Return the uncertainty that the tolerances of a probe state."""
+        tolerances = Tolerances.of(model)
+        return cls(tolerances.base_mm, tolerances.robot_mm, tolerances.tilt_deg, tolerances.clocking_deg)
 
-    def priors(self, known: Tolerances) -> Tolerances:
-        """Return the same tolerances with the pose of the base as stated here.
-
-        Args:
-            known: of probe, sensor and mount.
-        """
+    def apply_to(self, tolerances: Tolerances) -> Tolerances:
+        """Return tolerances of probe, sensor and mount with this uncertainty of the base pose."""
         return replace(
-            known,
+            tolerances,
             base_mm=self.base_offset_mm,
             robot_mm=self.base_repeat_mm,
             tilt_deg=self.tilt_deg,
@@ -60,19 +58,21 @@ class Base:
         )
 
     @property
-    def turn(self) -> Array:
-        """Standard deviations of the turn about the base's axes [rad], (3,)."""
+    def rotation_std(self) -> Array:
+        """Standard deviations of the rotation about the base axes [rad], (3,)."""
         return np.radians([self.tilt_deg, self.tilt_deg, self.clocking_deg])
 
     @property
-    def short(self) -> str:
-        """For people."""
+    def summary(self) -> str:
+        """The standard deviations in one line."""
         return (
-            f"the base is taken as known to {self.base_offset_mm:g} mm in common and {self.base_repeat_mm:g} mm from "
-            f"pose to pose, tilt {self.tilt_deg:g}°, clocking {self.clocking_deg:g}°"
+            f"base pose uncertainty: {self.base_offset_mm:g} mm common, {self.base_repeat_mm:g} mm per pose, "
+            f"tilt {self.tilt_deg:g}°, clocking {self.clocking_deg:g}°"
         )
 
     @property
-    def line(self) -> str:
-        """The same, and what says otherwise."""
-        return f"{self.short}; --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg say otherwise"
+    def notice(self) -> str:
+        """The same line with the options that change it."""
+        return (
+            f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
+        )

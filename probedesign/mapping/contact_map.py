@@ -1,8 +1,8 @@
-"""All touches of a run as one set of points: those of one point told apart from those of two, and fused.
+"""Map of the touched points: touches of the same point are recognised and fused, common errors are estimated jointly.
 
-Two touches may be of one point if their places differ by no more than both, together, are uncertain, with what is
-common to both counted as common (Mahalanobis' distance), and if that uncertainty is small enough to say so: vague
-touches agree with everything and are left apart.
+Two touches may belong to one point if their Mahalanobis distance, with common error sources counted as common, is
+small, and if their uncertainty is small enough to distinguish another point: vague touches agree with everything and
+stay apart.
 """
 
 import math
@@ -13,127 +13,130 @@ import numpy as np
 from scipy.special import chdtri
 
 from probedesign.frames import Array
-from probedesign.mapping.located import Located
-from probedesign.mapping.touch_point import Touched
+from probedesign.mapping.touch_point import ConditionalPoint, LocatedTouch
 
-APART = 5e-3
-"""Points of an object that lie closer than this are not told apart [m], unless said otherwise."""
-SAME_CHI2 = float(chdtri(3, 0.01))
-"""Squared distance of two touches of one point, which one in a hundred exceeds."""
-WITHIN_95 = float(chdtri(3, 0.05))
+MIN_SEPARATION = 5e-3
+"""Default distance below which points of an object are not distinguished [m]."""
+SAME_POINT_CHI2 = float(chdtri(3, 0.01))
+"""Squared Mahalanobis distance of two touches of one point that is exceeded with probability 0.01."""
+CHI2_95 = float(chdtri(3, 0.05))
+"""Squared Mahalanobis distance of the 95 % ellipsoid."""
 
 
 @dataclass(frozen=True)
-class Point:
-    """One point of the world.
+class MapPoint:
+    """A point of the world.
 
     Attributes:
-        p_world: on the object's surface [m], (3,).
-        cov_world: with everything unknown counted [m²], (3, 3).
-        cov_common: the part of it that error sources common to all points make [m²], (3, 3).
-        touches: that tell it, in the order of time.
+        p_world: on the surface of the object [m], (3,).
+        cov_world: with all error sources [m²], (3, 3).
+        cov_common: the part of it due to error sources common to all points [m²], (3, 3).
+        touches: touches of the point, in order of time.
     """
 
     p_world: Array
     cov_world: Array
     cov_common: Array
-    touches: tuple[Touched, ...]
+    touches: tuple[LocatedTouch, ...]
 
     @property
     def rms(self) -> float:
-        """Of the distance to the true point [m]."""
+        """RMS distance to the true point [m]."""
         return math.sqrt(float(np.trace(self.cov_world)))
 
     @property
     def force(self) -> float:
-        """The strongest that it was touched with [N]."""
+        """Largest contact force [N]."""
         return max(touch.force for touch in self.touches)
 
     @property
     def direction(self) -> Array | None:
-        """Of that force on the probe in the world: the object's outward normal, unit, (3,)."""
+        """Direction of that force on the probe in the world, the outward normal of the object, unit vector, (3,)."""
         return max(self.touches, key=lambda touch: touch.force).direction
 
 
 @dataclass(frozen=True)
-class Cloud:
-    """What a run has found.
+class ContactMap:
+    """The points that a run has found.
 
     Attributes:
-        points: in the order of their first touch.
-        unlocated: touches without a place, in the order of time.
-        stiffness, std_stiffness: factor on E by all touches together, and its standard deviation.
-        apart: points closer than this were not told apart [m].
+        points: in order of their first touch.
+        unlocated: touches without a point, in order of time.
+        stiffness, std_stiffness: factor on E by all touches, and its standard deviation.
+        min_separation: distance below which points were not distinguished [m].
     """
 
-    points: tuple[Point, ...]
-    unlocated: tuple[Touched, ...]
+    points: tuple[MapPoint, ...]
+    unlocated: tuple[LocatedTouch, ...]
     stiffness: float
     std_stiffness: float
-    apart: float
+    min_separation: float
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Touches of one point."""
-
-    located: Located
-    touches: tuple[Touched, ...]
+_Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]
+"""A point and its touches."""
 
 
-def cloud_of(touches: Sequence[Touched], youngs_modulus: float, apart: float = APART) -> Cloud:
-    """Return the points that touches give, with the error sources that they share estimated jointly.
+def build_map(
+    touches: Sequence[LocatedTouch], youngs_modulus: float, min_separation: float = MIN_SEPARATION
+) -> ContactMap:
+    """Return the map of touches, with the error sources that they share estimated jointly.
 
     Args:
-        touches: of one run: one probe on one robot.
+        touches: of one run, one probe on one robot.
         youngs_modulus: standard deviation of the prior on E, relative.
-        apart: points of the object lie at least so far from each other [m]; 0 fuses nothing.
+        min_separation: minimum distance between points of the object [m]; 0 fuses no touches.
     """
-    groups = [_Group(touch.located, (touch,)) for touch in touches if touch.located is not None]
-    while (pair := _nearest(groups, apart)) is not None:
+    groups: list[_Group] = [(touch.point, (touch,)) for touch in touches if touch.point is not None]
+    while (pair := _closest_pair([point for point, _ in groups], min_separation)) is not None:
         i, j = pair
-        one, other = groups[i], groups.pop(j)
-        groups[i] = _Group(one.located.with_(other.located), (*one.touches, *other.touches))
-    common, cov = _common(groups)
-    points = tuple(_point(group, common, cov) for group in groups)
-    unlocated = tuple(touch for touch in touches if touch.located is None)
-    names = groups[0].located.names if groups else ()
-    i = names.index("E") if "E" in names else -1
-    log_E, var_E = (float(common[i]), float(cov[i, i])) if i >= 0 else (0.0, 1.0)
+        (first, of_first), (second, of_second) = groups[i], groups.pop(j)
+        groups[i] = (first.fused_with(second), (*of_first, *of_second))
+    common, cov_common = _common_errors([point for point, _ in groups])
+    points = tuple(
+        MapPoint(
+            point.position(common),
+            point.covariance(cov_common),
+            point.covariance(cov_common) - point.cov,
+            tuple(sorted(members, key=lambda touch: touch.segment.number)),
+        )
+        for point, members in groups
+    )
+    unlocated = tuple(touch for touch in touches if touch.point is None)
+    names = groups[0][0].names if groups else ()
+    log_E, var_E = 0.0, 1.0
+    if "E" in names:
+        i = names.index("E")
+        log_E, var_E = float(common[i]), float(cov_common[i, i])
     stiffness = math.exp(youngs_modulus * log_E)
-    return Cloud(points, unlocated, stiffness, stiffness * youngs_modulus * math.sqrt(var_E), apart)
+    std_stiffness = stiffness * youngs_modulus * math.sqrt(var_E)
+    return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation)
 
 
-def _point(group: _Group, common: Array, cov: Array) -> Point:
-    located = group.located
-    shared = located.cov(cov) - located.S
-    touches = tuple(sorted(group.touches, key=lambda touch: touch.series.number))
-    return Point(located.at(common), located.cov(cov), shared, touches)
-
-
-def _common(groups: Sequence[_Group]) -> tuple[Array, Array]:
+def _common_errors(points: Sequence[ConditionalPoint]) -> tuple[Array, Array]:
     """Return the common error sources by all touches, (J,), and their covariance, (J, J)."""
-    J = len(groups[0].located.vector) if groups else 0
-    information = np.eye(J) + sum((group.located.information for group in groups), np.zeros((J, J)))
+    J = len(points[0].information_vector) if points else 0
+    information = np.eye(J) + sum((point.information for point in points), np.zeros((J, J)))
     cov = np.asarray(np.linalg.inv(information), dtype=float)
-    return cov @ sum((group.located.vector for group in groups), np.zeros(J)), cov
+    return cov @ sum((point.information_vector for point in points), np.zeros(J)), cov
 
 
-def _nearest(groups: Sequence[_Group], apart: float) -> tuple[int, int] | None:
-    """The two that are most surely one point; None where no two are."""
-    if len(groups) < 2 or apart <= 0.0:
+def _closest_pair(points: Sequence[ConditionalPoint], min_separation: float) -> tuple[int, int] | None:
+    """Return the two that most likely are one point; None where no two are."""
+    if len(points) < 2 or min_separation <= 0.0:
         return None
-    common, cov_common = _common(groups)
-    a = np.array([group.located.at(common) for group in groups])
-    B, S = np.array([group.located.B for group in groups]), np.array([group.located.S for group in groups])
-    best, least = None, SAME_CHI2
-    for i in range(len(groups) - 1):
-        off, by = a[i] - a[i + 1 :], B[i] - B[i + 1 :]
+    common, cov_common = _common_errors(points)
+    p = np.array([point.position(common) for point in points])
+    B, S = np.array([point.sensitivity for point in points]), np.array([point.cov for point in points])
+    best, smallest = None, SAME_POINT_CHI2
+    for i in range(len(points) - 1):
+        difference, by = p[i] - p[i + 1 :], B[i] - B[i + 1 :]
         cov = S[i] + S[i + 1 :] + by @ cov_common @ by.transpose(0, 2, 1)
-        chi2 = np.einsum("ka,ka->k", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0])
-        told = WITHIN_95 * np.linalg.eigvalsh(cov)[:, -1] <= apart**2
-        chi2[~told | (np.linalg.norm(off, axis=1) >= apart)] = np.inf
+        solved = np.linalg.solve(cov, difference[:, :, None])[:, :, 0]
+        chi2 = np.einsum("ka,ka->k", difference, solved)
+        distinguishable = CHI2_95 * np.linalg.eigvalsh(cov)[:, -1] <= min_separation**2
+        chi2[~distinguishable | (np.linalg.norm(difference, axis=1) >= min_separation)] = np.inf
         j = int(np.argmin(chi2))
-        if chi2[j] < least:
-            best, least = (i, i + 1 + j), float(chi2[j])
+        if chi2[j] < smallest:
+            best, smallest = (i, i + 1 + j), float(chi2[j])
     return best

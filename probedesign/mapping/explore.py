@@ -1,4 +1,4 @@
-"""From readings and poses to points: the chain of `live`, its touches gathered and fused, all of them one cloud."""
+"""From readings and poses to a map: the chain of `live`, its touches segmented, located and combined."""
 
 import math
 from collections.abc import Callable, Generator, Iterator
@@ -18,149 +18,154 @@ from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
-from probedesign.mapping.contact_map import APART, Cloud, cloud_of
-from probedesign.mapping.segmentation import Gathering, Series
-from probedesign.mapping.touch_point import Touched, touched
-
-Say = Callable[[str], None]
+from probedesign.mapping.contact_map import MIN_SEPARATION, ContactMap, build_map
+from probedesign.mapping.segmentation import TouchSegment, TouchSegmenter
+from probedesign.mapping.touch_point import LocatedTouch, locate_touch
 
 
 @dataclass
-class Played:
-    """A recording as a source: read whole before anything is made of it.
+class LoadedRecording:
+    """A recording as a source, read completely before it is processed.
 
     Attributes:
-        title: one line that says what it is.
-        notes: what a user should know of it.
-        held: its readings.
-        recorded_from: what it was read from, by its own words; empty where it does not say.
+        title: description in one line.
+        notes: what a user should know about it.
+        blocks: its readings.
+        recorded_from: source stated in the recording; empty if it states none.
     """
 
     title: str
     notes: tuple[str, ...]
-    held: tuple[Block, ...]
+    blocks: tuple[Block, ...]
     recorded_from: str = ""
 
     def __iter__(self) -> Generator[Block, None, None]:
-        yield from self.held
+        yield from self.blocks
 
     @property
     def span(self) -> tuple[float, float]:
-        """From the first reading to the last [s]."""
-        times = [block.time for block in self.held if len(block)]
+        """Times of the first and the last reading [s]."""
+        times = [block.time for block in self.blocks if len(block)]
         return float(times[0][0]), float(times[-1][-1])
 
 
-def play(path: Path, model: ProbeModel, mend: bool = False, choice: RecordingOptions | None = None) -> Played:
-    """The recording at a path.
+def load_recording(
+    path: Path, model: ProbeModel, mend: bool = False, options: RecordingOptions | None = None
+) -> LoadedRecording:
+    """Return the recording at a path.
 
     Args:
-        path: of any kind that `estimate` reads.
+        path: recording of any kind that `estimate` reads.
         model: the probe it was recorded with.
-        mend: go on with a recording that lacks something.
-        choice: what of a bag is read.
+        mend: accept an incomplete recording.
+        options: topic and units of a bag.
 
     Raises:
-        InputError: it is no recording, not of this probe, lacks something, or is not told in the sensor's frame.
+        InputError: the file is not a recording of this probe, is incomplete, or is not in the sensor frame.
     """
-    recorded = open_recording(path, model, choice)
-    if recorded.frame == "base":
+    opened = open_recording(path, model, options)
+    if opened.frame == "base":
         raise InputError(
-            f"{path}: is told in the base frame, less a weight that hangs as the base is turned; explore needs the "
-            "sensor's frame"
+            f"{path}: is in the base frame, with a gravity correction that depends on the base rotation; explore needs "
+            "the sensor frame"
         )
-    held = tuple(block for block in recorded.blocks())
-    if (lacking := recorded.missing()) and not mend:
-        raise InputError(f"{path}: {'; '.join(lacking)}; --mend goes on without what is missing")
-    if not any(len(block) for block in held):
-        raise InputError(f"{path}: holds no readings")
-    notes = tuple(dict.fromkeys((*recorded.notes, *lacking)))
-    return Played(f"{path}, {recorded.description}", notes, held, recorded.source)
+    blocks = tuple(opened.blocks())
+    if (missing := opened.missing()) and not mend:
+        raise InputError(f"{path}: {'; '.join(missing)}; --mend continues without the missing parts")
+    if not any(len(block) for block in blocks):
+        raise InputError(f"{path}: contains no readings")
+    notes = tuple(dict.fromkeys((*opened.notes, *missing)))
+    return LoadedRecording(f"{path}, {opened.description}", notes, blocks, opened.source)
 
 
 def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> BasePoses:
-    """The poses, that there must be, at the time of the readings.
+    """Return the poses, after checking that there are any for the time of the readings.
 
     Args:
-        poses: as they were opened.
-        span: of the readings' times [s], where it is known beforehand.
+        poses: opened poses.
+        span: times of the first and the last reading [s], if known beforehand.
 
     Raises:
-        InputError: there are none, or by another clock.
+        InputError: there are none, or their clock differs.
     """
     if poses is None:
         raise InputError(
-            f"--pose {FIXED}: points of the world need the base's poses; say --pose FILE.csv, a ROS 2 bag or udp://:PORT"
+            f"--pose {FIXED}: points of the world need base poses; give --pose FILE.csv, a ROS 2 bag or udp://:PORT"
         )
     times = poses.track.times
     if span is not None and times and not (times[0] < span[1] and span[0] < times[-1]):
         raise InputError(
-            f"poses are told for {times[0]:.9g} ... {times[-1]:.9g} s, the readings for {span[0]:.9g} ... "
-            f"{span[1]:.9g} s: the clocks do not overlap; stamp the poses by the recording's clock"
+            f"the poses span {times[0]:.9g} ... {times[-1]:.9g} s, the readings {span[0]:.9g} ... {span[1]:.9g} s: "
+            "the clocks do not overlap; stamp the poses with the clock of the recording"
         )
     return poses
 
 
 @dataclass
 class Exploration:
-    """Touches as they come, and the cloud that they make.
+    """The touches of a run, located as they come, and their map.
 
     Attributes:
         estimator: of the probe.
         priors: standard deviations of the error sources; those of the estimator if None.
-        apart: as in `cloud_of` [m].
-        touches: every touch so far, in the order of time.
-        readings: how many there were.
-        placeless: how many of them without a pose.
+        min_separation: as in `build_map` [m].
+        touches: touches so far, in order of time.
+        n_readings: number of readings.
+        n_without_pose: number of readings without a pose.
     """
 
     estimator: Estimator
     priors: Tolerances | None = None
-    apart: float = APART
-    touches: list[Touched] = field(default_factory=list)
-    readings: int = 0
-    placeless: int = 0
+    min_separation: float = MIN_SEPARATION
+    touches: list[LocatedTouch] = field(default_factory=list)
+    n_readings: int = 0
+    n_without_pose: int = 0
 
     def run(
-        self, source: Source, plan: ProcessingOptions, poses: BasePoses, say: Say, sink: Sink | None = None
-    ) -> Iterator[Touched]:
-        """Each touch when it is over, and the free probe after it has been read.
+        self,
+        source: Source,
+        options: ProcessingOptions,
+        poses: BasePoses,
+        log: Callable[[str], None],
+        sink: Sink | None = None,
+    ) -> Iterator[LocatedTouch]:
+        """Yield each touch when it has ended and the free probe after it has been read.
 
         Raises:
-            InputError: the tare's window is no good, or the source fails.
+            InputError: the tare window is invalid, or the source fails.
         """
-        gathering = Gathering()
+        segmenter = TouchSegmenter()
         try:
-            with closing(estimate_stream(self.estimator, source, plan, say, sink, None, poses)) as answers:
-                for answer in answers:
-                    self.readings += 1
-                    self.placeless += answer.stale == "pose"
-                    for series in gathering.take(answer):
-                        yield self._touched(series, poses)
+            with closing(estimate_stream(self.estimator, source, options, log, sink, None, poses)) as updates:
+                for update in updates:
+                    self.n_readings += 1
+                    self.n_without_pose += update.stale == "pose"
+                    for segment in segmenter.update(update):
+                        yield self._located(segment, poses)
         except KeyboardInterrupt:
-            say("interrupted: what was touched by now is told")
-        for series in gathering.ended():
-            yield self._touched(series, poses)
+            log("interrupted; the touches so far are evaluated")
+        for segment in segmenter.finish():
+            yield self._located(segment, poses)
 
-    def cloud(self) -> Cloud:
-        """Return all points by now."""
-        return cloud_of(self.touches, self._priors.youngs_modulus, self.apart)
+    def map(self) -> ContactMap:
+        """Return the map of all touches so far."""
+        return build_map(self.touches, self._priors.youngs_modulus, self.min_separation)
 
     @property
     def _priors(self) -> Tolerances:
         return self.estimator.priors if self.priors is None else self.priors
 
-    def _touched(self, series: Series, poses: BasePoses) -> Touched:
-        found = touched(series, self.estimator, self._priors, poses.gravity_world)
-        self.touches.append(found)
-        return found
+    def _located(self, segment: TouchSegment, poses: BasePoses) -> LocatedTouch:
+        touch = locate_touch(segment, self.estimator, self._priors, poses.gravity_world)
+        self.touches.append(touch)
+        return touch
 
 
-def check_apart(millimetres: float) -> float:
-    """How far points of the object lie from each other at least [m].
+def parse_min_separation(millimetres: float) -> float:
+    """Return the minimum distance between points of the object [m].
 
     Raises:
-        InputError: no such number can be meant.
+        InputError: the number is negative or not finite.
     """
     if not 0.0 <= millimetres < math.inf:
         raise InputError(f"--apart-mm {millimetres:g} must not be negative; 0 fuses no touches")

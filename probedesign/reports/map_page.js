@@ -1,21 +1,21 @@
-// Points, their 95 % ellipsoids and what was truly touched, turned by the mouse: parallel lines stay parallel, nothing is loaded.
-const canvas = document.getElementById("cloud"), pen = canvas.getContext("2d"), said = document.getElementById("said");
+// Points, their 95 % ellipsoids and the simulated truth in parallel projection, rotated with the mouse. Loads nothing from a network.
+const canvas = document.getElementById("map"), pen = canvas.getContext("2d"), statusLine = document.getElementById("status");
 const sizes = document.getElementById("times"), data = JSON.parse(document.getElementById("data").textContent);
 const bars = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
-let azimuth, elevation, zoom, held = null, shown = -1;
+let azimuth, elevation, zoom, dragged = null, shown = -1;
 
-function rest() { azimuth = data.azimuth; elevation = data.elevation; zoom = 1; }
+function reset() { azimuth = data.azimuth; elevation = data.elevation; zoom = 1; }
 function axes() {
   const ca = Math.cos(azimuth), sa = Math.sin(azimuth), ce = Math.cos(elevation), se = Math.sin(elevation);
   return [[ca, sa, 0], [-sa * se, ca * se, ce], [sa * ce, -ca * ce, se]];
 }
 function dot(a, b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-function within(a, C, b) {  // aᵀ C b of xx, xy, xz, yy, yz, zz
+function quadratic(a, C, b) {  // aᵀ C b of xx, xy, xz, yy, yz, zz
   return a[0] * (C[0] * b[0] + C[1] * b[1] + C[2] * b[2]) + a[1] * (C[1] * b[0] + C[3] * b[1] + C[4] * b[2])
     + a[2] * (C[2] * b[0] + C[4] * b[1] + C[5] * b[2]);
 }
-function outline(C, right, up) {  // of an ellipsoid of that covariance: half-axes and angle
-  const a = within(right, C, right), b = within(right, C, up), c = within(up, C, up);
+function outline(C, right, up) {  // of the ellipsoid of a covariance: half-axes and angle
+  const a = quadratic(right, C, right), b = quadratic(right, C, up), c = quadratic(up, C, up);
   const mid = (a + c) / 2, off = Math.hypot((a - c) / 2, b);
   return [Math.sqrt(mid + off), Math.sqrt(Math.max(mid - off, 0)), 0.5 * Math.atan2(2 * b, a - c)];
 }
@@ -25,10 +25,10 @@ function draw() {
   pen.setTransform(dense, 0, 0, dense, 0, 0);
   const [right, up, near] = axes(), scale = zoom * 0.42 * Math.min(wide, high) / data.radius;
   const at = p => {
-    const q = [p[0] - data.middle[0], p[1] - data.middle[1], p[2] - data.middle[2]];
+    const q = [p[0] - data.centre[0], p[1] - data.centre[1], p[2] - data.centre[2]];
     return [wide / 2 + scale * dot(q, right), high / 2 - scale * dot(q, up), dot(q, near)];
   };
-  const times = Number(new FormData(sizes).get("times")), size = data.within * times * scale;
+  const times = Number(new FormData(sizes).get("times")), size = data.radius_95 * times * scale;
   const trace = corners => {
     pen.beginPath();
     corners.forEach((p, i) => { const [x, y] = at(p); i ? pen.lineTo(x, y) : pen.moveTo(x, y); });
@@ -66,7 +66,7 @@ function draw() {
   pen.textAlign = "left";
   return placed;
 }
-function tell(event) {
+function report(event) {
   const box = canvas.getBoundingClientRect(), x = event.clientX - box.left, y = event.clientY - box.top;
   let best = 12, found = -1;
   for (const [[px, py], , i] of draw()) {
@@ -74,16 +74,16 @@ function tell(event) {
     if (far < best) { best = far; found = i; }
   }
   if (found !== shown) { shown = found; draw(); }
-  said.textContent = found < 0 ? data.hint : data.points[found].said;
+  statusLine.textContent = found < 0 ? data.hint : data.points[found].text;
 }
-canvas.addEventListener("pointerdown", event => { held = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
-canvas.addEventListener("pointerup", () => { held = null; });
-canvas.addEventListener("pointercancel", () => { held = null; });
+canvas.addEventListener("pointerdown", event => { dragged = [event.clientX, event.clientY]; canvas.setPointerCapture(event.pointerId); });
+canvas.addEventListener("pointerup", () => { dragged = null; });
+canvas.addEventListener("pointercancel", () => { dragged = null; });
 canvas.addEventListener("pointermove", event => {
-  if (!held) return tell(event);
-  azimuth -= 0.01 * (event.clientX - held[0]);
-  elevation = Math.max(-1.5, Math.min(1.5, elevation + 0.01 * (event.clientY - held[1])));
-  held = [event.clientX, event.clientY];
+  if (!dragged) return report(event);
+  azimuth -= 0.01 * (event.clientX - dragged[0]);
+  elevation = Math.max(-1.5, Math.min(1.5, elevation + 0.01 * (event.clientY - dragged[1])));
+  dragged = [event.clientX, event.clientY];
   draw();
 });
 canvas.addEventListener("wheel", event => {
@@ -91,7 +91,7 @@ canvas.addEventListener("wheel", event => {
   zoom = Math.max(0.2, Math.min(50, zoom * Math.exp(-0.001 * event.deltaY)));
   draw();
 }, {passive: false});
-canvas.addEventListener("dblclick", () => { rest(); draw(); });
+canvas.addEventListener("dblclick", () => { reset(); draw(); });
 sizes.addEventListener("change", () => draw());
 window.addEventListener("resize", () => draw());
-rest(); draw();
+reset(); draw();

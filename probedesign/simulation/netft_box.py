@@ -1,5 +1,6 @@
-"""The simulated box: serves its page over HTTP, streams records over UDP by its clock, and injects faults."""
+"""A simulated Net F/T box: its transducer, its page over HTTP, records over UDP by its clock, and injected faults."""
 
+import math
 import re
 import select
 import socket
@@ -15,10 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
 from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
-from probedesign.live.sources.netft.wire import PAGE, RECORDS, SAMPLES_PER_SECOND, Request, parse_request
-from probedesign.simulation.transducer import SimulatedTransducer
+from probedesign.live.sources.netft.wire import (
+    LATCHED,
+    PAGE,
+    RECORDS,
+    SAMPLES_PER_SECOND,
+    SATURATED,
+    SUMMARY,
+    Request,
+    parse_request,
+)
+from probedesign.simulation.sensor_noise import bias_step, sample_std
 
 
 def configuration_page(configuration: NetFTConfiguration) -> bytes:
@@ -152,6 +164,80 @@ def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
             )
     return FaultInjector(**rates_given, events=sorted(events), seed=seed)  # type: ignore[arg-type]
 
+
+# the transducer
+
+Load = Callable[[Array], Array]
+"""Returns the wrench in the sensor frame [N, N·m], (n, 6), at times [s], (n,)."""
+
+OFFSET = (0.3, -0.2, 0.5, 0.002, -0.003, 0.001)
+"""Reading of the unloaded transducer [N, N·m]: assumed; in reality caused by mounting stress."""
+DRIFT = 0.2 / math.sqrt(10.0)
+"""Random walk of each channel, in units of the noise of one sample per √s: 0.2 after 10 s, assumed."""
+MAX_COUNTS = 2**31 - 1
+
+
+class SimulatedTransducer:
+    """Simulates the samples of the box.
+
+    Attributes:
+        saturated: whether a fault holds it at its limit.
+        latched: whether a monitor condition is latched.
+    """
+
+    def __init__(self, model: ProbeModel, load: Load, seed: int, drift: float = DRIFT) -> None:
+        """Start at rest.
+
+        Args:
+            model: the probe, for the sensor's noise and range.
+            load: load on the sensor.
+            seed: seed of noise and drift.
+            drift: see `DRIFT`.
+        """
+        self.saturated = self.latched = False
+        self._load = load
+        self._random = np.random.default_rng(seed)
+        self._noise, self._drift = sample_std(model), drift
+        self._zero = np.array(OFFSET)
+        self._bias = np.zeros(6)
+        self._range = model.wrench_range
+        self._last = self._zero
+
+    def read(
+        self, time: Array, spacing: float, configuration: NetFTConfiguration
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """Return counts (n, 6) and status words (n,) at times.
+
+        Args:
+            time: times of the samples [s], (n,).
+            spacing: interval between them [s].
+            configuration: configuration that defines the counts.
+        """
+        self._zero = self._zero + self._noise * bias_step(self._random, self._drift, spacing * len(time))
+        wrench = self._load(time) + self._zero + self._noise * self._random.standard_normal((len(time), 6))
+        if self.saturated:
+            wrench[:, 0] = 2.0 * self._range[0]
+        over = (np.abs(wrench) > self._range).any(axis=1)
+        wrench = np.clip(wrench, -self._range, self._range)
+        self._last = wrench.mean(axis=0)
+        counts = np.rint((wrench - self._bias) @ np.linalg.inv(configuration.to_sensor).T)
+        status = np.where(over, SUMMARY | SATURATED, 0) | (SUMMARY | LATCHED if self.latched else 0)
+        return np.clip(counts, -MAX_COUNTS, MAX_COUNTS), status
+
+    def bias(self) -> None:
+        """Store the current wrench as the software bias."""
+        self._bias = self._last.copy()
+
+    def clear_bias(self) -> None:
+        """Clear the software bias, as a restart does."""
+        self._bias = np.zeros(6)
+
+    def gauges(self) -> tuple[float, ...]:
+        """Return the bias as shown on the page: six integers, here in ten-thousandths of the range."""
+        return tuple(float(v) for v in np.rint(1e4 * self._bias / self._range))
+
+
+# the box
 
 TICK = 0.001
 """Interval between bursts of records [s], the resolution of Python's sleep."""

@@ -1,4 +1,4 @@
-"""Objects that a simulated probe meets, sharp points and edges, and the motion of the base that presses each of them.
+"""Scenes of the simulated Net F/T box: sharp points and edges, and the wrench while the base presses each of them.
 
 With friction the contact sticks and slips by Coulomb's law (`probedesign.rod.friction`), so the wrench during
 retraction differs from that during the press. Friction 0 is the frictionless contact of `probedesign.rod.obstacle`.
@@ -7,15 +7,12 @@ retraction differs from that during the press. Friction 0 is the frictionless co
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
-from probedesign.live.sources.sim import safe_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,
@@ -26,6 +23,8 @@ from probedesign.rod.friction import (
     draw_friction,
 )
 from probedesign.rod.obstacle import Press, press_against_line, press_against_point
+from probedesign.simulation.card_house import LEAN
+from probedesign.simulation.rod_contact import safe_force
 from probedesign.units import MILLINEWTON, MM
 
 CLEARANCE = 0.05
@@ -61,15 +60,15 @@ SCENES = {
     "edges": tuple(SceneObject("edge", fraction, 0.0) for fraction in (0.4, 0.6, 0.8)),
     "points": tuple(SceneObject("point", fraction, None) for fraction in (0.4, 0.6, 0.8)),
     "card-house": (
-        SceneObject("left card of the first tent", 0.85, math.radians(75.0)),
-        SceneObject("right card of the first tent", 0.85, math.radians(105.0)),
-        SceneObject("left card of the second tent", 0.70, math.radians(75.0)),
-        SceneObject("right card of the second tent", 0.70, math.radians(105.0)),
+        SceneObject("left card of the first tent", 0.85, 0.5 * math.pi - LEAN),
+        SceneObject("right card of the first tent", 0.85, 0.5 * math.pi + LEAN),
+        SceneObject("left card of the second tent", 0.70, 0.5 * math.pi - LEAN),
+        SceneObject("right card of the second tent", 0.70, 0.5 * math.pi + LEAN),
         SceneObject("card across both", 0.55, 0.0),
     ),
     "free": (),
 }
-"""A card leans by 15° from the vertical, which is the base's x axis of a horizontal probe; assumed."""
+"""Scenes by name. Cards lean from the vertical, which is the x axis of the base of a horizontal probe."""
 
 
 @dataclass(frozen=True)
@@ -248,82 +247,3 @@ def _press_depth(model: ProbeModel, obj: SceneObject, pressed: Callable[[float],
     while pressed(depth)[0] != "ok":
         depth *= 0.5
     return depth
-
-
-REST_TIME = 5.0
-"""Free time at the start of a cycle [s], for a tare."""
-MOVE_TIME, PRESS_TIME, HOLD_TIME = 1.0, 1.5, 3.0
-"""Durations of the move to the next object, of the press and of the retraction, and of the hold [s]."""
-
-
-@dataclass(frozen=True)
-class BaseMotion:
-    """Cyclic motion of the base: rest, then press, hold and retract for each object.
-
-    Attributes:
-        model: the probe.
-        objects: objects in the order in which they are pressed.
-    """
-
-    model: ProbeModel
-    objects: tuple[PressedObject, ...]
-
-    @property
-    def cycle_time(self) -> float:
-        """Duration of a cycle [s]."""
-        return REST_TIME + len(self.objects) * self._object_time
-
-    @property
-    def _object_time(self) -> float:
-        return MOVE_TIME + 2.0 * PRESS_TIME + HOLD_TIME
-
-    def wrench_sensor(self, time: Array) -> Array:
-        """Return the wrench at the sensor without bias and noise [N, N·m], (n, 6).
-
-        Args:
-            time: time since the motion started [s], (n,).
-        """
-        index, travel, retracting = self._at(time)
-        wrench = np.tile(self._free, (len(time), 1))
-        for i in np.unique(index[index >= 0]):
-            obj = self.objects[i]
-            on, off = (index == i) & ~retracting, (index == i) & retracting
-            wrench[on] = _interpolated(travel[on], obj.travel, obj.wrench_base)
-            wrench[off] = _interpolated(travel[off], obj.travel_back, obj.wrench_back)
-        return self.model.to_sensor(wrench, self.model.gravity_base)
-
-    def p_world_base(self, time: Array) -> Array:
-        """Return the position of the base [m], (n, 3), in a world that coincides with the base at rest.
-
-        The objects are fixed in that world.
-        """
-        index, travel, _ = self._at(time)
-        p = np.zeros((len(time), 3))
-        for i in np.unique(index[index >= 0]):
-            here = index == i
-            p[here] = travel[here, None] * self.objects[i].direction
-        return p
-
-    def _at(self, time: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the index of the object, -1 for none, the travel towards it [m], and whether the base retracts."""
-        since = np.mod(time, self.cycle_time) - REST_TIME
-        index = np.floor(since / self._object_time).astype(int)
-        index = np.where(since < 0.0, -1, np.minimum(index, len(self.objects) - 1))
-        phase = since - index * self._object_time
-        knots = np.cumsum([0.0, MOVE_TIME, PRESS_TIME, HOLD_TIME, PRESS_TIME])
-        share = np.interp(phase, knots, [0.0, 0.0, 1.0, 1.0, 0.0])
-        ends = np.array([obj.travel[-1] for obj in self.objects] + [0.0])  # index -1 selects the last entry
-        return index, share * ends[index], phase > MOVE_TIME + PRESS_TIME + HOLD_TIME
-
-    @cached_property
-    def _free(self) -> Array:
-        return self.model.rod.solve(self.model.gravity_base, mode="reference").wrench_base
-
-
-def _interpolated(at: Array, knots: Array, values: Array) -> Array:
-    """Return rows of values, linear between knots and constant beyond them, (n, 6)."""
-    fraction = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
-    low, high = knots[fraction], knots[fraction + 1]
-    weight = np.clip((at - low) / (high - low), 0.0, 1.0)[:, None]
-    between: Array = (1.0 - weight) * values[fraction] + weight * values[fraction + 1]
-    return between

@@ -10,8 +10,7 @@ import numpy as np
 
 from probedesign.errors import InputError
 from probedesign.live.sources.source import open_source
-from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT
-from probedesign.simulation.transducer import SimulatedTransducer
+from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, SimulatedTransducer
 
 LOAD = np.array([0.05, -0.02, 0.1, 2e-3, 1e-3, -5e-4])
 

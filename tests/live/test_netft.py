@@ -16,8 +16,7 @@ from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.session import drain
 from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
 from probedesign.live.sources.source import open_source
-from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, parse_faults
-from probedesign.simulation.transducer import OFFSET, SimulatedTransducer
+from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
 
 pynetft = pytest.importorskip("pynetft")
@@ -218,7 +217,8 @@ def test_what_is_no_fault(text):
 
 def test_simulate_and_live_meet(bundle, estimator, capsys):
     """The whole way: a scene of the rod, over the wire, tared and located."""
-    from probedesign.simulation.scenes import BaseMotion, press_scene
+    from probedesign.simulation.robot import BaseMotion
+    from probedesign.simulation.scenes import press_scene
 
     things = press_scene(estimator.model, "edges", friction=0.0)[2:]
     motion = BaseMotion(estimator.model, things)
@@ -240,7 +240,8 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
-    from probedesign.simulation.scenes import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion, press_scene
+    from probedesign.simulation.robot import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.scenes import press_scene
 
     model = estimator.model
     things = press_scene(model, "card-house", friction)
@@ -256,14 +257,8 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
 
 def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.simulation.scenes import (
-        HOLD_TIME,
-        MOVE_TIME,
-        PRESS_TIME,
-        REST_TIME,
-        BaseMotion,
-        press_scene,
-    )
+    from probedesign.simulation.robot import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.scenes import press_scene
 
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
     begun = REST_TIME + MOVE_TIME + PRESS_TIME

@@ -17,8 +17,7 @@ from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.session import STALE_TIME, SensorClock
 from probedesign.live.sources.netft.wire import RECORD
 from probedesign.live.sources.source import open_source
-from probedesign.simulation.netft_box import FaultInjector
-from probedesign.simulation.transducer import OFFSET
+from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, box, close, mean_of
 
 pytest.importorskip("pynetft")

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from probedesign.deployment import load_estimator, write_frozen
-from probedesign.simulation.card_house import spots
-from probedesign.simulation.simulated_run import Errors, rehearse
-from probedesign.simulation.simulated_run_files import write_rehearsal
+from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
 from tests.live.conftest import bundle as bundle  # the paper's large probe
 from tests.live.conftest import estimator as estimator
 
@@ -25,10 +24,10 @@ def probe(tmp_path_factory, estimator):
 def house(probe, tmp_path_factory):
     """(rehearsal, folder of its files): the third touch is of the first one's point from another depth."""
     model, rng = load_estimator(probe).model, np.random.default_rng(7)
-    one, two = spots()[9], spots()[6]
-    rehearsal = rehearse(
-        model, (one, two, replace(one, fraction=0.93, again=True)), rng, Errors(friction=0.0)
+    one, two = touch_targets()[9], touch_targets()[6]
+    rehearsal = simulate_run(
+        model, (one, two, replace(one, fraction=0.93, repeated=True)), rng, RunErrors(friction=0.0)
     )
     folder = tmp_path_factory.mktemp("house")
-    write_rehearsal(rehearsal, model, folder, rng)
+    write_run(rehearsal, model, folder, rng)
     return rehearsal, folder

@@ -11,7 +11,7 @@ import trimesh
 from probedesign.cli.main import run
 from probedesign.deployment import write_frozen
 from probedesign.live.poses.pose_file import POSE_COLUMNS
-from probedesign.mapping.contact_map import WITHIN_95
+from probedesign.mapping.contact_map import CHI2_95
 from probedesign.mapping.map_files import COLUMNS
 from probedesign.units import MM
 
@@ -46,7 +46,7 @@ def test_the_points_lie_in_their_ellipsoids(house, found):
     assert list(rows[0]) == list(COLUMNS) and [row["result"] for row in rows] == ["ok", "ok"]
     for row, true in zip(rows, rehearsal.touches, strict=False):
         off = place(row) - true.p_world / MM
-        assert off @ np.linalg.solve(covariance(row), off) < 4.0 * WITHIN_95
+        assert off @ np.linalg.solve(covariance(row), off) < 4.0 * CHI2_95
         assert np.linalg.norm(off) < 2.0
         assert float(row["force_N"]) == pytest.approx(true.force, rel=0.1)  # as well as the bias is known
 
@@ -97,7 +97,7 @@ def test_a_base_that_is_said_to_be_known_makes_smaller_ellipsoids(probe, house, 
     still = ["--tilt-deg", "0", "--clocking-deg", "0", "--base-offset-mm", "0.02"]
     assert run(arguments(probe, house[1], "--json", *still)) == 0
     told = capsys.readouterr()
-    assert "known to 0.02 mm in common and 0.01 mm from pose to pose, tilt 0°, clocking 0°" in told.err
+    assert "0.02 mm common, 0.01 mm per pose, tilt 0°, clocking 0°" in told.err
     for point, row in zip(json.loads(told.out)["points"], found[1], strict=True):
         less = float(row["common_rms_mm"]) ** 2 - point["common_rms_mm"] ** 2
         assert 0.2**2 < less < 0.39**2 * 2.0

@@ -1,4 +1,4 @@
-"""Answers to touches: what is lost and told again while it begins is one touch, and numbers have no gaps."""
+"""Tests of segmentation: a touch lost and detected again at its beginning is one touch, and numbers have no gaps."""
 
 from dataclasses import replace
 
@@ -7,49 +7,51 @@ import numpy as np
 from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import ContactHistory
-from probedesign.mapping.segmentation import AGAIN, Gathering
+from probedesign.mapping.segmentation import REJOIN_TIME, TouchSegmenter
 
 STEP = 0.01
-"""From one answer to the next [s], about as 36 samples of 3500 a second are."""
+"""Interval between estimates [s], about that of means of 36 samples at 3500 Hz."""
 
 
-def told(*stretches):
-    """Series of a base that stands at the origin, from (phase, seconds) one after the other."""
-    contacts, gathering, series, time = ContactHistory(), Gathering(), [], 0.0
+def segments(*phases):
+    """Return the segments of a stationary base, from consecutive (phase, duration [s])."""
+    contacts, segmenter, found, time = ContactHistory(), TouchSegmenter(), [], 0.0
     blank = EstimateUpdate(
         WrenchReading(0.0, np.zeros(6), np.zeros(3)), None, T_world_base=np.eye(4), wrench_base=np.zeros(6)
     )
-    for phase, seconds in stretches:
+    for phase, seconds in phases:
         for _ in range(round(seconds / STEP)):
             time += STEP
             contacts.update(time, phase, None)
-            answer = replace(
+            update = replace(
                 blank, reading=replace(blank.reading, time=time), phase=phase, contacts=contacts.contacts
             )
-            series += gathering.take(answer)
-    return [*series, *gathering.ended()]
+            found += segmenter.update(update)
+    return [*found, *segmenter.finish()]
 
 
-def test_a_touch_that_is_lost_as_it_begins_goes_on():
-    (one,) = told(("free", 2.0), ("touching", 2 * STEP), ("released", 2 * STEP), ("touching", 0.2), ("settled", 1.0),
-                  ("released", AGAIN), ("free", 2.0))  # fmt: skip
-    assert one.number == 1 and abs(one.start - (2.0 + STEP)) < 0.5 * STEP  # when it was told first
-    assert len(one.dwells) == 1 and one.before is not None and one.after is not None
+def test_a_touch_lost_at_its_beginning_continues():
+    (one,) = segments(
+        *[("free", 2.0), ("touching", 2 * STEP), ("released", 2 * STEP), ("touching", 0.2), ("settled", 1.0)],
+        *[("released", REJOIN_TIME), ("free", 2.0)],
+    )
+    assert one.number == 1 and abs(one.start - (2.0 + STEP)) < 0.5 * STEP  # its first detection
+    assert len(one.intervals) == 1 and one.free_before is not None and one.free_after is not None
 
 
-def test_what_is_told_again_later_is_another_touch():
-    """A brush and a touch after it: the brush stays in the list as one that never settled."""
-    brush, touch = told(
-        ("free", 2.0), ("touching", 0.1), ("released", AGAIN), ("touching", 0.2), ("settled", 1.0)
+def test_a_contact_detected_later_is_another_touch():
+    """A brief contact stays in the list as a touch that never settled."""
+    brush, touch = segments(
+        ("free", 2.0), ("touching", 0.1), ("released", REJOIN_TIME), ("touching", 0.2), ("settled", 1.0)
     )
     assert (brush.number, touch.number) == (1, 2)
-    assert brush.dwells == () and len(touch.dwells) == 1
+    assert brush.intervals == () and len(touch.intervals) == 1
 
 
-def test_a_touch_that_was_stood_in_is_over_when_it_is_lost():
-    """Else two points, one touched right after the other, would be taken for one."""
-    first, second = told(
+def test_a_touch_with_a_stationary_interval_ends_when_it_is_lost():
+    """Otherwise two points touched in quick succession would be taken for one."""
+    first, second = segments(
         ("touching", 0.2), ("settled", 0.5), ("released", 2 * STEP), ("touching", 0.2), ("settled", 0.5)
     )
     assert (first.number, second.number) == (1, 2)
-    assert len(first.dwells) == len(second.dwells) == 1
+    assert len(first.intervals) == len(second.intervals) == 1

@@ -9,10 +9,10 @@ from probedesign.errors import InputError
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.mapping.base_pose import Base
-from probedesign.mapping.located import Located
-from probedesign.simulation.card_house import spots
-from probedesign.simulation.simulated_run import Errors, rehearse
+from probedesign.mapping.base_pose import BasePoseUncertainty
+from probedesign.mapping.touch_point import ConditionalPoint
+from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.simulated_run import RunErrors, simulate_run
 from probedesign.units import MM
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -25,17 +25,19 @@ def houses(estimator):
     """(without a turn, with a drawn one), nothing else being off."""
     told = []
     for turn in ((0.0, 0.0, 0.0), tuple(TURN)):
-        errors = Errors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, walk=0.0, turn=turn, friction=0.0)
-        told.append(rehearse(estimator.model, spots()[9:10], np.random.default_rng(2), errors))
+        errors = RunErrors(
+            stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, rotation=turn, friction=0.0
+        )
+        told.append(simulate_run(estimator.model, touch_targets()[9:10], np.random.default_rng(2), errors))
     return told
 
 
 def found(estimator, house, **priors):
     """Fused with the free probe read before and after, as `explore` does, which leaves the bias to the readings."""
     model, (touch,) = estimator.model, house.touches
-    wrenches = np.vstack([house.free, touch.wrenches, house.free])
-    Ts = np.concatenate([touch.Ts_told[:1], touch.Ts_told, touch.Ts_told[-1:]])
-    touched = [False, *[True] * len(touch.wrenches), False]
+    wrenches = np.vstack([house.wrench_free, touch.wrenches_base, house.wrench_free])
+    Ts = np.concatenate([touch.Ts_world_base[:1], touch.Ts_world_base, touch.Ts_world_base[-1:]])
+    touched = [False, *[True] * len(touch.wrenches_base), False]
     readings = tuple(
         Reading(w, model.noise_base(), T, GRAVITY @ T[:3, :3], c)
         for w, T, c in zip(wrenches, Ts, touched, strict=True)
@@ -53,7 +55,7 @@ def found(estimator, house, **priors):
 
 def carried(touch):
     """Derivative of the touched point by a turn of the base about its own axes [m/rad], (3, 3)."""
-    T = touch.Ts_told[0]
+    T = touch.Ts_world_base[0]
     return np.cross(T[:3, :3].T, touch.p_world - T[:3, 3]).T
 
 
@@ -63,7 +65,7 @@ def test_the_point_lies_beside_the_true_one_by_the_turn_about_the_base(estimator
     assert found(estimator, houses[0])[0].x[:3] == pytest.approx(
         still.p_world, abs=0.02 * MM
     )  # the mean of six places
-    assert turned.Ts_told[0][:3, :3] == pytest.approx(still.Ts_told[0][:3, :3])
+    assert turned.Ts_world_base[0][:3, :3] == pytest.approx(still.Ts_world_base[0][:3, :3])
     drawn = np.random.default_rng(2).spawn(1)[0].normal(0.0, TURN)
     by = carried(turned) @ drawn
     assert np.linalg.norm(by) > 0.3 * MM
@@ -74,16 +76,16 @@ def test_the_point_lies_beside_the_true_one_by_the_turn_about_the_base(estimator
 def test_the_turn_is_a_common_error_source(estimator, houses):
     """Given the turn, the point lies where the simulated one does, the sag included, to a twentieth and 0.01 mm."""
     best, state = found(estimator, houses[0], tilt_deg=0.2, clocking_deg=0.5)
-    located = Located.of(state, np.zeros((3, 3)))
+    located = ConditionalPoint.from_fusion(state, np.zeros((3, 3)))
     columns = [i for i, name in enumerate(located.names) if name in ("base tilt", "clocking")]
     drawn = np.random.default_rng(2).spawn(1)[0].normal(0.0, TURN)
-    moved = located.B[:, columns] @ (drawn / np.radians([0.2, 0.2, 0.5]))
+    moved = located.sensitivity[:, columns] @ (drawn / np.radians([0.2, 0.2, 0.5]))
     off = houses[1].touches[0].p_world - found(estimator, houses[1])[0].x[:3]
     assert np.linalg.norm(off - moved) < 0.05 * np.linalg.norm(off) + 0.01 * MM
     # The parts are those of the fusion: with the unit priors put back they give its point and covariance.
-    cov = np.linalg.inv(np.eye(len(located.vector)) + located.information)
-    assert located.at(cov @ located.vector) == pytest.approx(best.x[:3], abs=1e-9)
-    assert located.cov(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
+    cov = np.linalg.inv(np.eye(len(located.information_vector)) + located.information)
+    assert located.position(cov @ located.information_vector) == pytest.approx(best.x[:3], abs=1e-9)
+    assert located.covariance(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
 
 
 def test_where_the_base_goes_is_taught_by_feel(houses):
@@ -93,9 +95,11 @@ def test_where_the_base_goes_is_taught_by_feel(houses):
 
 
 def test_what_is_said_of_the_base(estimator):
-    base = Base.of(estimator.model)
-    assert base == Base(0.05, 0.01, 0.2, 0.5) and base.turn == pytest.approx(np.radians([0.2, 0.2, 0.5]))
-    priors = Base(0.3, 0.02).priors(estimator.priors)
+    base = BasePoseUncertainty.from_model(estimator.model)
+    assert base == BasePoseUncertainty(0.05, 0.01, 0.2, 0.5) and base.rotation_std == pytest.approx(
+        np.radians([0.2, 0.2, 0.5])
+    )
+    priors = BasePoseUncertainty(0.3, 0.02).apply_to(estimator.priors)
     assert (priors.base_mm, priors.robot_mm, priors.gain) == (0.3, 0.02, estimator.priors.gain)
     with pytest.raises(InputError, match="--clocking-deg 11"):
-        Base(clocking_deg=11.0)
+        BasePoseUncertainty(clocking_deg=11.0)
