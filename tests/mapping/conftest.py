@@ -1,4 +1,4 @@
-"""A rehearsed run of two points of the card house, one of them touched twice, as files."""
+"""A simulated run of two points of the card house, one of them touched twice, as files."""
 
 from dataclasses import replace
 
@@ -22,12 +22,12 @@ def probe(tmp_path_factory, estimator):
 
 @pytest.fixture(scope="session")
 def house(probe, tmp_path_factory):
-    """(rehearsal, folder of its files): the third touch is of the first one's point from another depth."""
+    """Return a simulated run and its folder: the third touch is of the first point, from another depth."""
     model, rng = load_estimator(probe).model, np.random.default_rng(7)
     one, two = touch_targets()[9], touch_targets()[6]
-    rehearsal = simulate_run(
+    simulated = simulate_run(
         model, (one, two, replace(one, fraction=0.93, repeated=True)), rng, RunErrors(friction=0.0)
     )
     folder = tmp_path_factory.mktemp("house")
-    write_run(rehearsal, model, folder, rng)
-    return rehearsal, folder
+    write_run(simulated, model, folder, rng)
+    return simulated, folder

@@ -1,4 +1,4 @@
-"""A base that is turned by more than its poses say: where its points come to lie."""
+"""Tests of located touches of a base with a rotation error that its poses do not contain."""
 
 from dataclasses import replace
 
@@ -17,23 +17,23 @@ from probedesign.units import MM
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TURN = np.radians([0.4, 0.4, 1.0])
-"""Two standard deviations of what tolerances assume."""
+"""Two standard deviations of the assumed tolerances."""
 
 
 @pytest.fixture(scope="module")
 def houses(estimator):
-    """(without a turn, with a drawn one), nothing else being off."""
-    told = []
+    """Return runs without and with a rotation error, without any other error."""
+    runs = []
     for turn in ((0.0, 0.0, 0.0), tuple(TURN)):
         errors = RunErrors(
             stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, rotation=turn, friction=0.0
         )
-        told.append(simulate_run(estimator.model, touch_targets()[9:10], np.random.default_rng(2), errors))
-    return told
+        runs.append(simulate_run(estimator.model, touch_targets()[9:10], np.random.default_rng(2), errors))
+    return runs
 
 
 def found(estimator, house, **priors):
-    """Fused with the free probe read before and after, as `explore` does, which leaves the bias to the readings."""
+    """Return the fusion with readings of the free probe before and after, which determine the bias, as in `explore`."""
     model, (touch,) = estimator.model, house.touches
     wrenches = np.vstack([house.wrench_free, touch.wrenches_base, house.wrench_free])
     Ts = np.concatenate([touch.Ts_world_base[:1], touch.Ts_world_base, touch.Ts_world_base[-1:]])
@@ -54,13 +54,13 @@ def found(estimator, house, **priors):
 
 
 def carried(touch):
-    """Derivative of the touched point by a turn of the base about its own axes [m/rad], (3, 3)."""
+    """Return the derivative of the touched point by a rotation of the base about its axes [m/rad], (3, 3)."""
     T = touch.Ts_world_base[0]
     return np.cross(T[:3, :3].T, touch.p_world - T[:3, 3]).T
 
 
-def test_the_point_lies_beside_the_true_one_by_the_turn_about_the_base(estimator, houses):
-    """But for the sag: the probe hangs down however its base is turned, so its sag is not carried along. A tenth."""
+def test_a_rotation_error_rotates_the_point_about_the_base(estimator, houses):
+    """Up to the sag, a tenth: gravity acts downwards for any rotation, so the sag is not rotated."""
     (still,), (turned,) = (house.touches for house in houses)
     assert found(estimator, houses[0])[0].x[:3] == pytest.approx(
         still.p_world, abs=0.02 * MM
@@ -73,8 +73,8 @@ def test_the_point_lies_beside_the_true_one_by_the_turn_about_the_base(estimator
     assert np.linalg.norm(off - by) < 0.1 * np.linalg.norm(by) + 0.02 * MM
 
 
-def test_the_turn_is_a_common_error_source(estimator, houses):
-    """Given the turn, the point lies where the simulated one does, the sag included, to a twentieth and 0.01 mm."""
+def test_the_rotation_is_a_common_error_source(estimator, houses):
+    """Given the rotation, the point agrees with the simulated one, sag included, to a twentieth and 0.01 mm."""
     best, state = found(estimator, houses[0], tilt_deg=0.2, clocking_deg=0.5)
     located = ConditionalPoint.from_fusion(state, np.zeros((3, 3)))
     columns = [i for i, name in enumerate(located.names) if name in ("base tilt", "clocking")]
@@ -88,13 +88,13 @@ def test_the_turn_is_a_common_error_source(estimator, houses):
     assert located.covariance(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
 
 
-def test_where_the_base_goes_is_taught_by_feel(houses):
-    """So a turn changes the force only as it changes the way of the push across the probe: by a hundredth."""
+def test_the_robot_is_taught_by_feel(houses):
+    """A rotation changes the force only through the direction of the push relative to the probe: by a hundredth."""
     (still,), (turned,) = (house.touches for house in houses)
     assert turned.force == pytest.approx(still.force, rel=0.02)
 
 
-def test_what_is_said_of_the_base(estimator):
+def test_the_base_uncertainty_replaces_that_of_the_tolerances(estimator):
     base = BasePoseUncertainty.from_model(estimator.model)
     assert base == BasePoseUncertainty(0.05, 0.01, 0.2, 0.5) and base.rotation_std == pytest.approx(
         np.radians([0.2, 0.2, 0.5])
