@@ -28,13 +28,12 @@ from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.exploring.base import Base
-from probedesign.exploring.card_house import card_house, spots
-from probedesign.exploring.cloud import WITHIN_95
-from probedesign.exploring.rehearsal import Errors, Rehearsal, rehearse
-from probedesign.exploring.rehearsal_files import write_rehearsal
 from probedesign.frames import Array
+from probedesign.mapping.base_pose import BasePoseUncertainty
+from probedesign.mapping.contact_map import CHI2_95
 from probedesign.rod.friction import ASSUMED_FRICTION
+from probedesign.simulation.card_house import card_house, touch_targets
+from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
 from probedesign.units import MILLINEWTON, MM
 
 COMMANDS, HOUSES = 3, 20
@@ -69,10 +68,10 @@ class Found:
 def report() -> None:
     """Print what is reached, and draw the first house."""
     model = replace(paper_models()["large"], stiffness_spread=0.01)
-    turned = Errors.of(model, Base(), FRICTION)
+    turned = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION)
     houses = list(islice(_houses(model), HOUSES))
     runs = [_through_command(model, house, seed, STILL) for seed, house in enumerate(houses[:COMMANDS])]
-    turns = [_through_command(model, rehearse(model, spots(), np.random.default_rng(seed), turned), seed)
+    turns = [_through_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), turned), seed)
              for seed in range(COMMANDS)]  # fmt: skip
     fused = [_through_fuse(model, house, np.random.default_rng(100 + i)) for i, house in enumerate(houses)]
     ways = {"command, points": runs, "command, base turned": turns, "fuse, single touches": fused}
@@ -85,7 +84,7 @@ def report() -> None:
         "median",
         "worst",
     ]
-    title = f"Card house, {len(spots())} touches of 25 points a run, errors in mm"
+    title = f"Card house, {len(touch_targets())} touches of 25 points a run, errors in mm"
     print_table(title, head, [[way, *_errors(found)] for way, found in ways.items()])
     print_table("Do the ellipsoids come true?",
                 ["way", "in the 95 % ellipsoid", "95 % interval of that", "mean χ², 3 is right", "stated RMS [mm]",
@@ -97,23 +96,28 @@ def report() -> None:
                 [[f"{max(t.force for t in touches) / MILLINEWTON:.2f} mN",
                   f"{1e3 * max(t.moment for t in touches):.2f} N·mm",
                   f"{min(t.clearance for t in touches) / MM:.2f} mm"]])  # fmt: skip
-    cards, meant = [card.corners / MM for card in card_house()], [spot.p_world / MM for spot in spots()]
+    cards, meant = (
+        [card.corners / MM for card in card_house()],
+        [target.p_world / MM for target in touch_targets()],
+    )
     draw_card_house(cards, runs[0].rows, np.array(meant))
 
 
-def _houses(model: ProbeModel) -> Iterator[Rehearsal]:
+def _houses(model: ProbeModel) -> Iterator[SimulatedRun]:
     """Houses touched, without those whose base is so far off that it misses an edge."""
     for seed in count():
         with suppress(InputError):
-            yield rehearse(model, spots(), np.random.default_rng(seed), Errors(friction=FRICTION))
+            yield simulate_run(
+                model, touch_targets(), np.random.default_rng(seed), RunErrors(friction=FRICTION)
+            )
 
 
-def _through_command(model: ProbeModel, house: Rehearsal, seed: int, known: Sequence[str] = ()) -> Found:
+def _through_command(model: ProbeModel, house: SimulatedRun, seed: int, known: Sequence[str] = ()) -> Found:
     """All points; `known` are the options that say how well the base is known."""
     with tempfile.TemporaryDirectory() as folder:
         at = Path(folder)
         write_frozen(model, at / "large.probe.json")
-        write_rehearsal(house, model, at, np.random.default_rng(1000 + seed))
+        write_run(house, model, at, np.random.default_rng(1000 + seed))
         _run(["explore", f"{at}/large.probe.json", f"{at}/house.mcap", "--pose", f"{at}/poses.csv",
               "--tare-s", "0.5:3.5", "--average", "36", "--out", f"{at}/found", *known])  # fmt: skip
         with (at / "found/points.csv").open(encoding="utf-8") as file:
@@ -124,7 +128,7 @@ def _through_command(model: ProbeModel, house: Rehearsal, seed: int, known: Sequ
     times = [float(row["time_s"]) for row in found]
     truth, starts = np.array([t.p_world for t in house.touches]) / MM, [t.start for t in house.touches]
     nearest = [int(np.argmin(np.abs(np.array(starts) - time))) for time in times]
-    missing = max(sum(not t.spot.again for t in house.touches) - len(found), 0)
+    missing = max(sum(not t.target.repeated for t in house.touches) - len(found), 0)
     return _compared(rows, truth[nearest], missing)
 
 
@@ -144,18 +148,18 @@ def _run(arguments: list[str]) -> None:
         raise InputError(f"probedesign {' '.join(arguments)}: {told.getvalue()}")
 
 
-def _through_fuse(model: ProbeModel, house: Rehearsal, rng: np.random.Generator) -> Found:
+def _through_fuse(model: ProbeModel, house: SimulatedRun, rng: np.random.Generator) -> Found:
     """All touches, each by itself, with a free reading before and after it."""
     estimator, rows, truth = Estimator(model), list[Array](), list[Array]()
     priors = replace(Tolerances.of(model), drift_steps=10.0)
     step = model.noise_base() * model.averaging_samples
     for touch in house.touches:
-        wrenches = np.vstack([house.free, touch.wrenches, house.free])
+        wrenches = np.vstack([house.wrench_free, touch.wrenches_base, house.wrench_free])
         k = len(wrenches)
         read = wrenches + rng.multivariate_normal(np.zeros(6), model.noise_base() / READINGS, k)
         read += rng.multivariate_normal(np.zeros(6), priors.walk_steps**2 * step, k).cumsum(axis=0)
-        Ts = np.concatenate([touch.Ts_told[:1], touch.Ts_told, touch.Ts_told[-1:]])
-        touched = [False, *[True] * len(touch.wrenches), False]
+        Ts = np.concatenate([touch.Ts_world_base[:1], touch.Ts_world_base, touch.Ts_world_base[-1:]])
+        touched = [False, *[True] * len(touch.wrenches_base), False]
         answer = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched, priors=priors)
         if answer.ok:
             cov = answer.cov_surface_world[np.triu_indices(3)] / MM**2
@@ -177,7 +181,7 @@ def _honesty(found: Sequence[Found]) -> list[str]:
     chi2, off = (np.concatenate([getattr(one, name) for one in found]) for name in ("chi2", "off"))
     rows, located = np.concatenate([one.rows for one in found]), np.isfinite(chi2)
     stated = float(np.sqrt(rows[:, [3, 6, 8]].sum(axis=1).mean()))
-    return [*_share(int((chi2[located] <= WITHIN_95).sum()), int(located.sum())), f"{chi2[located].mean():.2f}",
+    return [*_share(int((chi2[located] <= CHI2_95).sum()), int(located.sum())), f"{chi2[located].mean():.2f}",
             f"{stated:.2f}", f"{float(np.sqrt((off[located] ** 2).mean())):.2f}"]  # fmt: skip
 
 

@@ -21,7 +21,6 @@ from benchmarks.timing import print_table
 from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.netft_box.box import FAULT_DURATION
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup
 from probedesign.live.processing.blocks import Block
@@ -33,6 +32,7 @@ from probedesign.live.sources.netft.source import NetFTSource
 from probedesign.live.sources.source import open_source
 from probedesign.live.view.browser_view import BrowserView
 from probedesign.probe import build_probe
+from probedesign.simulation.netft_box import FAULT_DURATION
 
 MINUTES = 1.0 / 3.0
 AVERAGE = 36

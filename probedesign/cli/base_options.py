@@ -8,8 +8,8 @@ from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.exploring.base import Base
     from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.mapping.base_pose import BasePoseUncertainty
 
 
 @Parameter(name="*")
@@ -33,16 +33,19 @@ class BaseOptions:
     clocking_deg: float | None = None
     """Of the base about its z axis; unless said, the design's, else 0.5 (assumed)."""
 
-    def base(self, model: "ProbeModel") -> "Base":
+    def base(self, model: "ProbeModel") -> "BasePoseUncertainty":
         """How well the base's pose is known.
 
         Raises:
             InputError: a value makes no sense.
         """
-        from probedesign.exploring.base import Base
+        from probedesign.mapping.base_pose import BasePoseUncertainty
 
-        said = {entry.name: getattr(self, entry.name) for entry in fields(Base)}
-        return replace(Base.of(model), **{name: value for name, value in said.items() if value is not None})
+        said = {entry.name: getattr(self, entry.name) for entry in fields(BasePoseUncertainty)}
+        return replace(
+            BasePoseUncertainty.from_model(model),
+            **{name: value for name, value in said.items() if value is not None},
+        )
 
     def poses(self, say: Callable[[str], None]) -> "BasePoses | None":
         """The poses; None if there are to be none.

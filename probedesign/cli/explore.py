@@ -17,11 +17,11 @@ from probedesign.cli.rehearsal_options import RehearsalOptions
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
-    from probedesign.exploring.explore import Exploration
     from probedesign.frames import Array
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
     from probedesign.live.sources.source import Source
+    from probedesign.mapping.explore import Exploration
 
 
 def explore(
@@ -55,28 +55,28 @@ def explore(
         as_json: print one JSON document: the points and all that is to know of them.
     """
     from probedesign.deployment import load_estimator, load_model
-    from probedesign.exploring.explore import Exploration, check_apart
-    from probedesign.exploring.scene import Scene
+    from probedesign.mapping.explore import Exploration, parse_min_separation
+    from probedesign.reports.map_picture import MapScene
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearsal is not None and rehearsal.rehearse is not None:
         model = load_model(bundle, manifest)
         written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
         return print(f"wrote {', '.join(map(str, written))}")
-    plan, apart = reading.plan(recording), check_apart(apart_mm)
+    plan, apart = reading.plan(recording), parse_min_separation(apart_mm)
     if out is not None:
         check_out(out, force)
     estimator = load_estimator(bundle, manifest)
     model, known = estimator.model, base.base(estimator.model)
     opened, poses = _opened(estimator, recording, reading, base)
-    for note in (opened.title, *opened.notes, poses.title, *poses.notes, known.line):
+    for note in (opened.title, *opened.notes, poses.title, *poses.notes, known.notice):
         _say(note)
-    exploration = Exploration(estimator, known.priors(estimator.priors), apart)
+    exploration = Exploration(estimator, known.apply_to(estimator.priors), apart)
     _run(exploration, opened, plan, poses, tells=recording is None)
-    cloud, probe = exploration.cloud(), f"{model.name} {model.fingerprint}"
+    cloud, probe = exploration.map(), f"{model.name} {model.fingerprint}"
     if out is not None:
-        about = [opened.title, f"probe {probe}", summary(cloud), known.short]
-        write_cloud(out, Scene(cloud, _truth(opened)), probe, about)
+        about = [opened.title, f"probe {probe}", summary(cloud), known.summary]
+        write_cloud(out, MapScene(cloud, _truth(opened)), probe, about)
     print_cloud(cloud, out, as_json)
 
 
@@ -84,8 +84,8 @@ def _opened(
     estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions
 ) -> "tuple[Source, BasePoses]":
     """Readings and poses, and everything compiled before the first is read."""
-    from probedesign.exploring.explore import check_poses
     from probedesign.live.run import warm_up
+    from probedesign.mapping.explore import check_poses
 
     poses = check_poses(base.poses(_say), None)
     with working("loading the rod kernels"):
@@ -108,20 +108,20 @@ def _run(
     with ending_well(), suppress(KeyboardInterrupt):
         for touch in exploration.run(opened, plan, poses, _say):
             if tells:
-                _say(f"touch {touch.series.number} is over: {touch.result}")
-    if exploration.placeless:
+                _say(f"touch {touch.segment.number} is over: {touch.result}")
+    if exploration.n_without_pose:
         _say(
-            f"{exploration.placeless} of {exploration.readings} readings have no pose of the base and count for nothing"
+            f"{exploration.n_without_pose} of {exploration.n_readings} readings have no base pose and are ignored"
         )
 
 
 def _truth(opened: "Source") -> "tuple[Array, ...]":
     """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
-    from probedesign.exploring.card_house import true_outlines
-    from probedesign.exploring.explore import Played
     from probedesign.live.sources.replay import ReplaySource
+    from probedesign.mapping.explore import LoadedRecording
+    from probedesign.simulation.card_house import true_outlines
 
-    return true_outlines(opened.recorded_from) if isinstance(opened, Played | ReplaySource) else ()
+    return true_outlines(opened.recorded_from) if isinstance(opened, LoadedRecording | ReplaySource) else ()
 
 
 def _say(note: str) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.exploring.scene import Scene
+    from probedesign.reports.map_picture import MapScene
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg")
 
@@ -27,7 +27,7 @@ def check_out(out: Path, force: bool) -> None:
         raise InputError(f"{out}/{standing[0]}: exists; say --force to replace it, or name another folder")
 
 
-def write_cloud(out: Path, scene: "Scene", probe: str, about: list[str]) -> None:
+def write_cloud(out: Path, scene: "MapScene", probe: str, about: list[str]) -> None:
     """Write all files.
 
     Args:
@@ -36,15 +36,14 @@ def write_cloud(out: Path, scene: "Scene", probe: str, about: list[str]) -> None
         probe: its name and fingerprint.
         about: lines that say what it was found from.
     """
-    from probedesign.exploring.page import page_of
-    from probedesign.exploring.picture import svg_of
-    from probedesign.exploring.ply import ply_of
-    from probedesign.exploring.table import csv_of
     from probedesign.files import write_atomically
+    from probedesign.mapping.map_files import map_csv, map_ply
+    from probedesign.reports.map_page import map_page
+    from probedesign.reports.map_picture import map_svg
 
     about = [*about, "Ellipsoids hold the true point in 95 of 100 cases, as far as stiffness, base, robot and bias are "
              "known as well as said; ± is the RMS distance."]  # fmt: skip
-    contents = (csv_of(scene.cloud), ply_of(scene.cloud, f"probedesign explore, probe {probe}"),
-                page_of(scene, "Points touched", about), svg_of(scene))  # fmt: skip
+    contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, f"probedesign explore, probe {probe}"),
+                map_page(scene, "Points touched", about), map_svg(scene))  # fmt: skip
     for name, content in zip(FILES, contents, strict=True):
         write_atomically(out / name, content)

@@ -7,10 +7,10 @@ from probedesign.cli.explored_files import FILES
 from probedesign.cli.output import counted, print_json
 
 if TYPE_CHECKING:
-    from probedesign.exploring.cloud import Cloud
+    from probedesign.mapping.contact_map import ContactMap
 
 
-def print_cloud(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
+def print_cloud(cloud: "ContactMap", out: Path | None, as_json: bool) -> None:
     """One JSON document, or a line a point and a summary.
 
     Args:
@@ -18,16 +18,16 @@ def print_cloud(cloud: "Cloud", out: Path | None, as_json: bool) -> None:
         out: the folder that it was written to, if it was.
         as_json: print the document.
     """
-    from probedesign.exploring.table import document_of, lines_of
+    from probedesign.mapping.map_files import map_document, map_lines
 
     if as_json:
-        print_json(document_of(cloud))
+        print_json(map_document(cloud))
         return
-    print("\n".join(lines_of(cloud)) or "no touch")
+    print("\n".join(map_lines(cloud)) or "no touch")
     print(summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
 
 
-def summary(cloud: "Cloud") -> str:
+def summary(cloud: "ContactMap") -> str:
     """How many points by how many touches, and the stiffness by them."""
     located, lost = sum(len(point.touches) for point in cloud.points), len(cloud.unlocated)
     by = f"{located}{f' of {located + lost}' if lost else ''} touch{'' if located + lost == 1 else 'es'}"

@@ -65,13 +65,13 @@ class ReadingOptions:
         Raises:
             InputError: it is not.
         """
-        from probedesign.exploring.explore import check_poses, play
         from probedesign.live.sources.replay import RecordingOptions
         from probedesign.live.sources.source import open_source
+        from probedesign.mapping.explore import check_poses, load_recording
 
         if recording is None:
             return open_source(str(self.source), model, say)
         choice = RecordingOptions(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
-        played = play(recording, model, self.mend, choice)
+        played = load_recording(recording, model, self.mend, choice)
         check_poses(poses, played.span)
         return played

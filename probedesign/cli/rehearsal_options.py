@@ -11,7 +11,7 @@ from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.exploring.base import Base
+    from probedesign.mapping.base_pose import BasePoseUncertainty
 
 
 @Parameter(name="*")
@@ -28,7 +28,9 @@ class RehearsalOptions:
     friction_spread: float = 0.2
     """Standard deviation of its logarithm from touch to touch."""
 
-    def write(self, folder: Path, model: "ProbeModel", base: "Base", force: bool) -> tuple[Path, ...]:
+    def write(
+        self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool
+    ) -> tuple[Path, ...]:
         """Make the run up and write its files.
 
         Raises:
@@ -36,10 +38,9 @@ class RehearsalOptions:
         """
         import numpy as np
 
-        from probedesign.exploring.card_house import spots
-        from probedesign.exploring.rehearsal import Errors, rehearse
-        from probedesign.exploring.rehearsal_files import write_rehearsal
         from probedesign.rod.friction import MAX_FRICTION
+        from probedesign.simulation.card_house import touch_targets
+        from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
@@ -49,5 +50,10 @@ class RehearsalOptions:
             raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
         rng = np.random.default_rng(self.seed)
         with working("touching a card house"):
-            house = rehearse(model, spots(), rng, Errors.of(model, base, self.friction, self.friction_spread))
-            return write_rehearsal(house, model, folder, rng, force)
+            house = simulate_run(
+                model,
+                touch_targets(),
+                rng,
+                RunErrors.from_priors(model, base, self.friction, self.friction_spread),
+            )
+            return write_run(house, model, folder, rng, force)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.netft_box.scene import PressedObject
     from probedesign.live.sources.netft.configuration import NetFTConfiguration
+    from probedesign.simulation.scenes import PressedObject
 
 FOREVER = 1e8
 """Three years [s]."""
@@ -59,10 +59,8 @@ def simulate(
     from contextlib import ExitStack
 
     from probedesign.deployment import load_estimator
-    from probedesign.live.netft_box.box import SimulatedNetFT, parse_faults
-    from probedesign.live.netft_box.robot import SimulatedRobot
-    from probedesign.live.netft_box.scene import BaseMotion
-    from probedesign.live.netft_box.transducer import SimulatedTransducer
+    from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
+    from probedesign.simulation.robot import BaseMotion, SimulatedRobot
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
@@ -92,8 +90,8 @@ def _configuration(
         InputError: one makes no sense.
     """
     from probedesign.errors import InputError
-    from probedesign.live.netft_box.box import NATIVE
     from probedesign.live.sources.netft.wire import MAX_RECORDS, SAMPLES_PER_SECOND
+    from probedesign.simulation.netft_box import NATIVE
 
     parts = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0
     if not parts >= 1.0 or abs(parts - round(parts)) > 1e-3 * parts:
@@ -113,7 +111,7 @@ def _pressed(
 ) -> "tuple[PressedObject, ...]":
     """The scene's objects, with what the probe reads of each; on a terminal whoever waits is told for what."""
     from probedesign.cli.output import working
-    from probedesign.live.netft_box.scene import press_scene
+    from probedesign.simulation.scenes import press_scene
 
     with working(f"solving the presses of --scene {scene}"):
         return press_scene(model, scene, friction, spread, seed)

@@ -21,9 +21,9 @@ from probedesign.live.processing.blocks import Block, limit_duration
 from probedesign.live.processing.chain import Chain
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
-from probedesign.live.sources.sim import safe_force
 from probedesign.live.sources.source import Source
 from probedesign.rod.contact import solve_frictionless
+from probedesign.simulation.rod_contact import safe_force
 
 
 def estimate_stream(

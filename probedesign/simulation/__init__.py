@@ -1,1 +1,1 @@
-"""Simulation of what a laboratory measures of a probe whose ground truth is known."""
+"""Simulation of sensors, robots, cameras and campaigns for a probe whose ground truth is known."""

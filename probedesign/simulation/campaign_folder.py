@@ -17,6 +17,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
+from probedesign.simulation.sensor_noise import reading_std
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
 from probedesign.units import MM
 
@@ -206,7 +207,7 @@ def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
 def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
     """Return the text of `wrenches.csv`: readings with noise and, between tests, drift of the bias."""
     model, tolerances = truth.model, Tolerances.of(truth.model)
-    std = np.repeat([model.noise.force, model.noise.moment], 3)
+    std = reading_std(model)
     drift = 0.0 if truth.plan.exact else tolerances.drift_steps * math.sqrt(model.averaging_samples)
     rows = ["# frame: sensor", "test,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"]
     for k, test in enumerate(tests):

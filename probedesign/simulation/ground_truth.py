@@ -9,17 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.errors import InputError
 from probedesign.estimation.error_sources import parameters_of, turns_of
-from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frames import Array, pose, wrench_map
 from probedesign.prediction.print_samples import perturbed_rod
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
+from probedesign.simulation.rod_contact import solve_contact
 from probedesign.units import MM
 
 CampaignKind = Literal["cameras", "stage"]
@@ -249,35 +248,26 @@ class GroundTruth:
         return self._test(name, eq, None, "", np.array([0.0, 0.0, -newtons]))
 
     def _touched(self, name: str, fraction: float, newtons: float, direction: str) -> SimulatedTest:
-        """Return a touch, halved until the probe is stable, with its own friction if the plan has any."""
-        if self.plan.friction > 0.0:
-            return self._touched_with_friction(name, fraction, newtons, direction)
-        s = fraction * self.rod.length
-        for _ in range(MAX_HALVINGS):
-            found = solve_frictionless(self.rod, self.gravity_base, s, DIRECTIONS[direction], newtons)
-            if found.result == "ok":
-                break
-            newtons /= 2.0
-        eq = found.equilibrium
-        return self._test(name, eq, surface_point(self.rod, eq) if eq.ok else None, direction, None)
+        """Return a touch, halved until the probe is stable.
 
-    def _touched_with_friction(
-        self, name: str, fraction: float, newtons: float, direction: str
-    ) -> SimulatedTest:
-        """Return a touch within Coulomb's cone, its tangential force uniform in the circle of radius μ F_n."""
-        rng = np.random.default_rng([self.plan.seed, 2, int(name.rsplit("-", 1)[1])])
-        mu = draw_friction(self.plan.friction, self.plan.friction_spread, rng)
-        size, turn = mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
-        along = (size * math.cos(turn), size * math.sin(turn))
-        s, angle = fraction * self.rod.length, DIRECTIONS[direction] + math.pi  # opposite to its push
+        With friction the force lies within Coulomb's cone, its tangential part uniform in the circle of radius μ F_n.
+        """
+        ratios, size = None, 0.0
+        if self.plan.friction > 0.0:
+            rng = np.random.default_rng([self.plan.seed, 2, int(name.rsplit("-", 1)[1])])
+            mu = draw_friction(self.plan.friction, self.plan.friction_spread, rng)
+            size, turn = mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
+            ratios = (size * math.cos(turn), size * math.sin(turn))
+        s, angle = fraction * self.rod.length, DIRECTIONS[direction]
         for _ in range(MAX_HALVINGS):
-            found = solve_surface_force(self.rod, self.gravity_base, s, angle, newtons, along)
+            found = solve_contact(self.rod, self.gravity_base, s, angle, newtons, ratios)
             if found.result == "ok":
                 break
             newtons /= 2.0
-        eq, point = found.equilibrium, found.p_surface_base
-        axis = line_of_action(self.rod, eq, point) if eq.ok else s
-        return self._test(name, eq, point if eq.ok else None, direction, None, axis, size)
+        eq, ok = found.equilibrium, found.equilibrium.ok
+        return self._test(
+            name, eq, found.p_surface_base if ok else None, direction, None, found.s_contact, size
+        )
 
     def _test(
         self,

@@ -9,9 +9,8 @@ import time
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.live.netft_box.box import NATIVE, SimulatedNetFT
-from probedesign.live.netft_box.transducer import SimulatedTransducer
 from probedesign.live.sources.source import open_source
+from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, SimulatedTransducer
 
 LOAD = np.array([0.05, -0.02, 0.1, 2e-3, 1e-3, -5e-4])
 

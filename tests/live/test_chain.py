@@ -8,9 +8,6 @@ import pytest
 from probedesign.errors import InputError
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.frames import pose
-from probedesign.live.netft_box import scene
-from probedesign.live.netft_box.robot import SimulatedRobot
-from probedesign.live.netft_box.scene import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.listener import PoseListener
 from probedesign.live.poses.open_poses import open_poses
@@ -25,6 +22,15 @@ from probedesign.live.processing.touches import SPAN
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import ReplaySource
+from probedesign.simulation import scenes
+from probedesign.simulation.robot import (
+    HOLD_TIME,
+    MOVE_TIME,
+    PRESS_TIME,
+    REST_TIME,
+    BaseMotion,
+    SimulatedRobot,
+)
 
 RATE, SAMPLES = 500.0, 5
 """Of single samples [Hz], and to a mean: a hundred means a second."""
@@ -36,8 +42,8 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 def motion(estimator):
     """Rest, onto one edge at 0.6 of the length, hold, off it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(scene.SCENES, "edge", (scene.SceneObject("edge", 0.6, 0.0),))
-        return BaseMotion(estimator.model, scene.press_scene(estimator.model, "edge", friction=0.0))
+        patch.setitem(scenes.SCENES, "edge", (scenes.SceneObject("edge", 0.6, 0.0),))
+        return BaseMotion(estimator.model, scenes.press_scene(estimator.model, "edge", friction=0.0))
 
 
 def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):

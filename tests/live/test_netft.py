@@ -12,12 +12,11 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.errors import InputError
-from probedesign.live.netft_box.box import NATIVE, SimulatedNetFT, parse_faults
-from probedesign.live.netft_box.transducer import OFFSET, SimulatedTransducer
 from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.session import drain
 from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
 from probedesign.live.sources.source import open_source
+from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
 
 pynetft = pytest.importorskip("pynetft")
@@ -148,7 +147,7 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
     ],
 )
 def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
-    monkeypatch.setattr("probedesign.live.netft_box.box.configuration_page", lambda configuration: page)
+    monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: page)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
     assert told in str(error.value)
@@ -167,12 +166,12 @@ def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
     ],
 )
 def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
-    from probedesign.live.netft_box.box import configuration_page
+    from probedesign.simulation.netft_box import configuration_page
 
     wrong = re.sub(
         rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), configuration_page(NATIVE)
     )
-    monkeypatch.setattr("probedesign.live.netft_box.box.configuration_page", lambda configuration: wrong)
+    monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: wrong)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
     assert told in str(error.value)
@@ -218,7 +217,8 @@ def test_what_is_no_fault(text):
 
 def test_simulate_and_live_meet(bundle, estimator, capsys):
     """The whole way: a scene of the rod, over the wire, tared and located."""
-    from probedesign.live.netft_box.scene import BaseMotion, press_scene
+    from probedesign.simulation.robot import BaseMotion
+    from probedesign.simulation.scenes import press_scene
 
     things = press_scene(estimator.model, "edges", friction=0.0)[2:]
     motion = BaseMotion(estimator.model, things)
@@ -240,7 +240,8 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
-    from probedesign.live.netft_box.scene import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion, press_scene
+    from probedesign.simulation.robot import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.scenes import press_scene
 
     model = estimator.model
     things = press_scene(model, "card-house", friction)
@@ -256,14 +257,8 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
 
 def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.live.netft_box.scene import (
-        HOLD_TIME,
-        MOVE_TIME,
-        PRESS_TIME,
-        REST_TIME,
-        BaseMotion,
-        press_scene,
-    )
+    from probedesign.simulation.robot import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.scenes import press_scene
 
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
     begun = REST_TIME + MOVE_TIME + PRESS_TIME
@@ -278,7 +273,7 @@ def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
 
 
 def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator):
-    from probedesign.live.netft_box.scene import press_scene
+    from probedesign.simulation.scenes import press_scene
 
     drawn = [
         [thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)]

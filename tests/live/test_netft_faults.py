@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from probedesign.errors import MissingDependencyError
-from probedesign.live.netft_box.box import FaultInjector
-from probedesign.live.netft_box.transducer import OFFSET
 from probedesign.live.processing.blocks import Block, averaged
 from probedesign.live.processing.estimates import locate
 from probedesign.live.processing.scheduler import ProcessingOptions
@@ -19,6 +17,7 @@ from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.session import STALE_TIME, SensorClock
 from probedesign.live.sources.netft.wire import RECORD
 from probedesign.live.sources.source import open_source
+from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, box, close, mean_of
 
 pytest.importorskip("pynetft")

@@ -6,7 +6,6 @@ from collections.abc import Generator, Iterator
 import numpy as np
 
 from probedesign.errors import InputError
-from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
 from probedesign.frames import Array
 from probedesign.live.processing.blocks import (
@@ -24,9 +23,9 @@ from probedesign.live.sources.parameters import (
     SourceParameter,
     parse_parameters,
 )
-from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.friction import MAX_FRICTION
-from probedesign.rod.rod import Rod
+from probedesign.simulation.rod_contact import OUTERMOST, safe_force, solve_contact
+from probedesign.simulation.sensor_noise import reading_std
 from probedesign.units import MILLINEWTON, MM
 
 PARAMETERS = {
@@ -40,13 +39,8 @@ PARAMETERS = {
     "speed": SPEED,
 }
 
-DEFAULT_FORCE = 20.0 * MILLINEWTON
-"""Default contact force [N], reduced for a probe that it would bend too far."""
-MAX_BENDING = 0.85
-"""Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force."""
-
 PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
-POSITION = (0.3, 0.30, 0.30, 0.95, 0.30, 0.30, 0.3)
+POSITION = (0.3, 0.30, 0.30, OUTERMOST, 0.30, 0.30, 0.3)
 LOAD = (0.0, 0.00, 1.00, 1.00, 1.00, 0.00, 0.0)
 """One period: free, loaded at 0.3 of the length, moved to 0.95 and back, released, free. Linear in between."""
 
@@ -101,7 +95,7 @@ class SimulatedSource:
         ):  # a force without equilibrium fails here, not during the run
             self._loaded(position * self._model.rod.length, self._force)
         noise = np.random.default_rng(self._seed)
-        std = np.sqrt(np.diag(self._model.noise.covariance()))
+        std = reading_std(self._model)
         gravity = self._model.gravity_base
         for i in range(self._count):
             time = i / self._rate
@@ -131,35 +125,12 @@ class SimulatedSource:
             InputError: there is no equilibrium.
         """
         rod, gravity = self._model.rod, self._model.gravity_base
-        result, truth = "ok", NO_CONTACT
-        if self._friction > 0.0:
-            ratio = (sliding * self._friction, 0.0)
-            contact_with_friction = solve_surface_force(
-                rod, gravity, s, self._angle + math.pi, force, ratio, "reference"
-            )
-            result, eq = contact_with_friction.result, contact_with_friction.equilibrium
-            if result == "ok":
-                on_axis = line_of_action(rod, eq, contact_with_friction.p_surface_base)
-                truth = TrueContact(
-                    on_axis,
-                    eq.p_at(on_axis),
-                    contact_with_friction.force_base,
-                    contact_with_friction.p_surface_base,
-                )
-        else:
-            contact = solve_frictionless(rod, gravity, s, self._angle, force, mode="reference")
-            result, eq = contact.result, contact.equilibrium
-            truth = TrueContact(s, eq.p_contact_base, contact.force_base, surface_point(rod, eq))
-        if result != "ok":
+        ratios = (sliding * self._friction, 0.0) if self._friction > 0.0 else None
+        contact = solve_contact(rod, gravity, s, self._angle, force, ratios, "reference")
+        if contact.result != "ok":
             at = f"{force / MILLINEWTON:g} mN at s = {s / MM:.1f} mm"
-            raise InputError(f"sim: no equilibrium under {at} ({result}); reduce force_mN")
-        return eq.wrench_base, truth
-
-
-def safe_force(rod: Rod) -> float:
-    """Return the default force [N], or a smaller one for a probe that it would bend too far."""
-    s = max(POSITION) * rod.length
-    radius, base = float(rod.radius_at(s)), float(rod.radius[0])
-    softer_axis = min(rod.factors[1:3])
-    stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
-    return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)
+            raise InputError(f"sim: no equilibrium under {at} ({contact.result}); reduce force_mN")
+        truth = TrueContact(
+            contact.s_contact, contact.p_contact_base, contact.force_base, contact.p_surface_base
+        )
+        return contact.equilibrium.wrench_base, truth

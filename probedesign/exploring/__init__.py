@@ -1,1 +1,0 @@
-"""A series of touches from a moving base into points of the world with their ellipsoids."""

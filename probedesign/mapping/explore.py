@@ -1,0 +1,172 @@
+"""From readings and poses to a map: the chain of `live`, its touches segmented, located and combined."""
+
+import math
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from probedesign.errors import InputError
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.live.outputs.sinks import Sink
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.open_poses import FIXED
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.replay import RecordingOptions, open_recording
+from probedesign.live.sources.source import Source
+from probedesign.mapping.contact_map import MIN_SEPARATION, ContactMap, build_map
+from probedesign.mapping.segmentation import TouchSegment, TouchSegmenter
+from probedesign.mapping.touch_point import LocatedTouch, locate_touch
+
+
+@dataclass
+class LoadedRecording:
+    """A recording as a source, read completely before it is processed.
+
+    Attributes:
+        title: description in one line.
+        notes: what a user should know about it.
+        blocks: its readings.
+        recorded_from: source stated in the recording; empty if it states none.
+    """
+
+    title: str
+    notes: tuple[str, ...]
+    blocks: tuple[Block, ...]
+    recorded_from: str = ""
+
+    def __iter__(self) -> Generator[Block, None, None]:
+        yield from self.blocks
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the first and the last reading [s]."""
+        times = [block.time for block in self.blocks if len(block)]
+        return float(times[0][0]), float(times[-1][-1])
+
+
+def load_recording(
+    path: Path, model: ProbeModel, mend: bool = False, options: RecordingOptions | None = None
+) -> LoadedRecording:
+    """Return the recording at a path.
+
+    Args:
+        path: recording of any kind that `estimate` reads.
+        model: the probe it was recorded with.
+        mend: accept an incomplete recording.
+        options: topic and units of a bag.
+
+    Raises:
+        InputError: the file is not a recording of this probe, is incomplete, or is not in the sensor frame.
+    """
+    opened = open_recording(path, model, options)
+    if opened.frame == "base":
+        raise InputError(
+            f"{path}: is in the base frame, with a gravity correction that depends on the base rotation; explore needs "
+            "the sensor frame"
+        )
+    blocks = tuple(opened.blocks())
+    if (missing := opened.missing()) and not mend:
+        raise InputError(f"{path}: {'; '.join(missing)}; --mend continues without the missing parts")
+    if not any(len(block) for block in blocks):
+        raise InputError(f"{path}: contains no readings")
+    notes = tuple(dict.fromkeys((*opened.notes, *missing)))
+    return LoadedRecording(f"{path}, {opened.description}", notes, blocks, opened.source)
+
+
+def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> BasePoses:
+    """Return the poses, after checking that there are any for the time of the readings.
+
+    Args:
+        poses: opened poses.
+        span: times of the first and the last reading [s], if known beforehand.
+
+    Raises:
+        InputError: there are none, or their clock differs.
+    """
+    if poses is None:
+        raise InputError(
+            f"--pose {FIXED}: points of the world need base poses; give --pose FILE.csv, a ROS 2 bag or udp://:PORT"
+        )
+    times = poses.track.times
+    if span is not None and times and not (times[0] < span[1] and span[0] < times[-1]):
+        raise InputError(
+            f"the poses span {times[0]:.9g} ... {times[-1]:.9g} s, the readings {span[0]:.9g} ... {span[1]:.9g} s: "
+            "the clocks do not overlap; stamp the poses with the clock of the recording"
+        )
+    return poses
+
+
+@dataclass
+class Exploration:
+    """The touches of a run, located as they come, and their map.
+
+    Attributes:
+        estimator: of the probe.
+        priors: standard deviations of the error sources; those of the estimator if None.
+        min_separation: as in `build_map` [m].
+        touches: touches so far, in order of time.
+        n_readings: number of readings.
+        n_without_pose: number of readings without a pose.
+    """
+
+    estimator: Estimator
+    priors: Tolerances | None = None
+    min_separation: float = MIN_SEPARATION
+    touches: list[LocatedTouch] = field(default_factory=list)
+    n_readings: int = 0
+    n_without_pose: int = 0
+
+    def run(
+        self,
+        source: Source,
+        options: ProcessingOptions,
+        poses: BasePoses,
+        log: Callable[[str], None],
+        sink: Sink | None = None,
+    ) -> Iterator[LocatedTouch]:
+        """Yield each touch when it has ended and the free probe after it has been read.
+
+        Raises:
+            InputError: the tare window is invalid, or the source fails.
+        """
+        segmenter = TouchSegmenter()
+        try:
+            with closing(estimate_stream(self.estimator, source, options, log, sink, None, poses)) as updates:
+                for update in updates:
+                    self.n_readings += 1
+                    self.n_without_pose += update.stale == "pose"
+                    for segment in segmenter.update(update):
+                        yield self._located(segment, poses)
+        except KeyboardInterrupt:
+            log("interrupted; the touches so far are evaluated")
+        for segment in segmenter.finish():
+            yield self._located(segment, poses)
+
+    def map(self) -> ContactMap:
+        """Return the map of all touches so far."""
+        return build_map(self.touches, self._priors.youngs_modulus, self.min_separation)
+
+    @property
+    def _priors(self) -> Tolerances:
+        return self.estimator.priors if self.priors is None else self.priors
+
+    def _located(self, segment: TouchSegment, poses: BasePoses) -> LocatedTouch:
+        touch = locate_touch(segment, self.estimator, self._priors, poses.gravity_world)
+        self.touches.append(touch)
+        return touch
+
+
+def parse_min_separation(millimetres: float) -> float:
+    """Return the minimum distance between points of the object [m].
+
+    Raises:
+        InputError: the number is negative or not finite.
+    """
+    if not 0.0 <= millimetres < math.inf:
+        raise InputError(f"--apart-mm {millimetres:g} must not be negative; 0 fuses no touches")
+    return 1e-3 * millimetres

@@ -1,0 +1,196 @@
+"""Localisation of one touch, as a conditional distribution of its point given the error sources common to all touches.
+
+The fusion of one touch leaves the information matrix Λ and vector η of the touched point x, of the error sources m,
+each in standard deviations of its prior, and of the sensor bias. With the bias marginalised, the touch gives the
+conditional distribution of the point and information on m:
+
+    x = a + B m + e,   e ~ N(0, S),   S = Λxx⁻¹,  B = -S Λxm,  a = S ηx
+    information on m: Λmm - Λmx S Λxm,   its vector: ηm - Λmx S ηx,   both without the prior
+
+Stiffness, diameters, length, root, base pose, gravity and gain are the same in every touch of a run, so m is one
+vector: the map adds the information of all touches on it to the unit prior, once. Two touches of one point are fused by
+the same terms, and their difference is an observation of m. The bias, and the scatter of stiffness between touches,
+belong to each touch alone.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import FusedEstimate
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
+from probedesign.estimation.fusion_state import FusionState
+from probedesign.estimation.observation import covariance
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.frames import Array
+from probedesign.live.processing.touches import BIAS_STEPS
+from probedesign.mapping.segmentation import StationaryInterval, TouchSegment
+
+MIN_INFORMATION = 1e-9
+"""Information on a common error source, relative to its prior, below which it is a rounding error."""
+UNKNOWN_BIAS_STEPS = 10.0
+"""Standard deviation of the bias, in steps of the sensor's resolution, where readings of the free probe next to the
+touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`detector.DRIFT_STEPS`)."""
+NEVER_SETTLED = "never_settled"
+RESULT_MEANINGS: dict[str, str] = {
+    **{str(result): meaning for result, meaning in RESULTS.items()},
+    NEVER_SETTLED: "the base or the readings were never stationary during the touch",
+}
+"""Meaning of each result code of a touch."""
+
+
+@dataclass(frozen=True)
+class ConditionalPoint:
+    """The point of one or more touches, conditional on the common error sources.
+
+    Attributes:
+        mean: the point if all common error sources were zero [m], (3,).
+        sensitivity: derivative of the point by the common error sources in standard deviations of their priors [m],
+            (3, J).
+        cov: covariance of the point if the common error sources were known [m²], (3, 3).
+        information: on the common error sources, without their prior, (J, J).
+        information_vector: that information times the value that these touches indicate, (J,).
+        names: error source of each column, as `ErrorSources.names`.
+    """
+
+    mean: Array
+    sensitivity: Array
+    cov: Array
+    information: Array
+    information_vector: Array
+    names: tuple[str, ...] = ()
+
+    @classmethod
+    def from_fusion(cls, state: FusionState, added: Array) -> "ConditionalPoint":
+        """Return the conditional point of the fusion of one touch.
+
+        Args:
+            state: of the fusion, linearised and solved with its own priors.
+            added: covariance that the linearised fusion does not contain [m²], (3, 3).
+        """
+        information, vector = state.information()
+        J = state.causes
+        x, m = slice(0, 3), slice(3, 3 + J)
+        S = np.linalg.inv(information[x, x])
+        B = -S @ information[x, m]
+        on_m = information[m, m] - np.eye(J) + information[m, x] @ B
+        # Directions without information are removed, or rounding errors would make it indefinite.
+        values, vectors = np.linalg.eigh(0.5 * (on_m + on_m.T))
+        kept = vectors[:, values > MIN_INFORMATION]
+        on_m = (kept * values[values > MIN_INFORMATION]) @ kept.T
+        vector_m = kept @ (kept.T @ (vector[m] - information[m, x] @ S @ vector[x]))
+        names = state.fusion.sources[0].names
+        return cls(S @ vector[x], B, 0.5 * (S + S.T) + added, on_m, vector_m, names)
+
+    def position(self, common: Array) -> Array:
+        """Return the point for given common error sources (J,) [m], (3,)."""
+        point: Array = self.mean + self.sensitivity @ common
+        return point
+
+    def covariance(self, cov_common: Array) -> Array:
+        """Return the covariance of the point for a covariance of the common error sources (J, J) [m²], (3, 3)."""
+        cov: Array = self.cov + self.sensitivity @ cov_common @ self.sensitivity.T
+        return cov
+
+    def fused_with(self, other: "ConditionalPoint") -> "ConditionalPoint":
+        """Return both as one point."""
+        mine, others = np.linalg.inv(self.cov), np.linalg.inv(other.cov)
+        S = np.linalg.inv(mine + others)
+        d_mean, d_sensitivity = self.mean - other.mean, self.sensitivity - other.sensitivity
+        weight = np.linalg.inv(self.cov + other.cov)
+        return ConditionalPoint(
+            S @ (mine @ self.mean + others @ other.mean),
+            S @ (mine @ self.sensitivity + others @ other.sensitivity),
+            0.5 * (S + S.T),
+            self.information + other.information + d_sensitivity.T @ weight @ d_sensitivity,
+            self.information_vector + other.information_vector - d_sensitivity.T @ weight @ d_mean,
+            self.names,
+        )
+
+
+@dataclass(frozen=True)
+class LocatedTouch:
+    """A touch and its localisation.
+
+    Attributes:
+        segment: readings of the touch.
+        result: a key of `RESULT_MEANINGS`.
+        point: touched point of the object; None unless the result is "ok".
+        force: largest contact force of its intervals [N]; NaN unless ok.
+        direction: direction of that force on the probe in the world, unit vector, (3,).
+        s_contact: arclength of the contact at each interval [m], (k,).
+        rms: RMS error of the point by this touch alone [m].
+    """
+
+    segment: TouchSegment
+    result: str
+    point: ConditionalPoint | None = None
+    force: float = float("nan")
+    direction: Array | None = None
+    s_contact: Array | None = None
+    rms: float = float("nan")
+
+
+def locate_touch(
+    segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array
+) -> LocatedTouch:
+    """Return the touch with its point, from a batch fusion of its intervals and of the free probe around them.
+
+    Args:
+        segment: readings of the touch.
+        estimator: of the probe.
+        priors: standard deviations of the error sources; that of the bias is replaced by `UNKNOWN_BIAS_STEPS` or
+            `BIAS_STEPS`.
+        gravity_world: gravity in the world [m/s²], (3,).
+    """
+    if not segment.intervals:
+        return LocatedTouch(segment, NEVER_SETTLED)
+    fusion = _fusion(segment, estimator, priors, gravity_world)
+    if fusion is None:
+        return LocatedTouch(segment, "out_of_range")
+    solutions = fusion.solutions()
+    if isinstance(solutions, FusedEstimate):
+        return LocatedTouch(segment, solutions.result)
+    fused = fusion.answer(solutions, brief=True)
+    if not fused.ok:
+        return LocatedTouch(segment, fused.result)
+    state = FusionState(fusion, solutions[0].touches.copy())
+    if not state.linearise():
+        return LocatedTouch(segment, "not_converged")
+    _chi2, _x, cov = state.solved(fusion.priors)
+    point = ConditionalPoint.from_fusion(state, fused.cov_surface_world - cov)
+    forces = np.linalg.norm(fused.force_base, axis=1)
+    strongest = int(np.argmax(forces))
+    R = fusion.readings[strongest].T_world_base[:3, :3]
+    direction = R @ fused.force_base[strongest] / forces[strongest]
+    s_contact = fused.s_contact[np.isfinite(fused.s_contact)]
+    return LocatedTouch(segment, "ok", point, float(forces[strongest]), direction, s_contact, fused.rms)
+
+
+def _fusion(
+    segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array
+) -> Fusion | None:
+    """Return the fusion; None if a wrench exceeds the sensor's range or the free probe has no stable equilibrium."""
+    model = estimator.model
+    free = [interval for interval in (segment.free_before, segment.free_after) if interval is not None]
+    used = [(interval, True) for interval in segment.intervals]
+    if segment.free_before is not None:
+        used.insert(0, (segment.free_before, False))
+    if segment.free_after is not None:
+        used.append((segment.free_after, False))
+    for interval, _ in used:
+        wrench_sensor = model.to_sensor(interval.wrench, interval.gravity)
+        if not (np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= model.saturation_limit).all()):
+            return None
+        if not estimator.free(interval.gravity).ok:
+            return None
+    bias = UNKNOWN_BIAS_STEPS if free else BIAS_STEPS
+    readings = tuple(_reading(interval, contact, estimator) for interval, contact in used)
+    return Fusion(model, readings, replace(priors, drift_steps=bias), channels_of(model, None), gravity_world)
+
+
+def _reading(interval: StationaryInterval, contact: bool, estimator: Estimator) -> Reading:
+    cov = covariance(estimator.model, interval.wrench, interval.n_readings)
+    return Reading(interval.wrench, cov, interval.T_world_base, interval.gravity, contact)

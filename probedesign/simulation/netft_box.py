@@ -1,0 +1,506 @@
+"""A simulated Net F/T box: its transducer, its page over HTTP, records over UDP by its clock, and injected faults."""
+
+import math
+import re
+import select
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from time import monotonic
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.frames import Array
+from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
+from probedesign.live.sources.netft.wire import (
+    LATCHED,
+    PAGE,
+    RECORDS,
+    SAMPLES_PER_SECOND,
+    SATURATED,
+    SUMMARY,
+    Request,
+    parse_request,
+)
+from probedesign.simulation.sensor_noise import bias_step, sample_std
+
+
+def configuration_page(configuration: NetFTConfiguration) -> bytes:
+    """Return the page `netftapi2.xml` of a configuration."""
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<netft>"]
+    for name in (f.name for f in fields(configuration)):
+        lines.append(f"<{TAGS[name]}>{escape(_page_text(getattr(configuration, name)))}</{TAGS[name]}>")
+    return "\n".join([*lines, "</netft>", ""]).encode()
+
+
+def _page_text(value: object) -> str:
+    if isinstance(value, tuple):
+        return ";".join(f"{v:.9g}" for v in value)
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+class PageServer(ThreadingHTTPServer):
+    """HTTP server of the page."""
+
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, address: tuple[str, int], page: Callable[[], bytes | None]) -> None:
+        """Start to listen.
+
+        Args:
+            address: host and port; port 0 lets the system choose.
+            page: returns the page; None sends no response, as a box that is switched off.
+        """
+        self.page = page
+        super().__init__(address, _PageHandler)
+
+
+class _PageHandler(BaseHTTPRequestHandler):
+    server: PageServer
+    timeout = 5.0  # of a client that sends nothing
+
+    def do_GET(self) -> None:
+        page = self.server.page()
+        if page is None:
+            self.close_connection = True
+            return
+        found = self.path.partition("?")[0] == PAGE
+        body = page if found else b""
+        self.send_response(200 if found else 404)
+        self.send_header("Content-Type", "text/xml")
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Do not log requests."""
+
+
+FAULT_EVENTS = ("stall", "restart", "stolen", "units", "saturate")
+"""Events that affect the box, for a second or permanently; `units`: another configuration is selected."""
+
+
+@dataclass
+class FaultInjector:
+    """Probabilities of faults per packet, and events at given times.
+
+    Attributes:
+        loss: packet not sent.
+        reorder: packet sent after the next one.
+        duplicate: packet sent twice.
+        garbage: packet preceded by a datagram of random length and content, shorter than a record.
+        short: packet truncated.
+        events: (time since the stream started [s], one of `FAULT_EVENTS`).
+        seed: seed of the random numbers.
+    """
+
+    loss: float = 0.0
+    reorder: float = 0.0
+    duplicate: float = 0.0
+    garbage: float = 0.0
+    short: float = 0.0
+    events: list[tuple[float, str]] = field(default_factory=list)
+    seed: int = 1
+    _delayed: list[bytes] = field(default_factory=list, repr=False)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def apply(self, packets: list[bytes]) -> list[bytes]:
+        """Return the packets as they reach the wire, in order."""
+        if not (self.loss or self.reorder or self.duplicate or self.garbage or self.short):
+            return packets
+        sent: list[bytes] = []
+        for packet in packets:
+            sent += self._disturb(packet)
+        return sent
+
+    def _disturb(self, packet: bytes) -> list[bytes]:
+        loss, reorder, duplicate, garbage, short = self._random.random(5)
+        if garbage < self.garbage:
+            garbage_bytes = self._random.bytes(int(self._random.integers(0, 35)))
+            return [garbage_bytes, packet]
+        if loss < self.loss:
+            return []
+        if reorder < self.reorder and not self._delayed:
+            self._delayed.append(packet)
+            return []
+        late, self._delayed = self._delayed, []
+        if short < self.short:
+            packet = packet[: int(self._random.integers(1, len(packet)))]
+        return [packet] * (1 + (duplicate < self.duplicate)) + late
+
+
+def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
+    """Return the faults given on the command line: `loss=0.01`, `restart@10`.
+
+    Raises:
+        InputError: a fault is unknown or its number is invalid.
+    """
+    rates = [f.name for f in fields(FaultInjector) if f.type is float or f.type == "float"]
+    rates_given: dict[str, float] = {}
+    events = []
+    for text in texts:
+        found = re.fullmatch(r"([a-z]+)([=@])(\d+\.?\d*|\.\d+)", text)
+        name, sign, number = found.groups() if found else ("", "", "")
+        if sign == "=" and name in rates and float(number) <= 1.0:
+            rates_given[name] = float(number)
+        elif sign == "@" and name in FAULT_EVENTS:
+            events.append((float(number), name))
+        else:
+            raise InputError(
+                f"--fault {text!r} must be one of {', '.join(rates)} as loss=0.01, a fraction of all packets, "
+                f"or one of {', '.join(FAULT_EVENTS)} as restart@10, seconds after the stream started"
+            )
+    return FaultInjector(**rates_given, events=sorted(events), seed=seed)  # type: ignore[arg-type]
+
+
+# the transducer
+
+Load = Callable[[Array], Array]
+"""Returns the wrench in the sensor frame [N, N·m], (n, 6), at times [s], (n,)."""
+
+OFFSET = (0.3, -0.2, 0.5, 0.002, -0.003, 0.001)
+"""Reading of the unloaded transducer [N, N·m]: assumed; in reality caused by mounting stress."""
+DRIFT = 0.2 / math.sqrt(10.0)
+"""Random walk of each channel, in units of the noise of one sample per √s: 0.2 after 10 s, assumed."""
+MAX_COUNTS = 2**31 - 1
+
+
+class SimulatedTransducer:
+    """Simulates the samples of the box.
+
+    Attributes:
+        saturated: whether a fault holds it at its limit.
+        latched: whether a monitor condition is latched.
+    """
+
+    def __init__(self, model: ProbeModel, load: Load, seed: int, drift: float = DRIFT) -> None:
+        """Start at rest.
+
+        Args:
+            model: the probe, for the sensor's noise and range.
+            load: load on the sensor.
+            seed: seed of noise and drift.
+            drift: see `DRIFT`.
+        """
+        self.saturated = self.latched = False
+        self._load = load
+        self._random = np.random.default_rng(seed)
+        self._noise, self._drift = sample_std(model), drift
+        self._zero = np.array(OFFSET)
+        self._bias = np.zeros(6)
+        self._range = model.wrench_range
+        self._last = self._zero
+
+    def read(
+        self, time: Array, spacing: float, configuration: NetFTConfiguration
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """Return counts (n, 6) and status words (n,) at times.
+
+        Args:
+            time: times of the samples [s], (n,).
+            spacing: interval between them [s].
+            configuration: configuration that defines the counts.
+        """
+        self._zero = self._zero + self._noise * bias_step(self._random, self._drift, spacing * len(time))
+        wrench = self._load(time) + self._zero + self._noise * self._random.standard_normal((len(time), 6))
+        if self.saturated:
+            wrench[:, 0] = 2.0 * self._range[0]
+        over = (np.abs(wrench) > self._range).any(axis=1)
+        wrench = np.clip(wrench, -self._range, self._range)
+        self._last = wrench.mean(axis=0)
+        counts = np.rint((wrench - self._bias) @ np.linalg.inv(configuration.to_sensor).T)
+        status = np.where(over, SUMMARY | SATURATED, 0) | (SUMMARY | LATCHED if self.latched else 0)
+        return np.clip(counts, -MAX_COUNTS, MAX_COUNTS), status
+
+    def bias(self) -> None:
+        """Store the current wrench as the software bias."""
+        self._bias = self._last.copy()
+
+    def clear_bias(self) -> None:
+        """Clear the software bias, as a restart does."""
+        self._bias = np.zeros(6)
+
+    def gauges(self) -> tuple[float, ...]:
+        """Return the bias as shown on the page: six integers, here in ten-thousandths of the range."""
+        return tuple(float(v) for v in np.rint(1e4 * self._bias / self._range))
+
+
+# the box
+
+TICK = 0.001
+"""Interval between bursts of records [s], the resolution of Python's sleep."""
+MAX_BACKLOG = SAMPLES_PER_SECOND
+"""Maximum number of samples sent late; what a suspended process did not send is lost."""
+INITIAL_SAMPLES = 1_000_000
+"""Samples since power-up at the start of the program: a box that has been on for two minutes."""
+FAULT_DURATION = 1.0
+"""Duration of a restart and of other faults [s]; a real box takes about ten."""
+
+NATIVE = NetFTConfiguration(
+    "Net F/T (simulated by probedesign)",
+    "N",
+    "N-mm",
+    1e6,
+    1e6,
+    "Nano17",
+    length_unit="mm",
+    angle_unit="degrees",
+)
+"""Configuration of a Nano17: torque in N·mm."""
+
+
+class SimulatedNetFT:
+    """A simulated Net F/T box. Use it as a context manager; inside, it listens.
+
+    Attributes:
+        configuration: active configuration.
+        client: receiver of the records; None before a request.
+    """
+
+    def __init__(
+        self,
+        transducer: SimulatedTransducer,
+        configuration: NetFTConfiguration = NATIVE,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        http_port: int = 0,
+        faults: FaultInjector | None = None,
+        initial_samples: int = INITIAL_SAMPLES,
+    ) -> None:
+        """Bind both ports; requests are served when the context is entered.
+
+        Args:
+            transducer: source of the samples.
+            configuration: configuration of the box.
+            host: address to listen on.
+            port: RDT port; 0 lets the system choose.
+            http_port: port of the page; likewise.
+            faults: faults to inject.
+            initial_samples: samples counted since power-up.
+
+        Raises:
+            InputError: a port is in use, or the address does not belong to this machine.
+        """
+        self.configuration = configuration
+        self.client: tuple[str, int] | None = None
+        self._transducer, self._faults = transducer, faults or FaultInjector()
+        self._udp = _bound(host, port)
+        self.address: tuple[str, int] = self._udp.getsockname()[:2]
+        try:
+            self._http = PageServer((host, http_port), self._page)
+        except OSError as error:
+            self._udp.close()
+            raise InputError(_refusal(host, http_port, error, "--http-port")) from None
+        self.http_port = int(self._http.server_address[1])
+        self._lock = threading.RLock()
+        self._ended = threading.Event()
+        self._zero = monotonic() - initial_samples / SAMPLES_PER_SECOND
+        self._off_until = self._stalled_until = 0.0
+        self._frozen = 0
+        self._motion_start: float | None = None
+        self._request, self._next, self._rdt = Request(wire.STOP), 0, 0
+
+    @property
+    def source(self) -> str:
+        """Specification for `live --source`."""
+        host, port = self.address
+        return f"netft://{host}:{port}?http={self.http_port}"
+
+    @property
+    def motion_time(self) -> float:
+        """Time since the base started to move [s]: since the first request."""
+        return monotonic() - self._motion_start if self._motion_start is not None else 0.0
+
+    def __enter__(self) -> "SimulatedNetFT":
+        self._threads = [
+            threading.Thread(target=self._serve, name="box-rdt", daemon=True),
+            threading.Thread(target=self._http.serve_forever, args=(0.05,), name="box-http", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._http.shutdown()
+        for thread in self._threads:
+            thread.join()
+        self._http.server_close()
+        self._udp.close()
+
+    # faults
+
+    def restart(self, seconds: float = FAULT_DURATION) -> None:
+        """Restart: the counter starts at one, client and bias are cleared."""
+        with self._lock:
+            self.client = None
+            self._transducer.clear_bias()
+            self.configuration = replace(self.configuration, bias=(0.0,) * 6)
+            self._off_until = monotonic() + seconds
+            self._zero = self._off_until
+            self._next = 0
+
+    def stall(self, seconds: float = FAULT_DURATION) -> None:
+        """Send the same sample repeatedly."""
+        with self._lock:
+            self._stalled_until, self._frozen = monotonic() + seconds, self._next - 1
+
+    def drop_client(self) -> None:
+        """Stop streaming to the client, as if another one had taken the stream."""
+        with self._lock:
+            self.client = None
+
+    def configure(self, **changes: object) -> None:
+        """Change the configuration."""
+        with self._lock:
+            self.configuration = replace(self.configuration, **changes)  # type: ignore[arg-type]
+
+    def saturate(self, on: bool = True) -> None:
+        """Hold the transducer at its limit."""
+        with self._lock:
+            self._transducer.saturated = on
+
+    def send(self, datagram: bytes) -> None:
+        """Send any datagram to the client."""
+        with self._lock:
+            if self.client is not None:
+                self._udp.sendto(datagram, self.client)
+
+    # serving
+
+    def _page(self) -> bytes | None:
+        with self._lock:
+            return configuration_page(self.configuration) if monotonic() >= self._off_until else None
+
+    def _serve(self) -> None:
+        while not self._ended.is_set():
+            ready, _, _ = select.select([self._udp], [], [], TICK if self.client else 0.02)
+            with self._lock:
+                if ready:
+                    self._receive()
+                if self.client is not None:
+                    self._run_events()
+                    self._stream()
+
+    def _receive(self) -> None:
+        """Process one datagram."""
+        try:
+            datagram, address = self._udp.recvfrom(65536)
+        except OSError:  # the system may report a closed client here
+            return
+        request = parse_request(datagram)
+        if request is None or monotonic() < self._off_until:
+            return
+        match request.command:
+            case wire.REALTIME | wire.BUFFERED:
+                self.client, self._request = address, request
+                self._rdt, self._next = 0, self._samples()
+                self._motion_start = self._motion_start or monotonic()
+            case wire.STOP:
+                self.client = None
+            case wire.RESET_LATCH:
+                self._transducer.latched = False
+            case wire.BIAS:
+                self._transducer.bias()
+                self.configuration = replace(self.configuration, bias=self._transducer.gauges())
+
+    def _stream(self) -> None:
+        """Send all records that are due."""
+        spacing = max(1, round(SAMPLES_PER_SECOND / self.configuration.rate))
+        now = self._samples()
+        self._next = max(self._next, now - MAX_BACKLOG)
+        size = int(self.configuration.records) if self._request.command == wire.BUFFERED else 1
+        due = (now - self._next) // spacing // size * size
+        if self._request.records:
+            due = min(due, self._request.records - self._rdt)
+        if due <= 0:
+            return
+        records = self._records(self._next + spacing * np.arange(due), spacing).tobytes()
+        self._next += spacing * due
+        width = RECORDS.itemsize * size
+        for packet in self._faults.apply([records[i : i + width] for i in range(0, len(records), width)]):
+            self._send_or_lose(packet)
+        if self._request.records and self._rdt >= self._request.records:
+            self.client = None
+
+    def _send_or_lose(self, packet: bytes) -> None:
+        with suppress(OSError):  # lost with full buffers or closed clients, as on a wire
+            if self.client is not None:
+                self._udp.sendto(packet, self.client)
+
+    def _records(self, samples: NDArray[np.int64], spacing: int) -> NDArray[np.void]:
+        """Return the records of samples since power-up."""
+        if monotonic() < self._stalled_until:
+            samples = np.full(len(samples), self._frozen)
+        start = self._motion_start - self._zero if self._motion_start else 0.0
+        time = np.maximum(samples / SAMPLES_PER_SECOND - start, 0.0)
+        counts, status = self._transducer.read(time, spacing / SAMPLES_PER_SECOND, self.configuration)
+        records = np.empty(len(samples), dtype=RECORDS)
+        records["rdt"] = (self._rdt + 1 + np.arange(len(samples))) % 2**32
+        records["ft"] = samples % 2**32
+        records["status"] = status
+        records["counts"] = counts
+        self._rdt += len(samples)
+        return records
+
+    def _samples(self) -> int:
+        """Return the number of samples since power-up."""
+        return int((monotonic() - self._zero) * SAMPLES_PER_SECOND)
+
+    def _run_events(self) -> None:
+        """Run the events that are due."""
+        while (
+            self._faults.events
+            and self._motion_start
+            and monotonic() - self._motion_start >= self._faults.events[0][0]
+        ):
+            _, name = self._faults.events.pop(0)
+            actions: dict[str, Callable[[], None]] = {
+                "stall": self.stall,
+                "restart": self.restart,
+                "stolen": self.drop_client,
+                "units": self._other_units,
+                "saturate": self._saturate_awhile,
+            }
+            actions[name]()
+            if self.client is None:
+                return
+
+    def _other_units(self) -> None:
+        metre = self.configuration.torque_unit == "N-m"
+        self.configure(torque_unit="N-mm" if metre else "N-m")
+
+    def _saturate_awhile(self) -> None:
+        self.saturate()
+        timer = threading.Timer(FAULT_DURATION, self.saturate, [False])
+        timer.daemon = True
+        timer.start()
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    """Return a UDP socket bound to the address."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        udp.bind((host, port))
+    except (OSError, OverflowError) as error:
+        udp.close()
+        raise InputError(_refusal(host, port, error, "--port")) from None
+    return udp
+
+
+def _refusal(host: str, port: int, error: Exception, option: str) -> str:
+    why = getattr(error, "strerror", None) or str(error)
+    return f"{host}:{port}: {why}; use another {option}, or an address of this machine"

@@ -1,0 +1,93 @@
+"""Contact of a simulated object with the rod at a given section, with and without friction, and the force it may use.
+
+This is the ground truth of the source `sim:` and of simulated campaigns. Objects at a given place in space are in
+`scenes` (Net F/T box) and `card_house` (mapping run).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from probedesign.estimation.force_moment import surface_point
+from probedesign.frames import Array
+from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Mode, Rod
+from probedesign.units import MILLINEWTON
+
+DEFAULT_FORCE = 20.0 * MILLINEWTON
+"""Default contact force [N], reduced for a probe that it would bend too far."""
+MAX_BENDING = 0.85
+"""Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force."""
+OUTERMOST = 0.95
+"""Largest fraction of the length at which simulated contacts are placed."""
+
+
+class RodContact(NamedTuple):
+    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok".
+
+    Attributes:
+        result: "ok" or the code of the equilibrium that was not found.
+        equilibrium: of the rod under the contact.
+        s_contact: arclength where the line of action of the force passes the centreline [m].
+        p_contact_base: point of the centreline there [m], (3,).
+        force_base: force of the object on the probe [N], (3,).
+        p_surface_base: touched point of the surface [m], (3,).
+    """
+
+    result: str
+    equilibrium: Equilibrium
+    s_contact: float
+    p_contact_base: Array
+    force_base: Array
+    p_surface_base: Array
+
+
+def solve_contact(
+    rod: Rod,
+    gravity_base: Array,
+    s: float,
+    push_angle: float,
+    normal_force: float,
+    friction_ratios: tuple[float, float] | None = None,
+    mode: Mode = "fast",
+) -> RodContact:
+    """Return the contact of an object that pushes on the section at s.
+
+    Args:
+        rod: the rod.
+        gravity_base: gravity in base axes [m/s²], (3,).
+        s: arclength of the contact [m]; with friction, of the touched section.
+        push_angle: direction of the push about the tangent, from the x axis of the section [rad].
+        normal_force: force normal to the surface [N].
+        friction_ratios: axial and circumferential force over normal force; None for a contact without friction.
+        mode: "fast" or "reference".
+    """
+    missing = np.full(3, np.nan)
+    if friction_ratios is None:
+        frictionless = solve_frictionless(rod, gravity_base, s, push_angle, normal_force, mode=mode)
+        eq = frictionless.equilibrium
+        if frictionless.result != "ok":
+            return RodContact(frictionless.result, eq, s, missing, missing, missing)
+        return RodContact(
+            "ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface_point(rod, eq)
+        )
+    # The touched point lies opposite to the direction of the push.
+    contact = solve_surface_force(
+        rod, gravity_base, s, push_angle + math.pi, normal_force, friction_ratios, mode
+    )
+    eq = contact.equilibrium
+    if contact.result != "ok":
+        return RodContact(contact.result, eq, s, missing, missing, missing)
+    s_axis = line_of_action(rod, eq, contact.p_surface_base)
+    return RodContact("ok", eq, s_axis, eq.p_at(s_axis), contact.force_base, contact.p_surface_base)
+
+
+def safe_force(rod: Rod) -> float:
+    """Return the default contact force [N], reduced for a probe that it would bend too far."""
+    s = OUTERMOST * rod.length
+    radius, base = float(rod.radius_at(s)), float(rod.radius[0])
+    softer_axis = min(rod.factors[1:3])
+    stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
+    return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)

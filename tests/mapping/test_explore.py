@@ -1,0 +1,171 @@
+"""Tests of the command `explore` on a simulated run: results, files and refusals."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from probedesign.cli.main import run
+from probedesign.deployment import write_frozen
+from probedesign.live.poses.pose_file import POSE_COLUMNS
+from probedesign.mapping.contact_map import CHI2_95
+from probedesign.mapping.map_files import COLUMNS
+from probedesign.units import MM
+
+
+def arguments(probe, folder, *more, poses="poses.csv"):
+    return ["explore", str(probe), str(folder / "house.mcap"), "--pose", str(folder / poses), "--average", "36",
+            "--tare-s", "0.5:3.5", *map(str, more)]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def found(probe, house, tmp_path_factory):
+    out = tmp_path_factory.mktemp("found")
+    assert run(arguments(probe, house[1], "--out", out)) == 0
+    with (out / "points.csv").open() as file:
+        return out, list(csv.DictReader(file))
+
+
+def place(row):
+    return np.array([float(row[f"{axis}_world_mm"]) for axis in "xyz"])
+
+
+def covariance(row):
+    xx, xy, xz, yy, yz, zz = (
+        float(row[f"cov_world_{name}_mm2"]) for name in ("xx", "xy", "xz", "yy", "yz", "zz")
+    )
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def test_the_points_lie_in_their_ellipsoids(house, found):
+    """In twice the 95 % ellipsoid, which a Gaussian leaves once in a million cases."""
+    rehearsal, (_, rows) = house[0], found
+    assert list(rows[0]) == list(COLUMNS) and [row["result"] for row in rows] == ["ok", "ok"]
+    for row, true in zip(rows, rehearsal.touches, strict=False):
+        off = place(row) - true.p_world / MM
+        assert off @ np.linalg.solve(covariance(row), off) < 4.0 * CHI2_95
+        assert np.linalg.norm(off) < 2.0
+        assert float(row["force_N"]) == pytest.approx(true.force, rel=0.1)  # as well as the bias is known
+
+
+def test_two_touches_of_one_point_are_fused(found):
+    _, rows = found
+    assert [row["touch_numbers"] for row in rows] == ["1 3", "2"]
+    assert [row["touches"] for row in rows] == ["2", "1"]
+    assert all(float(row["common_rms_mm"]) < float(row["rms_mm"]) for row in rows)
+
+
+def test_the_simulated_touches_are_light_and_clear_of_the_cards(house):
+    """Forces below 10 mN, moments below 1 N·mm, none above 5 mN; the probe stays clear of the card behind the edge."""
+    for touch in house[0].touches:
+        assert touch.force < 5e-3 and touch.moment < 1e-3
+        assert touch.clearance > -0.1 * MM  # at the edge itself it is none; the chord's sag is that
+
+
+def test_ply_opens_in_trimesh_with_colours(found):
+    out, rows = found
+    cloud = trimesh.load(out / "points.ply")
+    assert cloud.vertices == pytest.approx(np.array([place(row) for row in rows]), abs=1e-3)
+    assert cloud.colors.shape == (len(rows), 4)
+    assert "rms_mm" in (out / "points.ply").read_text()
+
+
+def test_page_and_picture_need_no_network(found):
+    out, rows = found
+    page, picture = (out / "points.html").read_text(), (out / "points.svg").read_text()
+    assert picture.count("rotate(") == len(rows) and page.count("<canvas") == 1
+    for text in (page, picture):
+        assert "the simulated truth" in text  # the recording of a simulated run states its source
+        assert "http" not in text.replace("http://www.w3.org/2000/svg", "") and "src=" not in text
+
+
+def test_json_agrees_with_the_table(probe, house, found, capsys):
+    assert run(arguments(probe, house[1], "--json")) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [point["x_world_mm"] for point in document["points"]] == pytest.approx(
+        [place(row)[0] for row in found[1]]
+    )
+    assert document["not_located"] == [] and abs(document["stiffness_factor"] - 1.0) < 0.04
+
+
+def test_a_smaller_base_uncertainty_makes_smaller_ellipsoids(probe, house, found, capsys):
+    """A tilt of 0.2° shifts a point at 110 mm by 0.39 mm on two axes, part of which the touches themselves observe; the
+    remaining common error is due to the print."""
+    still = ["--tilt-deg", "0", "--clocking-deg", "0", "--base-offset-mm", "0.02"]
+    assert run(arguments(probe, house[1], "--json", *still)) == 0
+    output = capsys.readouterr()
+    assert "0.02 mm common, 0.01 mm per pose, tilt 0°, clocking 0°" in output.err
+    for point, row in zip(json.loads(output.out)["points"], found[1], strict=True):
+        less = float(row["common_rms_mm"]) ** 2 - point["common_rms_mm"] ** 2
+        assert 0.2**2 < less < 0.39**2 * 2.0
+
+
+def test_a_source_gives_the_same_as_the_recording(probe, house, found, tmp_path, capsys):
+    """Identical files: a replay is a source like a sensor, and its recording states its source, too."""
+    folder, out = house[1], tmp_path / "found"
+    command = ["explore", str(probe), "--source", f"replay:{folder / 'house.mcap'}?speed=max", "--average", "36",
+               "--pose", str(folder / "poses.csv"), "--tare-s", "0.5:3.5", "--json", "--out", str(out)]  # fmt: skip
+    assert run(command) == 0
+    output = capsys.readouterr()
+    assert "touch 1 is over: ok" in output.err
+    assert [point["touch_numbers"] for point in json.loads(output.out)["points"]] == ["1 3", "2"]
+    for name in ("points.csv", "points.ply", "points.svg"):
+        assert (out / name).read_bytes() == (found[0] / name).read_bytes()
+
+
+# refusals
+
+
+def refused(capsys, command):
+    status = run(command)
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("note:")]
+    assert status == 2 and len(lines) == 1, lines
+    return lines[0]
+
+
+def test_missing_poses_are_refused_with_the_option(probe, house, capsys):
+    assert "--pose FILE.csv" in refused(
+        capsys, ["explore", str(probe), str(house[1] / "house.mcap"), "--tare-s", "0:3"]
+    )
+
+
+def test_a_missing_tare_is_refused_with_the_option(probe, house, capsys):
+    command = ["explore", str(probe), str(house[1] / "house.mcap"), "--pose", str(house[1] / "poses.csv")]
+    assert "--tare-s START:END" in refused(capsys, command)
+
+
+def test_a_recording_of_another_probe_is_refused(estimator, house, tmp_path, capsys):
+    rod = estimator.model.rod
+    other = replace(
+        estimator.model, fingerprint="0" * 12, rod=replace(rod, youngs_modulus=2.0 * rod.youngs_modulus)
+    )
+    write_frozen(other, tmp_path / "other.probe.json")
+    line = refused(capsys, arguments(tmp_path / "other.probe.json", house[1]))
+    assert "recorded with probe" in line or "fingerprint" in line
+
+
+def test_clocks_that_do_not_overlap_are_refused(probe, house, tmp_path, capsys):
+    rows = [f"{1e6 + t},0,0,0,0,0,0,1" for t in (0.0, 0.01)]
+    (tmp_path / "late.csv").write_text("\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
+    line = refused(capsys, [*arguments(probe, house[1])[:4], str(tmp_path / "late.csv"), "--tare-s", "0:3"])
+    assert "the clocks do not overlap" in line
+
+
+def test_files_are_replaced_only_with_force(probe, house, found, capsys):
+    assert "--force" in refused(capsys, arguments(probe, house[1], "--out", found[0]))
+
+
+@pytest.mark.parametrize(
+    "more", [["--apart-mm", "-1"], ["--source", "sim:"], ["--tilt-deg", "nan"], ["--base-offset-mm", "50"]]
+)
+def test_options_out_of_range_are_refused(probe, house, capsys, more):
+    refused(capsys, arguments(probe, house[1], *more))
+
+
+def test_a_negative_seed_is_refused(probe, tmp_path, capsys):
+    assert "--seed -1" in refused(
+        capsys, ["explore", str(probe), "--rehearse", str(tmp_path), "--seed", "-1"]
+    )

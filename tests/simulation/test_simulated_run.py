@@ -1,0 +1,44 @@
+"""Tests of the simulated mapping run with friction."""
+
+import numpy as np
+import pytest
+
+from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.simulated_run import FIRM_FORCE, RunErrors, simulate_run
+from probedesign.units import MILLINEWTON
+from tests.live.conftest import bundle as bundle
+from tests.live.conftest import estimator as estimator
+
+
+@pytest.fixture(scope="module")
+def touches(estimator):
+    """Two targets with friction, without any other error."""
+    only_friction = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.5)
+    return simulate_run(
+        estimator.model, touch_targets()[8:10], np.random.default_rng(2), only_friction
+    ).touches
+
+
+def test_each_touch_has_its_own_friction_and_stays_in_its_cone(touches):
+    """The first press slides; while the force decreases the tangential force reverses."""
+    assert touches[0].friction != touches[1].friction
+    for touch in touches:
+        assert (touch.friction_ratios <= touch.friction * (1.0 + 1e-9)).all()
+        assert touch.friction_ratios.max() == pytest.approx(touch.friction, rel=1e-6)
+
+
+def test_the_touched_point_lies_on_the_edge_and_the_force_is_as_intended(touches):
+    """With the depth known to 1 µm the firm force is reached within 2 %; it stays below 5 mN."""
+    for touch in touches:
+        off = touch.p_world - touch.target.p_world
+        assert np.linalg.norm(off - (off @ touch.target.card.along) * touch.target.card.along) < 1e-6
+        assert touch.force == pytest.approx(FIRM_FORCE, rel=0.02)
+        assert touch.force < 5.0 * MILLINEWTON
+
+
+def test_a_run_is_reproducible(estimator, touches):
+    only_friction = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.5)
+    again = simulate_run(
+        estimator.model, touch_targets()[8:9], np.random.default_rng(2), only_friction
+    ).touches[0]
+    assert np.array_equal(again.wrenches_base, touches[0].wrenches_base)
