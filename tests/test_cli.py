@@ -90,6 +90,19 @@ def test_a_reader_that_goes_away_is_no_drama(tmp_path):
     assert (result.returncode, result.stderr) == (1, "")
 
 
+def test_sigint_ends_a_command_with_status_130(tmp_path):
+    """`doctor` is replaced by a command that sends its own process what Ctrl-C sends."""
+    code = (
+        "import signal, sys; from probedesign.cli import doctor, main;"
+        "signal.signal(signal.SIGINT, signal.default_int_handler);"  # ignored in a shell's background
+        "doctor.doctor = lambda: signal.raise_signal(signal.SIGINT);"
+        "sys.exit(main.run(['doctor']))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (result.returncode, result.stdout) == (130, "")
+    assert result.stderr == "probedesign: error: interrupted\n"
+
+
 # In this process
 
 
@@ -115,7 +128,8 @@ def test_every_command_explains_itself(name, capsys):
             1,
             "division by zero (ZeroDivisionError; PROBEDESIGN_DEBUG=1",
         ),
-        (KeyboardInterrupt(), 1, "interrupted"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt("2 of 3 conditions are kept"), 130, "2 of 3 conditions are kept"),
     ],
 )
 def test_an_error_becomes_one_line_and_a_status(monkeypatch, capsys, error, status, told):

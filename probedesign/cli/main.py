@@ -41,6 +41,8 @@ FUNCTIONS = {"print": "print_job"}
 """Module and function of a command, where its name will not do."""
 
 DEBUG = "PROBEDESIGN_DEBUG"
+INTERRUPTED = 130
+"""Exit status after SIGINT: 128 plus the number of the signal."""
 
 
 def build_app() -> App:
@@ -69,8 +71,8 @@ def run(arguments: list[str]) -> int:
         arguments: without the program's name.
 
     Returns:
-        Exit status: 0 done; 2 a wrong file, option or argument; 1 anything else, such as an interruption or a
-        reader of our output that went away.
+        Exit status: 0 on success; 2 for a file, option or argument that cannot be used; 130 after an interruption
+        (Ctrl-C), as shells expect of SIGINT (128 + 2); 1 for any other failure, such as a closed output pipe.
     """
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal that knows no "±" gets a "?"
@@ -82,7 +84,7 @@ def run(arguments: list[str]) -> int:
     except (CycloptsError, InputError, MissingDependencyError) as error:
         return _fail(str(error), 2)
     except KeyboardInterrupt as interruption:
-        return _fail(str(interruption) or "interrupted", 1)
+        return _fail(str(interruption) or "interrupted", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains at exit
         return 1

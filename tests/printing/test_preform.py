@@ -600,7 +600,7 @@ def test_ctrl_c_in_the_terminal(fake, place):
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert (process.returncode, out, err) == (1, "", "probedesign: error: interrupted\n")
+    assert (process.returncode, out, err) == (130, "", "probedesign: error: interrupted\n")
     assert fake.scenes == {} and left_over(place) == []
 
 
