@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, telling
+from probedesign.cli.console import counted, print_json, telling
 
 
 def campaign(

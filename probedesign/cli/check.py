@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json
+from probedesign.cli.console import counted, print_json
 
 if TYPE_CHECKING:
     from probedesign.printing.check import PrintCheck

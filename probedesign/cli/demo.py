@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table
+from probedesign.cli.console import print_json, print_table
 
 if TYPE_CHECKING:
     from probedesign.demo import Demo

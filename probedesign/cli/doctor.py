@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table
+from probedesign.cli.console import print_json, print_table
 
 ENABLES = {
     "": "everything",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, working
+from probedesign.cli.console import print_json, working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.base_options import BaseOptions
+from probedesign.cli.console import working
 from probedesign.cli.ending import ending_well
 from probedesign.cli.explored_files import check_out, write_cloud
 from probedesign.cli.explored_lines import print_cloud, summary
-from probedesign.cli.output import working
-from probedesign.cli.reading_options import ReadingOptions
+from probedesign.cli.options import ReadingOptions
 from probedesign.cli.rehearsal_options import RehearsalOptions
 
 if TYPE_CHECKING:

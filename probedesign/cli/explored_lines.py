@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from probedesign.cli.console import counted, print_json
 from probedesign.cli.explored_files import FILES
-from probedesign.cli.output import counted, print_json
 
 if TYPE_CHECKING:
     from probedesign.exploring.cloud import Cloud

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table
+from probedesign.cli.console import print_json, print_table
 
 USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "look", ".svg": "look", ".png": "look",
         ".csv": "record", ".json": "record"}  # fmt: skip

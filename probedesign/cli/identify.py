@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, print_table, working
+from probedesign.cli.console import counted, print_json, print_table, working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:

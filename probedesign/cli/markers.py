@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, print_table, telling
+from probedesign.cli.console import counted, print_json, print_table, telling
 
 if TYPE_CHECKING:
     from probedesign.campaigns.photographs import PhotographedTest

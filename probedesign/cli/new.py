@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, print_table, working
+from probedesign.cli.console import counted, print_json, print_table, working
 from probedesign.errors import InputError
 
 FOLDER = Path("designs")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, telling
+from probedesign.cli.console import print_json, telling
 from probedesign.cli.task import TaskOptions
 from probedesign.errors import InputError
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli import prediction_tables as tables
-from probedesign.cli.output import print_json, print_table, telling, working
+from probedesign.cli.console import print_json, print_table, telling, working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:

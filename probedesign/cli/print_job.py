@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table, telling
+from probedesign.cli.console import print_json, print_table, telling
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json
+from probedesign.cli.console import print_json
 
 
 def recover(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import working
+from probedesign.cli.console import working
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:

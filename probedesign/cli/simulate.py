@@ -112,7 +112,7 @@ def _pressed(
     model: "ProbeModel", scene: str, friction: float, spread: float, seed: int
 ) -> "tuple[PressedObject, ...]":
     """The scene's objects, with what the probe reads of each; on a terminal whoever waits is told for what."""
-    from probedesign.cli.output import working
+    from probedesign.cli.console import working
     from probedesign.live.netft_box.scene import press_scene
 
     with working(f"solving the presses of --scene {scene}"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, telling
+from probedesign.cli.console import counted, print_json, telling
 from probedesign.cli.task import TaskOptions
 from probedesign.errors import InputError
 
