@@ -271,7 +271,7 @@ def test_a_start_that_gives_way_is_not_drawn(large, tmp_path, capsys):
     limp, out = tmp_path / "limp.toml", tmp_path / "best.toml"
     limp.write_text(render_design(check_design(Body.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3))))
     assert run(["optimize", str(limp), "--places", "0.9:0.9:1", "--confirm", "2", "--out", str(out)]) == 0
-    assert "start: gives way, so nothing was drawn" in capsys.readouterr().out and out.exists()
+    assert "start: not run, because the probe buckles" in capsys.readouterr().out and out.exists()
 
 
 @pytest.mark.parametrize("shape", ["cone", "cylinder", "profile"])
