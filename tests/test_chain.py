@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from probedesign import demo
 from probedesign.cli.main import run
 from probedesign.design_file import draft_design, render_design
 
@@ -72,3 +73,11 @@ def test_rigid_root_as_long_as_the_probe_is_refused_with_key_and_line(workplace,
     assert run(["predict", "designs/a.toml", "--no-plots"]) == 2
     error = capsys.readouterr().err
     assert "mount.root_rigid_radii" in error and "designs/a.toml:" in error
+
+
+def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
+    files = [tmp_path / "prediction.json", tmp_path / "prediction.html"]
+    monkeypatch.setattr(demo.pipeline, "predict", lambda design, folder: (None, files))
+    skipped: list[str] = []
+    assert list(demo._predict(tmp_path / "demo.toml", tmp_path, skipped)) == [str(file) for file in files]
+    assert len(skipped) == 1 and "matplotlib" in skipped[0]
