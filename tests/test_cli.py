@@ -15,6 +15,7 @@ from probedesign.cli import doctor, main
 from probedesign.cli.main import COMMANDS, run
 from probedesign.design import load_design
 from probedesign.errors import CheckFailedError, InputError, MissingDependencyError
+from probedesign.rod import kernels
 
 NEW = ("new", "--length", "150", "--base-d", "12")
 
@@ -326,6 +327,14 @@ def test_doctor_fails_without_a_required_package(monkeypatch, capsys):
     report = json.loads(capsys.readouterr().out)
     assert not report["ok"]
     assert [remedy["needed_for"] for remedy in report["missing"]] == ["everything"]
+
+
+def test_doctor_reports_the_cache_of_the_rod_kernels(monkeypatch, capsys):
+    """numba keeps compiled code in `__pycache__` beside the module."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    assert run(["doctor", "--json"]) == 0
+    cache = Path(json.loads(capsys.readouterr().out)["numba_cache"]["folder"])
+    assert cache == Path(kernels.__file__).parent / "__pycache__"
 
 
 def test_doctor_reports_a_cache_that_is_not_writable(monkeypatch, capsys, tmp_path):

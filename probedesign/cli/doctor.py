@@ -94,7 +94,7 @@ def _no_wheel(extra: str) -> str | None:
 def _numba_cache() -> dict[str, Any]:
     """Return the folder that numba tries first for compiled code, and whether it is writable."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen or Path(__file__).parents[1] / "rod" / "__pycache__").absolute()
+    folder = Path(chosen or Path(__file__).parents[1] / "rod/kernels/__pycache__").absolute()
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     return {"folder": str(folder), "writable": existing.is_dir() and os.access(existing, os.W_OK)}
 
