@@ -119,7 +119,7 @@ def _predict(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
     """Predict, and return the files; a picture that cannot be drawn is added to `skipped`."""
     _, files = pipeline.predict(design, folder)
     if not any(file.suffix == ".png" for file in files):
-        skipped.append("prediction.png: matplotlib is not installed (pip install 'probedesign[plots]')")
+        skipped.append(str(MissingDependencyError.of_extra("a plot", "matplotlib", "plots")))
     return {str(file): "predicted sensitivity and contact error" for file in files}
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_table, show_progress
-from probedesign.errors import InputError
+from probedesign.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
     from probedesign.prediction.fused import FusedCondition
@@ -83,7 +83,7 @@ def predict(
     print_tables(prediction)
     print("wrote", ", ".join(map(str, files)))
     if plots is None and not any(file.suffix == ".png" for file in files):
-        print("no picture was written: matplotlib is not installed (pip install 'probedesign[plots]')")
+        print("no picture was written:", MissingDependencyError.of_extra("a plot", "matplotlib", "plots"))
 
 
 def _print_properties(prediction: "Prediction") -> None:
