@@ -80,4 +80,9 @@ def check_overwrite(path: Path, force: bool) -> None:
         InputError: it exists and `force` is not set.
     """
     if path.exists() and not force:
-        raise InputError(f"{path}: exists already; --force replaces it, or choose another name")
+        raise exists_already(path)
+
+
+def exists_already(path: Path) -> InputError:
+    """Return the error for a file or folder that is not replaced without --force."""
+    return InputError(f"{path}: exists already; --force replaces it, or choose another name")

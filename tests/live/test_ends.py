@@ -121,7 +121,7 @@ def test_recover_reports_what_it_saved(estimator, tmp_path, capsys):
     )
     assert said["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
     assert run(["recover", str(path)]) == 2
-    assert "use --force" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
     assert run(["recover", str(path), "--force"]) == 0
 
 

@@ -58,7 +58,7 @@ def test_photographs_become_markers_in_space(data, capsys):
     assert np.mean(square) < 9.0  # 3 if all is as said; 14 markers share the light and the curvature
 
     assert run(["markers", str(data)]) == 2
-    assert "add --force" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
 
 
 def test_an_interrupted_search_continues_from_its_cache(data, capsys, monkeypatch):
