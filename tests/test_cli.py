@@ -15,6 +15,7 @@ from probedesign.cli import doctor, main
 from probedesign.cli.main import COMMANDS, run
 from probedesign.design import load_design
 from probedesign.errors import CheckFailedError, InputError, MissingDependencyError
+from probedesign.files import check_overwrite
 from probedesign.rod import kernels
 
 NEW = ("new", "--length", "150", "--base-d", "12")
@@ -146,6 +147,18 @@ def test_error_is_one_line_and_a_status(monkeypatch, capsys, error, status, mess
     assert run([]) == status
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == ("", f"probedesign: error: {message}\n")
+
+
+def test_existing_file_and_missing_package_have_one_message_each(tmp_path):
+    file = tmp_path / "a.csv"
+    check_overwrite(file, force=False)
+    file.write_text("")
+    check_overwrite(file, force=True)
+    with pytest.raises(InputError) as error:
+        check_overwrite(file, force=False)
+    assert str(error.value) == f"{file}: exists already; --force replaces it, or choose another name"
+    missing = MissingDependencyError.of_extra("export", "CadQuery", "cad")
+    assert str(missing) == "export needs CadQuery: pip install 'probedesign[cad]'"
 
 
 # new
