@@ -1,4 +1,4 @@
-"""The whole chain on a built-in example: from a few numbers to a located contact."""
+"""Run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ from probedesign.units import MM
 FOLDER = pipeline.EXPORTS / "demo"
 NAME = "demo"
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
-"""What is simulated: 20 mN swept along the probe and back, with the sensor's noise."""
+"""Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise."""
 
 
 @dataclass(frozen=True)
-class Demo:
-    """What the demo made.
+class DemoResult:
+    """Files of the demo, and the error of its estimates.
 
     Attributes:
-        made: each file with what it is for, in the order of the chain.
-        skipped: what could not be made, and why.
-        located: how many readings gave a contact.
-        touches: how many had one.
-        error_mm: RMS distance of the located from the truly touched points.
-        predicted_mm: what the estimates themselves said it would be.
+        made: each file with its purpose, in the order of the chain.
+        skipped: reasons for files that could not be written.
+        located: number of located contacts.
+        touches: number of readings with a contact.
+        error_mm: RMS distance between located and true contact points [mm].
+        predicted_mm: the same from the estimates' own covariances [mm].
     """
 
     made: dict[str, str]
@@ -47,102 +47,113 @@ class Demo:
     predicted_mm: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return dict(vars(self))
 
 
 def run_demo(
-    out: Path | None = None, say: Callable[[str], None] = lambda _: None, force: bool = False
-) -> Demo:
-    """Design, predict, export (with CadQuery), deploy, simulate a recording, estimate; all into one folder.
+    out: Path | None = None, on_step: Callable[[str], None] = lambda _: None, force: bool = False
+) -> DemoResult:
+    """Design, predict, export (with CadQuery), deploy, simulate a recording and estimate; all in one folder.
 
     Args:
         out: the folder; exports/demo if None.
-        say: told each step in a few words.
-        force: replace what stands there, even if it is not what a demo left.
+        on_step: called with the name of each step.
+        force: replace existing files, even those that the demo did not write.
+
+    Returns:
+        The files, and the contact error.
 
     Raises:
-        InputError: the folder holds an edited design or somebody else's files.
+        InputError: the folder has an edited design or other files.
     """
     folder = FOLDER if out is None else out
     made: dict[str, str] = {}
     skipped: list[str] = []
-    say("designing a 150 mm cone, 12 mm at its base")
+    on_step("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
     drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
     text = render_design(drafted, notes)
     if not force:
-        _check_own(folder, design, text)
+        _check_folder(folder, design, text)
     write_design(text, design, force=True)
-    made[str(design)] = "the design: edit it and run the chain again"
-    say("predicting what it will feel (the first run compiles the rod, half a minute or so)")
-    made |= _predicted(design, folder, skipped)
-    say("building the parts")
-    made |= _exported(design, folder, skipped)
-    say("freezing the estimator with this geometry")
+    made[str(design)] = "the design; edit it and run the chain again"
+    on_step("predicting sensitivity and contact error (the first run compiles the rod, about half a minute)")
+    made |= _predict(design, folder, skipped)
+    on_step("building the parts")
+    made |= _export(design, folder, skipped)
+    on_step("freezing the estimator and its geometry")
     bundle = pipeline.deploy(design, folder / f"{NAME}.probe.json")
-    made[str(bundle)] = "the frozen probe: all that estimate and live need"
-    say("touching it in simulation and locating the touches")
+    made[str(bundle)] = "the frozen probe for estimate and live"
+    on_step("simulating a recording and locating its contacts")
     estimator = load_estimator(bundle)
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
-    sweep = _touched(estimator, recording, contacts)
-    made[str(recording)] = "a simulated recording: 20 mN swept along the probe"
-    made[str(contacts)] = "where estimate located each touch"
-    made |= _pictured(sweep, folder / "contacts.png")
+    sweep = _simulate(estimator, recording, contacts)
+    made[str(recording)] = "a simulated recording: 20 mN, swept along the probe"
+    made[str(contacts)] = "the located contacts, one estimate per row"
+    made |= _draw(sweep, folder / "contacts.png")
     error, ok = sweep.error_mm, np.isfinite(sweep.error_mm)
-    said = float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2)))
+    predicted = float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2)))
     rms = float(np.sqrt(np.mean(error[ok] ** 2)))
-    return Demo(made, tuple(skipped), int(ok.sum()), int(np.isfinite(sweep.true_s_mm).sum()), rms, said)
+    touches = int(np.isfinite(sweep.true_s_mm).sum())
+    return DemoResult(made, tuple(skipped), int(ok.sum()), touches, rms, predicted)
 
 
-def _check_own(folder: Path, design: Path, text: str) -> None:
-    """A folder is the demo's own if it is new, empty, or holds the demo's design as the demo writes it."""
+def _check_folder(folder: Path, design: Path, text: str) -> None:
+    """Check that a folder is new, empty, or has the design that the demo writes.
+
+    Raises:
+        InputError: it has other files.
+    """
     if (
         folder.is_dir()
         and any(folder.iterdir())
         and not (design.is_file() and design.read_text("utf-8") == text)
     ):
         raise InputError(
-            f"{folder}: holds files that the demo did not leave like that; --force replaces them, --out goes elsewhere"
+            f"{folder} has files that the demo did not write. --force replaces them; --out names another folder"
         )
 
 
-def _predicted(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
+def _predict(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
+    """Predict, and return the files; a picture that cannot be drawn is added to `skipped`."""
     _, files = pipeline.predict(design, folder)
-    if len(files) == 1:
-        skipped.append("pictures need matplotlib: pip install 'probedesign[plots]'")
-    return {str(file): "what it will feel, how well it will locate" for file in files}
+    if not any(file.suffix == ".png" for file in files):
+        skipped.append(str(MissingDependencyError.of_extra("a plot", "matplotlib", "plots")))
+    return {str(file): "predicted sensitivity and contact error" for file in files}
 
 
-def _exported(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
+def _export(design: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
+    """Export the parts, and return the files; without CadQuery the reason is added to `skipped`."""
     try:
         manifest = pipeline.export(design, folder)
     except MissingDependencyError as error:
         skipped.append(str(error))
         return {}
-    what = {
+    purposes = {
         ".stl": "to print",
         ".3mf": "to print",
-        ".step": "all parts in place",
-        ".html": "how it goes together: open it first",
+        ".step": "assembly of all parts",
+        ".html": "assembly instructions",
         ".svg": "dimensioned drawing",
         ".png": "preview",
-        ".csv": "what to print and to buy",
-        ".json": "what was made and checked",
+        ".csv": "parts to print and to buy",
+        ".json": "manifest with the results of all checks",
     }
-    return {str(folder / name): what[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
+    return {str(folder / name): purposes[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
 
 
-def _pictured(sweep: SweepSeries, path: Path) -> dict[str, str]:
+def _draw(sweep: SweepSeries, path: Path) -> dict[str, str]:
+    """Draw true and estimated contacts, and return the file; none without matplotlib."""
     try:
         write_atomically(path, draw_sweep(sweep))
-    except MissingDependencyError:  # told already where the prediction was drawn
+    except MissingDependencyError:  # reported with the prediction's picture
         return {}
-    return {str(path): "truth and estimate, side by side"}
+    return {str(path): "true and estimated contacts"}
 
 
-def _touched(estimator: Estimator, recording: Path, contacts: Path) -> SweepSeries:
-    """Simulate, record, estimate, and set the estimates beside the truth."""
+def _simulate(estimator: Estimator, recording: Path, contacts: Path) -> SweepSeries:
+    """Simulate and record readings, locate their contacts and return estimates and truth."""
     readings = list(iter_readings(SimulatedSource(estimator.model, TOUCH)))
     time = np.array([r.time for r in readings])
     write_recording(recording, time, np.array([r.wrench_sensor for r in readings]))
@@ -151,7 +162,7 @@ def _touched(estimator: Estimator, recording: Path, contacts: Path) -> SweepSeri
     truth = np.array([np.append(r.truth.s_contact, r.truth.p_surface_base) for r in readings if r.truth]) / MM
     columns = ["s_contact_mm", "std_s_mm", *(f"p_surface_base_{a}_mm" for a in "xyz")]
     found = np.array([[row[c] for c in columns] for row in estimates.rows], dtype=float)
-    spread = np.array(
+    variance = np.array(
         [[row[f"cov_surface_base_{a}{a}_mm2"] for a in "xyz"] for row in estimates.rows], dtype=float
     )
     return SweepSeries(
@@ -160,5 +171,5 @@ def _touched(estimator: Estimator, recording: Path, contacts: Path) -> SweepSeri
         s_mm=found[:, 0],
         std_s_mm=found[:, 1],
         error_mm=np.linalg.norm(found[:, 2:5] - truth[:, 1:4], axis=1),
-        predicted_mm=np.sqrt(spread.sum(axis=1)),
+        predicted_mm=np.sqrt(variance.sum(axis=1)),
     )

@@ -16,6 +16,17 @@ class InputError(ProbeDesignError, ValueError):
 class MissingDependencyError(ProbeDesignError, ImportError):
     """An optional package that this step needs is not installed; the text names the extra."""
 
+    @classmethod
+    def of_extra(cls, feature: str, package: str, extra: str) -> "MissingDependencyError":
+        """Return the error for a missing package of one of this project's extras.
+
+        Args:
+            feature: what needs the package.
+            package: its name.
+            extra: the extra that installs it.
+        """
+        return cls(f"{feature} needs {package}: pip install 'probedesign[{extra}]'")
+
 
 class CheckFailedError(ProbeDesignError):
     """A self-check of something this package made itself (a mesh, a solid) did not hold."""

@@ -71,3 +71,18 @@ def keep_old(path: Path) -> Path | None:
     kept = next(aside for name in names if not os.path.lexists(aside := path.with_name(name)))
     write_atomically(kept, content)
     return kept
+
+
+def check_overwrite(path: Path, force: bool) -> None:
+    """Check that a file or folder may be written: it does not exist, or its replacement was requested.
+
+    Raises:
+        InputError: it exists and `force` is not set.
+    """
+    if path.exists() and not force:
+        raise exists_already(path)
+
+
+def exists_already(path: Path) -> InputError:
+    """Return the error for a file or folder that is not replaced without --force."""
+    return InputError(f"{path}: exists already; --force replaces it, or choose another name")

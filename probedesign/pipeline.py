@@ -447,8 +447,8 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
     return path
 
 
-def identified_apart(design_path: Path) -> str:
-    """Design, exports/NAME/identification → which identified numbers the design does not have, in words."""
+def unapplied_parameters(design_path: Path) -> str:
+    """Return a sentence on the identified parameters that the design does not have; empty if it has all."""
     from probedesign.identification.design_update import design_diff
 
     probe = probe_of(design_path)

@@ -1,14 +1,15 @@
-"""The commands one after the other, as a laboratory types them: what they leave, and what they never touch."""
+"""Sequences of commands: the files they write, and the files they must not replace."""
 
 import json
 
 import pytest
 
+from probedesign import demo
 from probedesign.cli.main import run
 from probedesign.design_file import draft_design, render_design
 
 SOFT = ("new", "soft", "--length", "400", "--base-d", "0.3")
-"""So slender that it cannot stand, not even horizontally within its own length."""
+"""So slender that it has no stable equilibrium under gravity."""
 
 
 @pytest.fixture
@@ -33,16 +34,16 @@ def test_design_predict_deploy_and_live(workplace, capsys):
     assert prediction["fingerprint"] == json.loads((workplace / frozen).read_text())["fingerprint"]
 
 
-def test_deploy_never_replaces_what_is_no_frozen_probe(workplace, capsys):
+def test_deploy_replaces_frozen_probes_only(workplace, capsys):
     assert run(["new", "a", "--length", "150", "--base-d", "12"]) == 0
     before = (workplace / "designs/a.toml").read_bytes()
     assert run(["deploy", "designs/a.toml", "--out", "designs/a.toml"]) == 2
     assert (workplace / "designs/a.toml").read_bytes() == before
     assert run(["deploy", "designs/a.toml", "--out", "a.probe.json"]) == 0
-    assert run(["deploy", "designs/a.toml", "--out", "a.probe.json"]) == 0  # its own it may
+    assert run(["deploy", "designs/a.toml", "--out", "a.probe.json"]) == 0  # a frozen probe
 
 
-def test_the_demo_leaves_an_edited_design_alone(workplace, capsys):
+def test_demo_does_not_replace_an_edited_design(workplace, capsys):
     folder = workplace / "d"
     folder.mkdir()
     edited = render_design(*draft_design("demo", shape="cone", length_mm=120.0, base_d_mm=12.0))
@@ -53,22 +54,30 @@ def test_the_demo_leaves_an_edited_design_alone(workplace, capsys):
     assert (folder / "demo.toml").read_text() == edited
 
 
-def test_a_probe_that_cannot_stand_is_told_so(workplace, capsys):
+def test_predict_reports_a_probe_that_buckles_under_gravity(workplace, capsys):
     assert run(list(SOFT)) == 0
     design = workplace / "designs/soft.toml"
     design.write_text(design.read_text().replace("[9.81, 0.0, 0.0]", "[0.0, 0.0, -9.81]"))
     assert run(["predict", "designs/soft.toml"]) == 0
-    told = capsys.readouterr()
-    assert "cannot stand" in told.out and told.err == ""
+    captured = capsys.readouterr()
+    assert "no stable equilibrium" in captured.out and captured.err == ""
     document = json.loads((workplace / "exports/soft/prediction.json").read_text())
     assert document["tip_sag_mm"] is None
     assert {c["result"] for c in document["conditions"]} == {"gives_way"}
 
 
-def test_a_root_as_long_as_the_probe_is_refused_where_it_is_written(workplace, capsys):
+def test_rigid_root_as_long_as_the_probe_is_refused_with_key_and_line(workplace, capsys):
     assert run(["new", "a", "--length", "5", "--base-d", "8"]) == 0
     design = workplace / "designs/a.toml"
     design.write_text(design.read_text().replace("root_rigid_radii = 0.12", "root_rigid_radii = 2.0"))
     assert run(["predict", "designs/a.toml", "--no-plots"]) == 2
-    told = capsys.readouterr().err
-    assert "mount.root_rigid_radii" in told and "designs/a.toml:" in told
+    error = capsys.readouterr().err
+    assert "mount.root_rigid_radii" in error and "designs/a.toml:" in error
+
+
+def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
+    files = [tmp_path / "prediction.json", tmp_path / "prediction.html"]
+    monkeypatch.setattr(demo.pipeline, "predict", lambda design, folder: (None, files))
+    skipped: list[str] = []
+    assert list(demo._predict(tmp_path / "demo.toml", tmp_path, skipped)) == [str(file) for file in files]
+    assert len(skipped) == 1 and "matplotlib" in skipped[0]

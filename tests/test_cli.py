@@ -1,4 +1,4 @@
-"""The command line as its user meets it: exit status, one line of error, one document of JSON."""
+"""Command line: exit statuses, error messages of one line, JSON documents and printed summaries."""
 
 import json
 import os
@@ -15,12 +15,14 @@ from probedesign.cli import doctor, main
 from probedesign.cli.main import COMMANDS, run
 from probedesign.design import load_design
 from probedesign.errors import CheckFailedError, InputError, MissingDependencyError
+from probedesign.files import check_overwrite
+from probedesign.rod import kernels
 
 NEW = ("new", "--length", "150", "--base-d", "12")
 
 
 def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """`probedesign` in a process of its own."""
+    """Run `probedesign` in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "probedesign.cli.main", *arguments],
         cwd=cwd,
@@ -32,14 +34,14 @@ def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.Comple
 
 
 def assert_refused(stdout: str, stderr: str, status: int) -> None:
-    """Exit status 2, one clear line on stderr, nothing on stdout."""
+    """Assert exit status 2, one line on stderr and nothing on stdout."""
     assert status == 2
     assert stdout == ""
     assert stderr.startswith("probedesign: error: ") and stderr.count("\n") == 1
     assert "Traceback" not in stderr
 
 
-# As a process
+# In a process of its own
 
 
 def test_help_lists_every_command_and_loads_nothing_heavy(tmp_path):
@@ -66,20 +68,20 @@ def test_help_lists_every_command_and_loads_nothing_heavy(tmp_path):
         ("export", "none.toml", "--otu", "x"),
     ],
 )
-def test_a_wrong_command_line_is_one_line_and_status_2(tmp_path, arguments):
+def test_invalid_command_line_is_one_line_and_status_2(tmp_path, arguments):
     result = command(*arguments, cwd=tmp_path)
     assert_refused(result.stdout, result.stderr, result.returncode)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_traceback_is_there_for_who_asks(tmp_path):
+def test_debug_variable_adds_the_traceback(tmp_path):
     result = command("nwe", cwd=tmp_path, PROBEDESIGN_DEBUG="1")
     assert result.returncode == 2
     assert "Traceback" in result.stderr
     assert result.stderr.splitlines()[-1].startswith("probedesign: error: ")
 
 
-def test_a_reader_that_goes_away_is_no_drama(tmp_path):
+def test_closed_output_pipe_is_status_1_without_a_message(tmp_path):
     read_end, write_end = os.pipe()
     os.close(read_end)
     with os.fdopen(write_end) as closed:
@@ -90,35 +92,53 @@ def test_a_reader_that_goes_away_is_no_drama(tmp_path):
     assert (result.returncode, result.stderr) == (1, "")
 
 
+def test_sigint_ends_a_command_with_status_130(tmp_path):
+    """`doctor` is replaced by a command that sends its own process what Ctrl-C sends."""
+    code = (
+        "import signal, sys; from probedesign.cli import doctor, main;"
+        "signal.signal(signal.SIGINT, signal.default_int_handler);"  # ignored in a shell's background
+        "doctor.doctor = lambda: signal.raise_signal(signal.SIGINT);"
+        "sys.exit(main.run(['doctor']))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert (result.returncode, result.stdout) == (130, "")
+    assert result.stderr == "probedesign: error: interrupted\n"
+
+
 # In this process
 
 
-def test_version_is_the_packages(capsys):
+def test_version_is_that_of_the_package(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.strip() == metadata.version("probedesign")
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_explains_itself(name, capsys):
+def test_every_command_has_help(name, capsys):
     assert run([name, "--help"]) == 0
     assert COMMANDS[name].split(":")[0].split(";")[0].rstrip(".") in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(
-    ("error", "status", "told"),
+    ("error", "status", "message"),
     [
         (InputError("a.toml:3: wrong\nin two lines"), 2, "a.toml:3: wrong in two lines"),
         (MissingDependencyError("needs CadQuery"), 2, "needs CadQuery"),
-        (CheckFailedError("the mesh is open"), 1, "the mesh is open (CheckFailedError; PROBEDESIGN_DEBUG=1"),
+        (
+            CheckFailedError("the mesh is open"),
+            1,
+            "the mesh is open (CheckFailedError; set PROBEDESIGN_DEBUG=1 for a traceback)",
+        ),
         (
             ZeroDivisionError("division by zero"),
             1,
-            "division by zero (ZeroDivisionError; PROBEDESIGN_DEBUG=1",
+            "division by zero (ZeroDivisionError; set PROBEDESIGN_DEBUG=1 for a traceback)",
         ),
-        (KeyboardInterrupt(), 1, "interrupted"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt("2 of 3 conditions are kept"), 130, "2 of 3 conditions are kept"),
     ],
 )
-def test_an_error_becomes_one_line_and_a_status(monkeypatch, capsys, error, status, told):
+def test_error_is_one_line_and_a_status(monkeypatch, capsys, error, status, message):
     def app(arguments):
         raise error
 
@@ -126,8 +146,19 @@ def test_an_error_becomes_one_line_and_a_status(monkeypatch, capsys, error, stat
     monkeypatch.delenv(main.DEBUG, raising=False)
     assert run([]) == status
     captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1
-    assert captured.err.startswith(f"probedesign: error: {told}")
+    assert (captured.out, captured.err) == ("", f"probedesign: error: {message}\n")
+
+
+def test_existing_file_and_missing_package_have_one_message_each(tmp_path):
+    file = tmp_path / "a.csv"
+    check_overwrite(file, force=False)
+    file.write_text("")
+    check_overwrite(file, force=True)
+    with pytest.raises(InputError) as error:
+        check_overwrite(file, force=False)
+    assert str(error.value) == f"{file}: exists already; --force replaces it, or choose another name"
+    missing = MissingDependencyError.of_extra("export", "CadQuery", "cad")
+    assert str(missing) == "export needs CadQuery: pip install 'probedesign[cad]'"
 
 
 # new
@@ -135,7 +166,7 @@ def test_an_error_becomes_one_line_and_a_status(monkeypatch, capsys, error, stat
 
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
-    """An empty folder, and a summary that needs no mechanics: what `new` does with it is what is tested."""
+    """Return an empty folder; the summary of `new` is replaced by fixed figures."""
 
     def summary(design):
         return {
@@ -157,25 +188,25 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_new_writes_the_file_and_says_what_to_expect(workplace, capsys):
+SUMMARY = """\
+wrote designs/cone-150x12x2.5.toml
+  mass            6.82 g
+  sag             12.3 mm at the tip, under gravity as mounted
+  print           fits upright in a form-3; 2 mm smallest diameter
+  print check     no errors, 1 warning; details: probedesign check designs/cone-150x12x2.5.toml
+  expected error  inf mm, one touch of 10 mN at 0.8 of the length
+  assumed         material.youngs_modulus_mpa, material.shear_modulus_mpa, mount.root_rigid_radii, contact.friction
+"""
+
+
+def test_new_writes_the_file_and_prints_its_summary(workplace, capsys):
     assert run([*NEW, "--tip-d", "2.5"]) == 0
     design = load_design("designs/cone-150x12x2.5.toml")
     assert design.probe.knots_mm == ((0.0, 12.0), (150.0, 2.5))
-    out = capsys.readouterr().out
-    for piece in (
-        "designs/cone-150x12x2.5.toml",
-        "6.82 g",
-        "12.3 mm",
-        "fits upright in a form-3; 2 mm at its thinnest",
-        "0.8 of the length",
-        "no errors, 1 warning; probedesign check designs/cone-150x12x2.5.toml",
-    ):
-        assert piece in out
-    assert "material.youngs_modulus_mpa" in out  # what is assumed
-    assert "--tip-d" not in out
+    assert capsys.readouterr().out == SUMMARY
 
 
-def test_new_says_when_it_chose_the_tip(workplace, capsys):
+def test_new_prints_the_default_tip(workplace, capsys):
     assert run([*NEW]) == 0
     assert "2 mm, by default base / 6" in capsys.readouterr().out
 
@@ -211,7 +242,7 @@ def test_new_takes_every_section(workplace, section, key, ratio):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--length", "-5"], "--length = -5.0 is out of range; allowed is 5 ... 400"),
         (["--length", "0"], "--length = 0.0 is out of range"),
@@ -241,13 +272,13 @@ def test_new_takes_every_section(workplace, section, key, ratio):
         (["one", "two"], "two"),
     ],
 )
-def test_new_refuses_bad_values_and_writes_nothing(workplace, capsys, options, told):
+def test_new_refuses_bad_values_and_writes_nothing(workplace, capsys, options, message):
     given = dict(zip(options[::2], options[1::2], strict=False))
     rest = [o for pair in (("--length", "150"), ("--base-d", "12")) if pair[0] not in given for o in pair]
     status = run(["new", *options, *rest])
     captured = capsys.readouterr()
     assert_refused(captured.out, captured.err, status)
-    assert told in captured.err
+    assert message in captured.err
     assert list(workplace.iterdir()) == []
 
 
@@ -264,11 +295,12 @@ def test_new_replaces_a_file_only_with_force(workplace, capsys):
     assert load_design("designs/mine.toml").probe.length_mm == 50.0
 
 
-def test_new_tells_when_designs_is_no_folder(workplace, capsys):
-    Path("designs").write_text("in the way")
+def test_new_refuses_a_file_named_designs(workplace, capsys):
+    Path("designs").write_text("a file")
     status = run([*NEW])
     captured = capsys.readouterr()
     assert_refused(captured.out, captured.err, status)
+    assert Path("designs").read_text() == "a file"
 
 
 # doctor
@@ -283,7 +315,7 @@ def test_doctor_reports_what_is_installed(capsys):
 
 
 def without(monkeypatch, *names: str) -> None:
-    """Make the named packages look as if they were not installed."""
+    """Make the named packages appear not to be installed."""
     installed = metadata.version
 
     def version(name):
@@ -294,7 +326,7 @@ def without(monkeypatch, *names: str) -> None:
     monkeypatch.setattr(doctor.metadata, "version", version)
 
 
-def test_doctor_says_what_an_extra_is_for_and_how_to_get_it(monkeypatch, capsys):
+def test_doctor_names_disabled_features_and_how_to_install_them(monkeypatch, capsys):
     without(monkeypatch, "cadquery", "matplotlib")
     assert run(["doctor"]) == 0  # the program runs without them
     out = capsys.readouterr().out
@@ -302,7 +334,7 @@ def test_doctor_says_what_an_extra_is_for_and_how_to_get_it(monkeypatch, capsys)
     assert 'pip install "cadquery' in out and 'pip install "matplotlib' in out
 
 
-def test_doctor_fails_without_what_everything_needs(monkeypatch, capsys):
+def test_doctor_fails_without_a_required_package(monkeypatch, capsys):
     without(monkeypatch, "numba")
     assert run(["doctor", "--json"]) == 1
     report = json.loads(capsys.readouterr().out)
@@ -310,7 +342,15 @@ def test_doctor_fails_without_what_everything_needs(monkeypatch, capsys):
     assert [remedy["needed_for"] for remedy in report["missing"]] == ["everything"]
 
 
-def test_doctor_sees_a_cache_that_cannot_be_written(monkeypatch, capsys, tmp_path):
+def test_doctor_reports_the_cache_of_the_rod_kernels(monkeypatch, capsys):
+    """numba keeps compiled code in `__pycache__` beside the module."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    assert run(["doctor", "--json"]) == 0
+    cache = Path(json.loads(capsys.readouterr().out)["numba_cache"]["folder"])
+    assert cache == Path(kernels.__file__).parent / "__pycache__"
+
+
+def test_doctor_reports_a_cache_that_is_not_writable(monkeypatch, capsys, tmp_path):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
     assert run(["doctor"]) == 0

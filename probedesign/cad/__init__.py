@@ -37,7 +37,7 @@ def export_parts(
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("probedesign"):
             raise
-        raise MissingDependencyError("export needs CadQuery: pip install 'probedesign[cad]'") from None
+        raise MissingDependencyError.of_extra("export", "CadQuery", "cad") from None
     except ImportError as error:  # CadQuery is installed, a system library is missing
         raise MissingDependencyError(
             f"CadQuery does not load: {error}; on Debian and Ubuntu: apt-get install libgl1 libexpat1"

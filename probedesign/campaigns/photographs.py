@@ -14,7 +14,7 @@ from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
 from probedesign.campaigns.tables import read_tests
 from probedesign.errors import InputError
-from probedesign.files import write_atomically
+from probedesign.files import check_overwrite, write_atomically
 from probedesign.frames import Array
 from probedesign.units import MM
 from probedesign.vision.camera import Camera
@@ -139,8 +139,7 @@ def check_free(folder: Path, force: bool) -> None:
     Raises:
         InputError: it exists and `force` is not set.
     """
-    if (folder / PIXELS).exists() and not force:
-        raise InputError(f"{folder / PIXELS}: exists already; add --force to replace it, or move it away")
+    check_overwrite(folder / PIXELS, force)
 
 
 def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Photograph, ...]]:

@@ -1,11 +1,11 @@
-"""`probedesign campaign`: a synthetic campaign, as example, tutorial and test."""
+"""`probedesign campaign`: simulate a measurement campaign."""
 
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, telling
+from probedesign.cli.console import plural, print_json, show_progress
 
 
 def campaign(
@@ -26,26 +26,26 @@ def campaign(
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Make up what a laboratory would measure of a design's print: tests, wrenches, markers, a box with two cameras.
+    """Simulate a measurement campaign of a print: tests, wrenches, markers and two calibrated cameras.
 
-    The print differs from the design as its tolerances have it. What was true stands in OUT/truth.json, which no
-    command reads. See docs/measurements.md.
+    The simulated print differs from the design by errors drawn from the design's tolerances. OUT/truth.json holds the
+    true values; no command reads it. See docs/measurements.md.
 
     Args:
         design: the design file.
-        out: folder to write.
-        seed: of all that is drawn.
-        stage: touches at places known to 0.05 mm, and no cameras.
-        images: photographs too.
-        youngs_modulus_mpa: of the true print [MPa]; by default drawn about the design's.
-        shear_modulus_mpa: likewise.
-        marker_noise_mm: markers from another reference than cameras, with this standard deviation on each axis.
-        readings: of the sensor in each test.
-        exact: the print is as designed and stands where it is said to; only readings are noisy.
-        friction: median friction coefficient of what touches; the tangential force has any direction inside the
-            cone. 0 is without friction.
-        friction_spread: standard deviation of its logarithm from test to test.
-        force: replace a synthetic campaign that stands there.
+        out: output folder.
+        seed: seed of all drawn values.
+        stage: touches at positions known to 0.05 mm, without cameras.
+        images: render photographs as well.
+        youngs_modulus_mpa: Young's modulus of the true print [MPa]. Default: drawn around the design's.
+        shear_modulus_mpa: shear modulus of the true print [MPa]. Default: drawn around the design's.
+        marker_noise_mm: standard deviation of the markers on each axis [mm], from a reference other than cameras.
+        readings: number of sensor readings per test.
+        exact: the print and its mount are exactly as designed; only the readings are noisy.
+        friction: median friction coefficient of the touching objects. The tangential force has any direction within
+            the friction cone. 0 is without friction.
+        friction_spread: standard deviation of the friction coefficient's logarithm from test to test.
+        force: replace an existing simulated campaign.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
@@ -58,10 +58,10 @@ def campaign(
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
                 si(marker_noise_mm, MM), readings, exact, images,
                 friction, friction_spread)  # fmt: skip
-    with telling() as tell:
-        made = pipeline.campaign(design, out, plan, force, tell)
+    with show_progress() as on_progress:
+        made = pipeline.campaign(design, out, plan, force, on_progress)
     if as_json:
         print_json({"folder": made.folder, "files": made.files, "tests": made.tests})
     else:
-        print(f"wrote {made.folder}: {counted(made.tests, 'test')}, {counted(len(made.files), 'file')}; "
-              "what was true stands in truth.json")  # fmt: skip
+        print(f"wrote {made.folder}: {plural(made.tests, 'test')}, {plural(len(made.files), 'file')}; "
+              "true values in truth.json")  # fmt: skip

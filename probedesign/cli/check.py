@@ -1,21 +1,21 @@
-"""`probedesign check`: will it print?"""
+"""`probedesign check`: check whether a design can be printed."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json
+from probedesign.cli.console import plural, print_json
 
 if TYPE_CHECKING:
     from probedesign.printing.check import PrintCheck
-    from probedesign.printing.rules import Finding
 
 
 def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
-    """Check a design against the rules of its printer and its resins, before anything is drawn.
+    """Check a design against the rules of its printer and its resins, before any CAD.
 
-    Exit status 1 if there is an error; warnings are shown and pass. What the rules are and how sure: docs/printing.md.
+    Exit status 1 if a rule finds an error; warnings do not change it. The rules, their sources and their confidence:
+    docs/printing.md.
 
     Args:
         design: the design file.
@@ -37,16 +37,12 @@ def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")]
 def _print(found: "PrintCheck") -> None:
     print(f"{found.name}  geometry {found.fingerprint}  {found.resin} on a {found.printer}")
     for finding in (*found.errors, *found.warnings):
-        _print_finding(finding)
+        print(f"  {finding.severity:<7}  {finding.message}")
+        print(f"           {finding.rule}, {finding.confidence} confidence: {finding.source}")
     print(
-        f"{counted(len(found.errors), 'error')}, {counted(len(found.warnings), 'warning')}; "
-        f"{len(found.passed)} of {len(found.findings)} checks pass"
+        f"{plural(len(found.errors), 'error')}, {plural(len(found.warnings), 'warning')}; "
+        f"{len(found.passed)} of {len(found.findings)} checks passed"
     )
-    print("\nwhen you print it")
+    print("\nadvice for printing")
     for advice in found.advice:
         print(f"  {advice}")
-
-
-def _print_finding(finding: "Finding") -> None:
-    print(f"  {finding.severity:<7}  {finding.message}")
-    print(f"           {finding.rule}, {finding.confidence} confidence: {finding.source}")

@@ -1,12 +1,12 @@
-"""`probedesign compare`: several designs side by side."""
+"""`probedesign compare`: compare several designs."""
 
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, working
-from probedesign.cli.task import TaskOptions
+from probedesign.cli.console import print_json, show_progress
+from probedesign.cli.options import TaskOptions
 
 
 def compare(
@@ -18,19 +18,19 @@ def compare(
     options: TaskOptions | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Put several designs side by side, as a table and as a page with the same axes for all.
+    """Compare several designs in a table and on a page with common axes.
 
     Args:
         designs: two to six design files.
-        out: the page to write; by default exports/compare-NAME-NAME.html.
+        out: HTML file of the page. Default: exports/compare-NAME-NAME.html.
         page: write the page.
-        options: what they are judged by.
+        options: the task for which the designs are compared.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
 
     task = (options or TaskOptions()).task()
-    with working("comparing"):
+    with show_progress("comparing designs"):
         compared, file = pipeline.compare(designs, task, out, page)
     if as_json:
         document = [{"name": one.design.name, **one.metrics.as_dict()} for one in compared]
@@ -42,4 +42,4 @@ def compare(
     print(task.text)
     for row in (table.head, *table.rows):
         print(f"  {row[0]:<16}" + "".join(f"{cell:>18}" for cell in row[1:]))
-    print(f"wrote {file}" if file else "no page")
+    print(f"wrote {file}" if file else "no page was written")

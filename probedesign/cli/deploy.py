@@ -1,11 +1,11 @@
-"""`probedesign deploy`: freeze the estimator with its matching geometry."""
+"""`probedesign deploy`: freeze the estimator of a design with its geometry."""
 
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, working
+from probedesign.cli.console import print_json, show_progress
 
 
 def deploy(
@@ -19,19 +19,20 @@ def deploy(
 
     Args:
         design: the design file.
-        out: the file to write; by default exports/NAME/NAME.probe.json.
+        out: output file. Default: exports/NAME/NAME.probe.json.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
 
-    with working("freezing the probe"):
+    with show_progress("freezing the probe"):
         path = pipeline.deploy(design, out)
-        apart = pipeline.identified_apart(design)
+        unapplied = pipeline.unapplied_parameters(design)
     if as_json:
-        print_json({"file": path, "identified_apart": apart})
+        print_json({"file": path, "identified_apart": unapplied})
         return
     print(f"wrote {path}")
-    if apart:
+    if unapplied:
         print(
-            f"note: frozen as {design} has it; identified were {apart}: identify writes that with --write or --out"
+            f"note: the frozen probe has the values of {design}, which differ from the identified ones: {unapplied}. "
+            "To write those, run identify with --write or --out"
         )

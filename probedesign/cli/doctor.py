@@ -1,4 +1,4 @@
-"""`probedesign doctor`: what is installed, what is missing and how to get it, without importing any of it."""
+"""`probedesign doctor`: report installed and missing packages, without importing any of them."""
 
 import os
 import platform
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table
+from probedesign.cli.console import print_json, print_table
 
 ENABLES = {
     "": "everything",
@@ -17,18 +17,18 @@ ENABLES = {
     "sweep": "sweep: grids of designs, on many machines",
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
-    "live": "live on a Net F/T box, recordings in MCAP, ROS 2 bags",
-    "daq": "live on a sensor at a card of National Instruments",
-    "view": "live --view: the probe on a page",
-    "vision": "markers: dots found in photographs",
+    "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",
+    "daq": "live with a sensor at a National Instruments card",
+    "view": "live --view: the 3D page of the probe",
+    "vision": "markers: detection in photographs",
 }
-"""What the packages of an extra are for; "" is what the program cannot do without."""
+"""Features that each extra enables; "" stands for the required packages."""
 
 
 def doctor(*, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
-    """Tell what is installed and what is missing for what.
+    """Report installed and missing packages, and the features that need them.
 
-    Exit status 1 if something is missing that the program cannot do without.
+    Exit status 1 if a required package is missing.
 
     Args:
         as_json: print one JSON document.
@@ -42,7 +42,7 @@ def doctor(*, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int
 
 
 def examine() -> dict[str, Any]:
-    """Versions of everything that matters, what is missing, and whether compiled code can be kept."""
+    """Return the versions of all packages, the missing ones, and whether numba's cache is writable."""
     packages = [_package(extra, requirement) for extra, requirement in _requirements()]
     missing = [package for package in packages if package["version"] is None]
     return {
@@ -57,7 +57,7 @@ def examine() -> dict[str, Any]:
 
 
 def _requirements() -> list[tuple[str, str]]:
-    """(extra, requirement) as this package declares them; "" is no extra."""
+    """Return (extra, requirement) of each declared dependency; the extra is "" for a required one."""
     declared = []
     for line in metadata.requires("probedesign") or []:
         requirement, _, marker = line.partition(";")
@@ -76,7 +76,10 @@ def _package(extra: str, requirement: str) -> dict[str, str | None]:
 
 
 def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
-    """What does not work and the line that mends it; it names the packages, so it works from anywhere."""
+    """Return the disabled feature and the command that installs its packages.
+
+    The command names the packages, not the extra, so it works without an index that has this package.
+    """
     wanted = [f'"{package["requirement"]}"' for package in missing if package["extra"] == extra]
     install = f"pip install {' '.join(wanted)}"
     return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": _no_wheel(extra)}
@@ -84,16 +87,16 @@ def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
 
 def _no_wheel(extra: str) -> str | None:
     if extra == "cad" and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
-        return "CadQuery has no wheel for Linux on ARM: export on another machine, everything else runs here"
+        return "CadQuery has no wheel for Linux on ARM; run export on another machine"
     return None
 
 
 def _numba_cache() -> dict[str, Any]:
-    """Where numba would keep compiled code first, and whether it may write there."""
+    """Return the folder that numba tries first for compiled code, and whether it is writable."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen or Path(__file__).parents[1] / "rod" / "__pycache__").absolute()
-    there = next(p for p in (folder, *folder.parents) if p.exists())
-    return {"folder": str(folder), "writable": there.is_dir() and os.access(there, os.W_OK)}
+    folder = Path(chosen or Path(__file__).parents[1] / "rod/kernels/__pycache__").absolute()
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    return {"folder": str(folder), "writable": existing.is_dir() and os.access(existing, os.W_OK)}
 
 
 def _print(findings: dict[str, Any]) -> None:
@@ -104,8 +107,8 @@ def _print(findings: dict[str, Any]) -> None:
         rows[package["name"]] = (package["version"] or "missing") + extra
     print_table(rows)
     cache = findings["numba_cache"]
-    remedy = "" if cache["writable"] else ", which is not writable; set NUMBA_CACHE_DIR to a folder that is"
-    print(f"compiled code is kept in {cache['folder']}{remedy}")
+    remedy = "" if cache["writable"] else ", which is not writable; set NUMBA_CACHE_DIR to a writable folder"
+    print(f"cache of compiled code: {cache['folder']}{remedy}")
     for missing in findings["missing"]:
         note = f" ({missing['note']})" if missing["note"] else ""
         print(f"missing for {missing['needed_for']}{note}:\n  {missing['install']}")

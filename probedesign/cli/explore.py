@@ -1,19 +1,20 @@
-"""`probedesign explore`: touches from a moving base into points of the world."""
+"""`probedesign explore`: locate touches from a moving base as points of the world."""
 
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.base_options import BaseOptions
-from probedesign.cli.ending import ending_well
-from probedesign.cli.explored_files import check_out, write_cloud
-from probedesign.cli.explored_lines import print_cloud, summary
-from probedesign.cli.output import working
-from probedesign.cli.reading_options import ReadingOptions
-from probedesign.cli.rehearsal_options import RehearsalOptions
+from probedesign.cli.console import (
+    interrupt_on_termination,
+    plural,
+    print_json,
+    print_note,
+    show_progress,
+)
+from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
+from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -21,7 +22,15 @@ if TYPE_CHECKING:
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
     from probedesign.live.sources.source import Source
+    from probedesign.mapping.contact_map import ContactMap
     from probedesign.mapping.explore import Exploration
+    from probedesign.reports.map_picture import MapScene
+
+FILES = ("points.csv", "points.ply", "points.html", "points.svg")
+ELLIPSOIDS = (
+    "The ellipsoids contain the true point with a probability of 95 %, given the stated uncertainty of stiffness, "
+    "base, robot and bias. ± is the RMS distance."
+)
 
 
 def explore(
@@ -40,19 +49,19 @@ def explore(
 ) -> None:
     """Turn touches from a moving base into points of the world with their ellipsoids.
 
-    Each touch is one point of an object that the base presses onto and stands at, at several poses; touches of one
-    point are recognised and fused. Without --out a line a point; with it DIR/points.csv, .ply, .html (to turn by the
-    mouse) and .svg. How to press: docs/exploring.md.
+    Each touch is one point of an object that the base presses onto at several poses, with a stop at each. Touches of
+    the same point are recognised and fused. Prints one line per point. With --out it writes DIR/points.csv, .ply,
+    .html (a 3D view) and .svg. How to press: docs/exploring.md.
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
-        out: the folder to write.
-        force: replace the files that stand there.
-        apart_mm: the object's points lie at least so far apart; touches that are surely nearer may be one point. 0
-            fuses none.
-        manifest: manifest.json of the printed parts, to check that the probe is theirs.
-        as_json: print one JSON document: the points and all that is to know of them.
+        out: output folder.
+        force: replace existing files.
+        apart_mm: smallest distance between points of the object [mm]. Touches that are significantly nearer to each
+            other may be fused to one point. 0 fuses none.
+        manifest: manifest.json of the printed parts; its geometry must be the bundle's.
+        as_json: print one JSON document with the points and their uncertainty.
     """
     from probedesign.deployment import load_estimator, load_model
     from probedesign.mapping.explore import Exploration, parse_min_separation
@@ -63,66 +72,122 @@ def explore(
         model = load_model(bundle, manifest)
         written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
         return print(f"wrote {', '.join(map(str, written))}")
-    plan, apart = reading.plan(recording), parse_min_separation(apart_mm)
+    processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
     if out is not None:
-        check_out(out, force)
+        _check_out(out, force)
     estimator = load_estimator(bundle, manifest)
-    model, known = estimator.model, base.base(estimator.model)
-    opened, poses = _opened(estimator, recording, reading, base)
-    for note in (opened.title, *opened.notes, poses.title, *poses.notes, known.notice):
-        _say(note)
-    exploration = Exploration(estimator, known.apply_to(estimator.priors), apart)
-    _run(exploration, opened, plan, poses, tells=recording is None)
+    model, base_uncertainty = estimator.model, base.base(estimator.model)
+    source, poses = _open(estimator, recording, reading, base)
+    for note in (source.title, *source.notes, poses.title, *poses.notes, base_uncertainty.notice):
+        print_note(note)
+    exploration = Exploration(estimator, base_uncertainty.apply_to(estimator.priors), apart)
+    _run(exploration, source, processing, poses, print_touches=recording is None)
     cloud, probe = exploration.map(), f"{model.name} {model.fingerprint}"
     if out is not None:
-        about = [opened.title, f"probe {probe}", summary(cloud), known.summary]
-        write_cloud(out, MapScene(cloud, _truth(opened)), probe, about)
-    print_cloud(cloud, out, as_json)
+        notes = [source.title, f"probe {probe}", _summary(cloud), base_uncertainty.summary]
+        _write(out, MapScene(cloud, _true_outlines(source)), probe, notes)
+    _print(cloud, out, as_json)
 
 
-def _opened(
+def _check_out(out: Path, force: bool) -> None:
+    """Check that the files can be written to a folder.
+
+    Raises:
+        InputError: `out` is a file, cannot be written to, or has one of the files and `force` is not set.
+    """
+    from probedesign.files import check_overwrite, check_room
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"--out {out} is a file; choose a folder")
+    check_room(out / FILES[0])
+    for name in FILES:
+        check_overwrite(out / name, force)
+
+
+def _open(
     estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions
 ) -> "tuple[Source, BasePoses]":
-    """Readings and poses, and everything compiled before the first is read."""
+    """Open readings and poses, with all kernels compiled before the first reading arrives."""
     from probedesign.live.run import warm_up
     from probedesign.mapping.explore import check_poses
 
-    poses = check_poses(base.poses(_say), None)
-    with working("loading the rod kernels"):
-        warm_up(estimator, _say, fusing=True)
-        return reading.opened(recording, estimator.model, poses, _say), poses
+    poses = check_poses(base.poses(print_note), None)
+    with show_progress("loading the rod kernels"):
+        warm_up(estimator, print_note, fusing=True)
+        return reading.open(recording, estimator.model, poses, print_note), poses
 
 
 def _run(
-    exploration: "Exploration", opened: "Source", plan: "ProcessingOptions", poses: "BasePoses", tells: bool
+    exploration: "Exploration",
+    source: "Source",
+    processing: "ProcessingOptions",
+    poses: "BasePoses",
+    print_touches: bool,
 ) -> None:
-    """Until the source ends or Ctrl-C; what was touched by then is told.
+    """Collect touches until the source ends or Ctrl-C; the touches up to then are kept.
 
     Args:
-        exploration: takes the touches.
-        opened: gives readings.
-        plan: what to do with them.
-        poses: of the base.
-        tells: say of each touch when it is over.
+        exploration: collects the touches.
+        source: yields the readings.
+        processing: tare, averaging and duration.
+        poses: poses of the base.
+        print_touches: print a note at the end of each touch.
     """
-    with ending_well(), suppress(KeyboardInterrupt):
-        for touch in exploration.run(opened, plan, poses, _say):
-            if tells:
-                _say(f"touch {touch.segment.number} is over: {touch.result}")
+    with interrupt_on_termination(), suppress(KeyboardInterrupt):
+        for touch in exploration.run(source, processing, poses, print_note):
+            if print_touches:
+                print_note(f"touch {touch.segment.number} ended: {touch.result}")
     if exploration.n_without_pose:
-        _say(
+        print_note(
             f"{exploration.n_without_pose} of {exploration.n_readings} readings have no base pose and are ignored"
         )
 
 
-def _truth(opened: "Source") -> "tuple[Array, ...]":
-    """Outlines of what was touched, where a rehearsal tells them [m], (k, 3) each."""
+def _true_outlines(source: "Source") -> "tuple[Array, ...]":
+    """Return the true outlines of a simulated object [m], (k, 3) each; none for a measured one."""
     from probedesign.live.sources.replay import ReplaySource
     from probedesign.mapping.explore import LoadedRecording
     from probedesign.simulation.card_house import true_outlines
 
-    return true_outlines(opened.recorded_from) if isinstance(opened, LoadedRecording | ReplaySource) else ()
+    return true_outlines(source.recorded_from) if isinstance(source, LoadedRecording | ReplaySource) else ()
 
 
-def _say(note: str) -> None:
-    print(f"note: {note}", file=sys.stderr)
+def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
+    """Write table, points, page and picture.
+
+    Args:
+        out: the folder.
+        scene: the points, and the true outlines of a simulation.
+        probe: its name and fingerprint.
+        notes: lines about the origin of the points, for the page.
+    """
+    from probedesign.files import write_atomically
+    from probedesign.mapping.map_files import map_csv, map_ply
+    from probedesign.reports.map_page import map_page
+    from probedesign.reports.map_picture import map_svg
+
+    contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, f"probedesign explore, probe {probe}"),
+                map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene))  # fmt: skip
+    for name, content in zip(FILES, contents, strict=True):
+        write_atomically(out / name, content)
+
+
+def _print(cloud: "ContactMap", out: Path | None, as_json: bool) -> None:
+    """Print one JSON document, or one line per point and a summary."""
+    from probedesign.mapping.map_files import map_document, map_lines
+
+    if as_json:
+        print_json(map_document(cloud))
+        return
+    print("\n".join(map_lines(cloud)) or "no touch")
+    print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
+
+
+def _summary(cloud: "ContactMap") -> str:
+    """Return the number of points and touches, and the estimated stiffness scale."""
+    located, lost = sum(len(point.touches) for point in cloud.points), len(cloud.unlocated)
+    touches = f"{located}{f' of {located + lost}' if lost else ''} touch{'' if located + lost == 1 else 'es'}"
+    return (
+        f"{plural(len(cloud.points), 'point')} from {touches}; "
+        f"stiffness scale {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f}"
+    )

@@ -1,11 +1,11 @@
-"""`probedesign identify`: E, G and their kin from tests of a print."""
+"""`probedesign identify`: identify E, G and other parameters from tests of a print."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, print_table, working
+from probedesign.cli.console import plural, print_json, print_table, show_progress
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,33 +26,34 @@ def identify(
     page: Annotated[bool, Parameter(negative="--no-page")] = True,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Find E, G and their kin from tests of a print: least squares on the full rod.
+    """Identify E, G and other parameters from tests of a print by least squares on the full rod model.
 
     Args:
         design: the design file.
         data: folder of the tests (docs/measurements.md).
-        for_: what to find, with commas between: E, G, density, diameters, root, tilt, clocking, offset, gravity.
-        write: put what was found into the design file; without it, the lines are only shown.
+        for_: comma-separated parameters: E, G, density, diameters, root, tilt, clocking, offset, gravity.
+        write: write the identified values to the design file. Default: print the changes only.
         out: write a changed copy of the design to this file instead.
-        force: replace numbers that were set or identified before, or the file of --out, which is kept as FILE.old.
-        folder: for identification.json, residuals.csv and identification.html; by default exports/NAME/identification.
-        page: make the page with residuals.
+        force: replace values that were set or identified before, or the file of --out, which is kept as FILE.old.
+        folder: folder for identification.json, residuals.csv and identification.html. Default:
+            exports/NAME/identification.
+        page: write the page with residuals.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
 
     if write and out is not None:
-        raise InputError("--write changes the design itself and --out writes another file; choose one")
+        raise InputError("--write changes the design file and --out writes another one; choose one of them")
     names = [name for name in (part.strip() for part in for_.split(",")) if name]
-    with working("identifying"):
+    with show_progress("identifying"):
         found, files = pipeline.identify(design, data, names, folder, page)
     if not as_json:
         _print(found)
         print("wrote", ", ".join(map(str, files)))
     changes: tuple[Change, ...] = ()
-    path = kept = refused = None
+    path = backup = refused = None
     try:
-        changes, path, kept = pipeline.write_identified(found, design, out, write, force)
+        changes, path, backup = pipeline.write_identified(found, design, out, write, force)
     except InputError as error:
         if write or out is not None:
             raise
@@ -64,58 +65,59 @@ def identify(
                 "files": files,
                 "changes": changes,
                 "design_written": path,
-                "design_kept": kept,
+                "design_kept": backup,
             }
         )
     elif changes:
         _print_changes(changes, path, design)
-    if kept is not None and not as_json:
-        print(f"kept {out} as it was: {kept}")
-    if refused is not None:  # last, when all that was found is told
+    if backup is not None and not as_json:
+        print(f"kept the former {out} as {backup}")
+    if refused is not None:  # raised last, so that all results are printed first
         raise refused
 
 
 def _print(found: "Identification") -> None:
-    head = f"{found.name}  geometry {found.fingerprint}  {counted(found.tests, 'test')} of {found.data}"
+    head = f"{found.name}  geometry {found.fingerprint}  {plural(found.tests, 'test')} of {found.data}"
     print(f"{head}: {found.result}")
-    print_table({one.name: _told(one, found.dimensions) for one in found.found})
+    print_table({one.name: _value(one, found.dimensions) for one in found.found})
     for outlier in found.outliers[:5]:
-        print(
-            f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations off; it hardly counts"
-        )
+        print(f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations; down-weighted")
     if len(found.outliers) > 5:
         print(f"  and {len(found.outliers) - 5} more outliers, in residuals.csv")
-    for cause, of in found.causes.items():
-        print(f"  not counted: {cause}: {', '.join(f'{one.of} {one.percent:+.2g} %' for one in of)}")
+    for cause, effects in found.causes.items():
+        percent = ", ".join(f"{effect.of} {effect.percent:+.2g} %" for effect in effects)
+        print(f"  systematic effect (one standard deviation): {cause}: {percent}")
     for one in found.found:
         if any(shift.of == one.name for shift in found.shifts):
-            within = f"95 % within {one.low_total:.4g} ... {one.high_total:.4g}"
             print(
-                f"  with each of these as one standard deviation: {one.name} to {one.relative_std_total:.2%}, {within}"
+                f"  including systematic effects: {one.name} ± {one.relative_std_total:.2%}, "
+                f"95 % interval {one.low_total:.4g} ... {one.high_total:.4g}"
             )
     for note in (*found.caveats, *found.notes):
         print(f"  note: {note}")
 
 
-def _told(one: "Identified", dimensions: str) -> str:
+def _value(one: "Identified", dimensions: str) -> str:
+    """Return a parameter's value and 95 % interval.
+
+    Args:
+        one: the parameter.
+        dimensions: uncertainty of the print's dimensions; the interval that includes it is added where it is wider.
+    """
+    value = f"{one.value:.4g} {one.unit or f'({one.words})'}"
     if not one.identified:
-        return f"{_with_unit(one)}, the design's: not told by these tests"
-    text = f"{_with_unit(one)}, 95 % within {one.low:.4g} ... {one.high:.4g}"
+        return f"{value} (design value; not observable in these tests)"
+    text = f"{value}, 95 % interval {one.low:.4g} ... {one.high:.4g}"
     assert one.std is not None and one.std_of_print is not None
     if one.std_of_print > 1.1 * one.std:
-        of_print = f"{one.low_of_print:.4g} ... {one.high_of_print:.4g} with {dimensions}"
-        text += f" with the design's dimensions; {of_print}"
+        text += f" with the design's dimensions; {one.low_of_print:.4g} ... {one.high_of_print:.4g} with {dimensions}"
     return text
 
 
-def _with_unit(one: "Identified") -> str:
-    return f"{one.value:.4g} {one.unit or f'({one.words})'}"
-
-
 def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:
-    would = f"--write would change {design} (what was set or identified before, only with --force):"
-    print(f"wrote {path}; its old values stay as comments:" if path else would)
+    preview = f"--write would change {design} (values set or identified before only with --force):"
+    print(f"wrote {path}; the former values are kept as comments:" if path else preview)
     for change in changes:
         print(f"  [{change.table}] {change.key} = {change.text}")
     if path is None:
-        print(f"nothing is written: deploy would freeze {design} as it is; take --write, or --out for a copy")
+        print(f"{design} was not changed. Write these values with --write, or to a copy with --out")

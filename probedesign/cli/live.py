@@ -1,4 +1,4 @@
-"""`probedesign live`: contacts as the sensor reads them."""
+"""`probedesign live`: locate contacts in real time."""
 
 import os
 import sys
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.ending import ending_well
+from probedesign.cli.console import interrupt_on_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -44,42 +44,42 @@ def live(
     lines: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Locate contacts as the sensor reads them: a table that is drawn anew on a terminal, else a line an estimate.
+    """Locate contacts in real time: a live table on a terminal, otherwise one line per estimate.
 
-    Ends with the source, at --count or --seconds, or with Ctrl-C, and then says how many estimates had which
-    result. What sources take, as in "sim:?force_mN=50&seconds=60" or "replay:FILE?speed=max", and what a
-    tare is: docs/live.md.
+    Ends with the source, at --count or --seconds, or with Ctrl-C, and prints the number of estimates per result code.
+    Options of the sources, such as "sim:?force_mN=50&seconds=60" or "replay:FILE?speed=max", and the tare:
+    docs/live.md.
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
         source: netft://HOST (a Net F/T box), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card), replay:FILE (a
             recording) or sim: (a simulated contact that moves along the probe).
-        record: write everything to NAME.mcap, or raw readings to NAME.csv.
-        force: replace the file that --record names.
-        tare_s: START:END in seconds from the first reading: the probe is free then, take the bias there.
-        average: estimate from the mean of so many readings.
-        filter_hz: low-pass before each estimate, down by 3 dB there; the delay is said.
-        pose: of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe) or
-            udp://:PORT (JSON). With poses, touches are fused to points of the world.
-        pose_latency_ms: by which a pose arrives later than a reading of the same moment.
-        gravity_world: in the world's axes [m/s²], as 0,0,-9.81, which it is unless said.
-        rate_hz: at most so many estimates a second; readings between are left out.
-        count: end after so many estimates.
-        seconds: end so many seconds after the first reading.
-        publish: udp://HOST:PORT, which each estimate is sent to as a JSON datagram.
+        record: record everything to NAME.mcap, or raw readings to NAME.csv.
+        force: replace an existing recording.
+        tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
+        average: number of readings per mean; each mean is one estimate.
+        filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
+        pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe)
+            or udp://:PORT (JSON). With poses, touches are fused to points of the world.
+        pose_latency_ms: delay of a pose relative to a reading of the same time [ms].
+        gravity_world: X,Y,Z of gravity in world axes [m/s²]. Default: 0,0,-9.81.
+        rate_hz: largest rate of the estimates [Hz]; readings in between are not located.
+        count: end after this number of estimates.
+        seconds: end this many seconds after the first reading.
+        publish: send each estimate as a JSON datagram to udp://HOST:PORT.
         view: show the probe, the contact and charts on a page in the browser.
-        view_host: address that the page listens on; 0.0.0.0 opens it to the network.
-        view_port: its port, or the next free one.
-        manifest: manifest.json of the printed parts, to check that the probe is theirs.
-        exact_model: take probe, mount and bench for exactly what BUNDLE says; the sensor's noise, the drift of its bias
-            and the prior on friction remain. Otherwise all tolerances of BUNDLE count.
-        method: ml (maximum a posteriori, with friction) or force_moment, the published one (also called paper).
-        friction: standard deviation of tangential over normal force instead of BUNDLE's; 0: the force is normal to the
-            surface; inf: its direction is free.
-        lines: print a line an estimate on a terminal too.
+        view_host: address on which the page is served. 0.0.0.0 makes it accessible from the network.
+        view_port: port of the page, or the next free one.
+        manifest: manifest.json of the printed parts; its geometry must be the bundle's.
+        exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
+            prior remain. Default: all tolerances of BUNDLE.
+        method: ml (maximum a posteriori, with friction) or force_moment, the published method (also called paper).
+        friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
+            the surface; inf: any direction.
+        lines: print one line per estimate on a terminal, too.
         as_json: print each estimate as one line of JSON.
     """
-    from probedesign.cli.estimators import loaded_estimator
+    from probedesign.cli.options import loaded_estimator
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.open_poses import open_poses
@@ -89,71 +89,84 @@ def live(
     from probedesign.live.sources.source import open_source
 
     window = parse_window(tare_s) if tare_s is not None else None
-    plan = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method)
+    processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method)
     estimator = loaded_estimator(bundle, manifest, exact_model, friction)
-    about = {"source": source, "tare_s": tare_s or "", "average": str(average), "rate_hz": f"{rate_hz:g}",
-             "exact_model": str(exact_model).lower(), "method": method,
-             "friction": f"{estimator.model.friction:g}", "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
-             "pose": pose, "pose_latency_ms": f"{pose_latency_ms:g}", "gravity_world": gravity_world or ""}  # fmt: skip
-    drawn = not (lines or as_json) and _on_terminal()
+    settings = {
+        "source": source,
+        "tare_s": tare_s or "",
+        "average": str(average),
+        "rate_hz": f"{rate_hz:g}",
+        "exact_model": str(exact_model).lower(),
+        "method": method,
+        "friction": f"{estimator.model.friction:g}",
+        "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
+        "pose": pose,
+        "pose_latency_ms": f"{pose_latency_ms:g}",
+        "gravity_world": gravity_world or "",
+    }
+    live_table = not (lines or as_json) and _is_terminal()
     page = (view_host, view_port) if view else None
-    outlets = OutputOptions(record, force, publish, page, drawn, bundle.parent, about)
-    outlets.check(source)
-    with closing(SinkGroup(StderrSink())) as sinks, ending_well():
-        opened = open_source(source, estimator.model, sinks.log)
+    outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings)
+    outputs.check(source)
+    with closing(SinkGroup(StderrSink())) as sinks, interrupt_on_termination():
+        opened_source = open_source(source, estimator.model, sinks.log)
         poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.log)
-        publisher = outlets.publisher(sinks.log)
+        publisher = outputs.publisher(sinks.log)
         warm_up(estimator, sinks.log, fusing=True)
-        sinks.log(f"{opened.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-        for note in (*opened.notes, *((poses.title, *poses.notes) if poses is not None else ())):
+        sinks.log(f"{opened_source.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+        for note in (*opened_source.notes, *((poses.title, *poses.notes) if poses is not None else ())):
             sinks.log(note)
-        requests = CommandQueue()
-        outlets.connect(sinks, requests, estimator, opened, poses, publisher)
-        answers = estimate_stream(estimator, opened, plan, sinks.log, sinks, requests, poses)
-        by_itself = _print(answers, sinks.log, as_json, drawn)
-        if view and by_itself and _on_terminal():
-            _stay(sinks.log)
+        commands = CommandQueue()
+        outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
+        updates = estimate_stream(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
+        source_ended = _print(updates, sinks.log, as_json, live_table)
+        if view and source_ended and _is_terminal():
+            sinks.log("the run ended; the page stays open until Ctrl-C")
+            with suppress(KeyboardInterrupt):
+                Event().wait()
 
 
 def _print(
-    answers: "Generator[EstimateUpdate, None, None]", say: "Callable[[str], None]", as_json: bool, drawn: bool
+    updates: "Generator[EstimateUpdate, None, None]",
+    log: "Callable[[str], None]",
+    as_json: bool,
+    live_table: bool,
 ) -> bool:
-    """A line for each estimate, if they are not drawn; at the end, Ctrl-C included, a summary.
+    """Print one line per estimate and, after the end or Ctrl-C, the number of estimates per result code.
+
+    Args:
+        updates: the estimates.
+        log: takes the summary.
+        as_json: print each estimate as JSON.
+        live_table: a sink shows the estimates, so no lines are printed.
 
     Returns:
-        Whether it ended by itself.
+        True if the estimates ended without an interruption.
     """
     from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
     start: float | None = None
-    by_itself = False
+    complete = False
     try:
-        with closing(answers):
-            for answer in answers:
-                reading, estimate = answer.reading, answer.estimate
+        with closing(updates):
+            for update in updates:
+                reading, estimate = update.reading, update.estimate
                 start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:
-                    world = world_row(answer) if answer.fused is not None else {}
+                    world = world_row(update) if update.fused is not None else {}
                     print(json_line(estimate_row(reading, estimate) | world), flush=True)
-                elif not drawn:
-                    print(readable_line(reading.time - start, reading, estimate, answer), flush=True)
-        by_itself = True
+                elif not live_table:
+                    print(readable_line(reading.time - start, reading, estimate, update), flush=True)
+        complete = True
     except KeyboardInterrupt:
         pass
-    say(describe_counts(count_results(results)))
-    return by_itself
+    log(describe_counts(count_results(results)))
+    return complete
 
 
-def _on_terminal() -> bool:
-    """Whether a person looks who sees a table drawn anew."""
+def _is_terminal() -> bool:
+    """Return whether stdout is a terminal that can redraw a table."""
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
-
-
-def _stay(say: "Callable[[str], None]") -> None:
-    """Keep the page for who looks at it."""
-    say("the run is over; the page stays until Ctrl-C")
-    with suppress(KeyboardInterrupt):
-        Event().wait()

@@ -1,7 +1,7 @@
-"""The command line: which commands there are, and what an error looks like.
+"""Entry point of the command line: the list of commands, error messages and exit statuses.
 
-Every command lives in a file of its own and is imported when it is called for, so that the help of one
-never waits for the numerics of another.
+Each command is a module of this package that is imported when the command is called, so the help of one command never
+waits for the numerics of another.
 """
 
 import os
@@ -13,41 +13,43 @@ from cyclopts import App, CycloptsError, Parameter
 from probedesign.errors import InputError, MissingDependencyError
 
 COMMANDS = {
-    "new": "Write designs/NAME.toml from a few numbers.",
-    "check": "Check whether a design will print.",
-    "export": "Make the parts to print: STL, STEP, 3MF and their manifest.",
-    "print": "Prepare the exported parts in PreForm, and send them to a printer if asked.",
+    "new": "Write designs/NAME.toml from a few dimensions.",
+    "check": "Check whether a design can be printed.",
+    "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
+    "print": "Prepare the exported parts in PreForm, and send them to a printer on request.",
     "predict": "Predict sensitivity and contact error of a design.",
-    "compare": "Put several designs side by side, as a table and a page.",
-    "sweep": "Compute a grid of designs, on this machine or on many.",
-    "optimize": "Find the body that does a task best.",
-    "identify": "Find E, G and their kin from tests of a print.",
+    "compare": "Compare several designs in a table and on a page.",
+    "sweep": "Evaluate a grid of designs, on this machine or on a cluster.",
+    "optimize": "Optimize the shape of a probe for a task.",
+    "identify": "Identify E, G and other parameters from tests of a print.",
     "deploy": "Freeze the estimator of a design into one file.",
-    "estimate": "Locate the contacts of a recording, one estimate a row.",
-    "campaign": "Make up what a laboratory would measure of a print: a data folder as example.",
-    "validate": "Compare the frozen probe with a stereo reference, as the paper's Table I.",
-    "live": "Locate contacts as the sensor reads them.",
+    "estimate": "Locate the contacts of a recording, one estimate per row.",
+    "campaign": "Simulate a measurement campaign: an example data folder.",
+    "validate": "Compare a frozen probe's estimates with a stereo reference, as in the paper's Table I.",
+    "live": "Locate contacts in real time.",
     "explore": "Turn touches from a moving base into points of the world.",
-    "recover": "Make an MCAP recording whole that was cut off.",
-    "markers": "Find the dots of a probe in the photographs of a campaign.",
-    "simulate": "Play a Net F/T box with the probe on it, for live and other clients.",
+    "recover": "Repair an MCAP recording that was cut off.",
+    "markers": "Detect the markers of a probe in the photographs of a campaign.",
+    "simulate": "Simulate a Net F/T box with a probe, for live and other clients.",
     "demo": "Run the whole chain on a built-in example.",
-    "doctor": "Tell what is installed and what is missing for what.",
+    "doctor": "Report installed and missing packages.",
 }
-"""Commands in the order of the chain, with their line of help: it stands here because reading it from the
-commands would import them all."""
+"""Commands in the order of the chain, each with its line of help. Kept here because reading it from the commands would
+import them all."""
 
 FUNCTIONS = {"print": "print_job"}
-"""Module and function of a command, where its name will not do."""
+"""Module and function of a command whose name is taken in Python."""
 
 DEBUG = "PROBEDESIGN_DEBUG"
+INTERRUPTED = 130
+"""Exit status after SIGINT: 128 plus the number of the signal."""
 
 
 def build_app() -> App:
-    """The command line, ready to be called with arguments."""
+    """Return the command line application, to be called with a list of arguments."""
     app = App(
         name="probedesign",
-        help="Design, print and run soft conic probes that locate a touch from the wrench at their base.",
+        help="Design, fabricate and run soft conic probes that locate contacts from the wrench at their base.",
         version=lambda: version("probedesign"),
         default_parameter=Parameter(negative=()),
         help_format="plaintext",
@@ -69,11 +71,11 @@ def run(arguments: list[str]) -> int:
         arguments: without the program's name.
 
     Returns:
-        Exit status: 0 done; 2 a wrong file, option or argument; 1 anything else, such as an interruption or a
-        reader of our output that went away.
+        Exit status: 0 on success; 2 for a file, option or argument that cannot be used; 130 after an interruption
+        (Ctrl-C), as shells expect of SIGINT (128 + 2); 1 for any other failure, such as a closed output pipe.
     """
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal that knows no "±" gets a "?"
+        if hasattr(stream, "reconfigure"):  # a terminal whose encoding lacks "±" prints "?"
             stream.reconfigure(errors="replace")
     try:
         status = build_app()(arguments)
@@ -82,16 +84,16 @@ def run(arguments: list[str]) -> int:
     except (CycloptsError, InputError, MissingDependencyError) as error:
         return _fail(str(error), 2)
     except KeyboardInterrupt as interruption:
-        return _fail(str(interruption) or "interrupted", 1)
+        return _fail(str(interruption) or "interrupted", INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python reports it again at exit
         return 1
     except Exception as error:
-        return _fail(f"{error} ({type(error).__name__}; {DEBUG}=1 shows where)", 1)
+        return _fail(f"{error} ({type(error).__name__}; set {DEBUG}=1 for a traceback)", 1)
 
 
 def _fail(message: str, status: int) -> int:
-    """One line on stderr, with the traceback above it if it was asked for."""
+    """Print one line on stderr, after the traceback if the environment requests it, and return the status."""
     if os.environ.get(DEBUG):
         import traceback
 
@@ -101,7 +103,7 @@ def _fail(message: str, status: int) -> int:
 
 
 def main() -> None:
-    """Entry point of `probedesign`."""
+    """Run `probedesign` with the arguments of the process."""
     sys.exit(run(sys.argv[1:]))
 
 

@@ -1,11 +1,11 @@
-"""`probedesign new`: from a few numbers to a design file, and what to expect of it."""
+"""`probedesign new`: write a design file from a few dimensions, and predict its performance."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, print_table, working
+from probedesign.cli.console import plural, print_json, print_table, show_progress
 from probedesign.errors import InputError
 
 FOLDER = Path("designs")
@@ -22,7 +22,7 @@ OPTIONS = {
     "mount.robot_flange": "--robot-flange",
     "contact.friction": "--friction",
 }
-"""The option that sets a key, so that an error speaks of what was typed."""
+"""Option that sets a key of the design, so that errors name the option that the user typed."""
 
 
 def new(
@@ -44,24 +44,25 @@ def new(
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Write designs/NAME.toml from a few numbers; print mass, sag, print fit and the expected error.
+    """Write designs/NAME.toml from a few dimensions; print mass, sag, print fit and the expected error.
 
     Args:
-        name: of the design; by default one that carries the parameters, such as cone-150x12x2.
-        length: of the flexible part, base to tip [mm].
+        name: name of the design. Default: composed of the dimensions, such as cone-150x12x2.
+        length: length of the flexible part from base to tip [mm].
         base_d: diameter at the base [mm].
-        tip_d: diameter at the tip [mm]; by default a sixth of the base, at least 2 mm.
-        tip: rounded ends in a sphere within the same length.
-        shape: a cylinder has one diameter.
-        section: round is full; hollow needs --bore-ratio, elliptic needs --flatness.
-        bore_ratio: of a hollow section, inner over outer diameter, 0.05 ... 0.9.
-        flatness: of an elliptic section, diameter along y over that along x, 0.2 ... 1; the others are along x.
+        tip_d: diameter at the tip [mm]. Default: a sixth of the base diameter, at least 2 mm.
+        tip: blunt, or rounded: a sphere within the same length.
+        shape: cone, or cylinder with one diameter.
+        section: round (solid), hollow (needs --bore-ratio) or elliptic (needs --flatness).
+        bore_ratio: inner over outer diameter of a hollow section, 0.05 ... 0.9.
+        flatness: diameter along y over diameter along x of an elliptic section, 0.2 ... 1. --base-d and --tip-d are
+            along x.
         resin: elastic-50a, flexible-80a or silicone-40a.
-        sensor: nano17, or a calibration of it such as si-12-0.12.
+        sensor: nano17, or one of its calibrations, such as si-12-0.12.
         robot_flange: bolt pattern of the robot.
-        friction: tangential over normal force of a touch, standard deviation of the prior, 0 ... inf; by default the
+        friction: standard deviation of the prior of tangential over normal contact force, 0 ... inf. Default: the
             resin's.
-        force: replace a design file of that name.
+        force: replace an existing design file.
         as_json: print one JSON document.
     """
     from probedesign.design_file import draft_design, render_design, write_design
@@ -86,7 +87,7 @@ def new(
         raise InputError(_in_options(str(error))) from None
     path = FOLDER / f"{design.name}.toml"
     write_design(render_design(design, notes), path, force)
-    with working("predicting what it can do"):
+    with show_progress("predicting its performance"):
         from probedesign import pipeline
 
         summary = pipeline.summary(design)
@@ -98,7 +99,7 @@ def new(
 
 
 def _in_options(message: str) -> str:
-    """An error about keys as one about the options that set them."""
+    """Replace the keys in an error message by the options that set them."""
     for key, option in OPTIONS.items():
         bare = key.rpartition(".")[2]
         message = message.replace(key, option).replace(f" {bare} = ", f" {option} = ")
@@ -109,22 +110,22 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
     error = document["expected_error_mm"]
     fits = "fits" if document["fits_upright"] else "does not fit"
     expected = "none" if error is None else f"{error:.2g} mm"
-    found = document["print_check"]
+    findings = document["print_check"]
     rows = {
         "mass": f"{document['mass_g']:.3g} g",
-        "sag": "none: it cannot stand as mounted"
+        "sag": "none: no stable equilibrium under gravity as mounted"
         if document["sag_mm"] is None
         else f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
-        "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm at its thinnest",
-        "print check": f"{counted(found['errors'], 'error')}, {counted(found['warnings'], 'warning')}; "
-        f"probedesign check {document['file']}",
+        "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm smallest diameter",
+        "print check": f"{plural(findings['errors'], 'error')}, {plural(findings['warnings'], 'warning')}; "
+        f"details: probedesign check {document['file']}",
         "expected error": f"{expected}, {document['expected_error_condition']}",
         "assumed": ", ".join(document["assumptions"]) or "nothing",
     }
     if tip_note:
-        rows = {"tip": f"{document['tip_d_mm']:g} mm, {tip_note}; --tip-d sets it"} | rows
+        rows = {"tip": f"{document['tip_d_mm']:g} mm, {tip_note}; set it with --tip-d"} | rows
     print(f"wrote {document['file']}")
     print_table(rows)
-    for finding in found["findings"]:
+    for finding in findings["findings"]:
         if finding["severity"] == "error":
             print(f"  error: {finding['message']}")

@@ -1,4 +1,4 @@
-"""`probedesign optimize`: the body that does a task best."""
+"""`probedesign optimize`: optimize the shape of a probe for a task."""
 
 import math
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, telling
-from probedesign.cli.task import TaskOptions
+from probedesign.cli.console import print_json, show_progress
+from probedesign.cli.options import TaskOptions
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from probedesign.optimization.optimum import Optimum
     from probedesign.optimization.pareto import ParetoFront
 
-SHOWN_WORSE = 6
-"""Places and forces at which the best body is worse than the start, that are printed."""
+MAX_SHOWN_CASES = 6
+"""Cases with a larger error than the start's that are printed."""
 Over = Literal["cone", "taper", "length", "section"]
 
 
@@ -36,23 +36,26 @@ def optimize(
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Find the body that does a task best, and write it as a design file like any other.
+    """Optimize the shape of a probe for a task, and write the optimum as a design file.
 
-    Rules of printing and the sensor's range are always kept. Limits: FIGURE<=NUMBER or FIGURE>=NUMBER with error_mm,
-    worst_error_mm, sag_mm, reach_mm, sensor_use, slide_mm, mass_g or length_mm. More: docs/search.md.
+    The printing rules and the sensor's range are always constraints. Further constraints: METRIC<=NUMBER or
+    METRIC>=NUMBER with error_mm, worst_error_mm, sag_mm, reach_mm, sensor_use, slide_mm, mass_g or length_mm. More:
+    docs/search.md.
 
     Args:
-        design: the design file to start from; what is not varied stays as it is there.
-        goal: least error at --force-N, or least force for --error-mm.
-        error_mm: to be reached, with force-for-error.
-        subject_to: a limit such as "sag_mm<=60"; again for more.
-        over: what may change: cone (base and tip), taper (a free profile), length, section. By default cone.
-        options: what the body is judged by.
-        confirm: draw so many probes and touches in each case, all causes and friction, and locate them.
-        pareto: look at so many cones for the front of error, force and reach; needs the extra 'optimize'.
-        seed: of the draws and of the front.
-        out: the design file to write; by default designs/NAME-best.toml.
-        force: replace the file.
+        design: the design file of the start; keys that are not varied are copied from it.
+        goal: minimize the error at --force-N, or the force that reaches --error-mm.
+        error_mm: error to be reached [mm], for force-for-error.
+        subject_to: a constraint such as "sag_mm<=60"; repeat the option for more.
+        over: variables: cone (base and tip diameter), taper (a free profile), length, section. Default: cone.
+        options: the task.
+        confirm: check the result by a Monte Carlo simulation with this number of samples per case, with all error
+            sources and friction.
+        pareto: evaluate this number of cones for the Pareto front of error, force and reach; needs the extra
+            'optimize'.
+        seed: seed of Monte Carlo simulation and Pareto front.
+        out: output design file. Default: designs/NAME-best.toml.
+        force: replace an existing output file.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
@@ -69,8 +72,8 @@ def optimize(
     search = OptimizationProblem(
         start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
     )
-    with telling() as tell:
-        found = pipeline.optimize(search, out, force, confirm, pareto, seed, tell)
+    with show_progress() as on_progress:
+        found = pipeline.optimize(search, out, force, confirm, pareto, seed, on_progress)
     if as_json:
         print_json(found.as_dict())
     else:
@@ -84,33 +87,33 @@ def _print(
     front: "ParetoFront | None",
 ) -> None:
     print(f"{found.design.name}: {found.task.text}")
-    print(f"  {'':<16}{'start':>12}{'best':>12}")
+    print(f"  {'':<16}{'start':>12}{'optimum':>12}")
     before, after = found.before.as_dict(), found.after.as_dict()
     for name in after:
         print(f"  {name:<16}{_cell(before[name]):>12}{_cell(after[name]):>12}")
     if confirmed is not None:
-        for name, one in zip(("start", "best"), confirmed, strict=True):
+        for name, one in zip(("start", "optimum"), confirmed, strict=True):
             if one is None:
-                print(f"  {name}: gives way, so nothing was drawn")
+                print(f"  Monte Carlo, {name}: not run, because the probe buckles")
                 continue
-            print(f"  {name}, drawn from all causes: {one.rms_mm:.3g} ± {one.standard_error_mm:.1g} mm RMS, predicted "
+            print(f"  Monte Carlo, {name}: {one.rms_mm:.3g} ± {one.standard_error_mm:.1g} mm RMS, predicted "
                   f"{one.bound_mm:.3g} mm; {one.located} of {one.drawn} located, {one.inside} of them "
                   "inside their 95 % ellipsoid")  # fmt: skip
-    print(f"  held back by: {', '.join(found.active_constraints) or 'nothing: it is a free optimum'}")
+    print(f"  active constraints: {', '.join(found.active_constraints) or 'none'}")
     ranked = sorted(
         found.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True
     )
-    for place in ranked[:SHOWN_WORSE]:
-        now = "gives way" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
+    for place in ranked[:MAX_SHOWN_CASES]:
+        error = "buckles" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
         gravity = ",".join(f"{g:g}" for g in place.gravity_base_m_s2)
-        print(f"  worse than the start at {place.contact_fraction:g} of the length, {1e3 * place.force_N:g} mN, "
-              f"gravity {gravity}: {now}, was {place.start_error_mm:.3g} mm")  # fmt: skip
-    if len(ranked) > SHOWN_WORSE:
-        print(f"  and worse at {len(ranked) - SHOWN_WORSE} more places and forces: --json lists all")
-    print(f"  {found.n_evaluations} bodies looked at from {len(found.starts)} starts: "
-          f"{', '.join('no good' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
+        print(f"  larger error than the start at {place.contact_fraction:g} of the length, {1e3 * place.force_N:g} mN, "
+              f"gravity {gravity} m/s²: {error}, start {place.start_error_mm:.3g} mm")  # fmt: skip
+    if len(ranked) > MAX_SHOWN_CASES:
+        print(f"  and in {len(ranked) - MAX_SHOWN_CASES} more cases; --json lists all")
+    print(f"  {found.n_evaluations} designs evaluated from {len(found.starts)} starts, objective: "
+          f"{', '.join('infeasible' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
     if front is not None:
-        print(f"\nPareto front, {len(front.rows)} of {front.n_evaluations} cones")
+        print(f"\nPareto front: {len(front.rows)} of {front.n_evaluations} cones")
         print("".join(f"{name:>12}" for name in front.rows[0]))
         for row in front.rows[:: max(1, len(front.rows) // 12)]:
             print("".join(f"{value:>12.4g}" for value in row.values()))

@@ -1,16 +1,30 @@
-"""`probedesign predict`: what a design will sense, before it is printed."""
+"""`probedesign predict`: predict sensitivity and contact error of a design."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli import prediction_tables as tables
-from probedesign.cli.output import print_json, print_table, telling, working
-from probedesign.errors import InputError
+from probedesign.cli.console import print_json, print_table, show_progress
+from probedesign.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
-    from probedesign.prediction.predict import Prediction
+    from probedesign.prediction.fused import FusedCondition
+    from probedesign.prediction.predict import Condition, Prediction
+    from probedesign.prediction.table_one import AgreementScore, TableOne
+    from probedesign.prediction.workspace import Workspace
+
+    AnyCondition = Condition | FusedCondition
+
+BUDGET_FORCE_N = 0.02
+"""Contact force of the printed error budget of one reading; the nearest force of the grid is used."""
+FUSED_BUDGET_FORCE_N = 0.005
+"""Same for fused touches, which are located at lower forces."""
+LIMITS = {"gives_way": "buckling", "sensor": "sensor", "slips_off": "slips off", "none": "none"}
+"""Printed name of what limits the contact force."""
+MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
+"""Printed instead of an error, by result code; any other code is "/"."""
 
 
 def predict(
@@ -30,15 +44,14 @@ def predict(
 
     Args:
         design: the design file; none with --table1.
-        out: folder for them; by default exports/NAME.
-        monte_carlo: check the error budget by so many simulated estimates of each condition; goes on where an
-            interrupted run of the same stopped.
-        seed: of what Monte Carlo draws.
-        table1: predict the paper's Table I for its own three probes, beside what was measured.
-        touches: how many touches of one point are fused, as the base presses on.
-        forces_too: fuse forces and moments; by default the moments alone that the sensor reads.
-        plots: make the page, which reads without a network, and the picture; by default the latter where matplotlib
-            is installed.
+        out: output folder. Default: exports/NAME.
+        monte_carlo: check the error budget by this number of simulated estimates per condition. An interrupted run is
+            resumed by the same command.
+        seed: seed of the Monte Carlo simulation.
+        touches: number of touches of one point that are fused while the base presses on.
+        forces_too: fuse forces and moments. Default: the moments about the sensor's origin only.
+        table1: predict the paper's Table I for its three probes, beside the measured values.
+        plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
@@ -46,33 +59,36 @@ def predict(
 
     if (design is None) is not table1:
         raise InputError(
-            "predict needs a design file, or --table1 and none: probedesign predict designs/NAME.toml"
+            "predict needs a design file, such as designs/NAME.toml, or --table1 without a design file"
         )
     if design is None:
         if (out, monte_carlo, seed, touches, forces_too, plots) != (None, None, 0, 5, False, None):
-            raise InputError("--table1 takes --json alone: it writes no files and fuses nothing")
-        with working("predicting the paper's table"):
+            raise InputError(
+                "--table1 has no other option than --json: it writes no files and fuses no touches"
+            )
+        with show_progress("predicting the paper's table"):
             table = pipeline.predict_table_one()
         if as_json:
             print_json(table.as_dict())
         else:
-            tables.print_table_one(table)
+            _print_table_one(table)
         return
-    pressing = PressSchedule(touches, None if forces_too else "sensor")
-    with telling() as tell:
-        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, tell, pressing)
+    schedule = PressSchedule(touches, None if forces_too else "sensor")
+    with show_progress() as on_progress:
+        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, on_progress, schedule)
     if as_json:
         print_json(prediction.as_dict())
-    else:
-        _print(prediction)
-        print("wrote", ", ".join(map(str, files)))
-        if plots is None and not any(file.suffix == ".png" for file in files):
-            print("no picture: matplotlib is not installed (pip install 'probedesign[plots]')")
+        return
+    _print_properties(prediction)
+    print_tables(prediction)
+    print("wrote", ", ".join(map(str, files)))
+    if plots is None and not any(file.suffix == ".png" for file in files):
+        print("no picture was written:", MissingDependencyError.of_extra("a plot", "matplotlib", "plots"))
 
 
-def _print(prediction: "Prediction") -> None:
+def _print_properties(prediction: "Prediction") -> None:
     sag = (
-        "none: the probe cannot stand as mounted, so nothing below holds"
+        "none: no stable equilibrium under gravity as mounted, so the figures below do not apply"
         if prediction.tip_sag_mm is None
         else f"{prediction.tip_sag_mm:.3g} mm at the tip, under gravity as mounted"
     )
@@ -82,53 +98,210 @@ def _print(prediction: "Prediction") -> None:
             "mass": f"{prediction.mass_g:.3g} g, flexible part",
             "sag": sag,
             "noise": f"{prediction.noise_force_mN:.3g} mN and {prediction.noise_moment_Nmm:.3g} N·mm "
-            "a reading and channel",
-            "friction": "direction of the force free"
+            "per channel of one reading, standard deviation",
+            "friction": "any direction of the force"
             if prediction.friction is None
-            else f"{prediction.friction:g}, tangential over normal force, standard deviation",
+            else f"{prediction.friction:g}, standard deviation of tangential over normal force",
             "assumed": ", ".join(prediction.assumptions) or "nothing",
         }
     )
-    print("\nContact error [mm], RMS of one reading, worst of the directions; all causes counted")
+
+
+def print_tables(prediction: "Prediction") -> None:
+    """Print the tables of a prediction: errors, sensitivity, error budgets, Monte Carlo, forces and workspace."""
+    print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     print(_error_table(prediction, "predicted_error_mm"))
-    print("\nThe same by the sensor's noise alone, of a probe that is exactly its model")
+    print("\nContact error of one reading [mm], sensor noise only, for a probe that equals its model")
     print(_error_table(prediction, "noise_error_mm"))
-    print("\n- : felt but not located   . : not felt   ^ : beyond the sensor   / : the probe gives way")
-    print("\nAt the lightest force, worst of the directions")
+    print(
+        "\n- : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles"
+    )
+    print("\nSensitivity at the lightest force, worst direction")
     print(_sensitivity_table(prediction))
-    tables.print_all(prediction)
-
-
-_MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
+    _print_budget(prediction, prediction.conditions, BUDGET_FORCE_N, "one reading at")
+    _print_budget(prediction, prediction.fused, FUSED_BUDGET_FORCE_N, f"{prediction.pressing.text}, up to")
+    print("  Tolerances are assumed unless the design states them: prediction.json, [tolerances].")
+    if prediction.monte_carlo:
+        print("\nMonte Carlo, all error sources; * differs from the error budget by more than 10 %")
+        print(_monte_carlo_table(prediction))
+    print("\nForce limits and thresholds, full error budget, worst direction")
+    print(_threshold_table(prediction))
+    lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)
+    if any(f.force_mN_for_2_mm == lightest for f in prediction.fused_reach):
+        print(
+            f"  Fused touches: {lightest:g} mN is the lightest force evaluated; the true threshold may be lower."
+        )
+    _print_workspace(prediction.workspace)
 
 
 def _error_table(prediction: "Prediction", error: str) -> str:
+    """Return the largest error over the directions [mm], or a mark, by place and force."""
     forces = sorted({c.force_N for c in prediction.conditions})
     lines = ["  s/L  " + "".join(f"{1e3 * f:>7g} mN" for f in forces)]
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
         cells = []
         for force in forces:
             here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, force)]
-            bad = next((c.result for c in here if c.result != "ok"), None)
+            failed = next((c.result for c in here if c.result != "ok"), None)
             worst = max((getattr(c, error) or 0.0 for c in here), default=0.0)
-            cells.append(_MARKS.get(bad, "/") if bad else f"{worst:.3g}")
+            cells.append(MARKS.get(failed, "/") if failed else f"{worst:.3g}")
         lines.append(f"  {fraction:<5g}" + "".join(f"{cell:>10}" for cell in cells))
     return "\n".join(lines)
 
 
 def _sensitivity_table(prediction: "Prediction") -> str:
+    """Return detectable force, and moments and force per contact force and per press depth, by place."""
     lightest = min(c.force_N for c in prediction.conditions)
-    lines = ["  s/L    detectable    moment/force    moment/press    force/press",
+    lines = ["  s/L    detectable    moment/force    moment/depth    force/depth",
              "                 mN          N·mm/N         N·mm/mm          mN/mm"]  # fmt: skip
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
         here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, lightest)]
-        felt = [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == fraction]
-        cells = (
-            max((f for f in felt if f is not None), default=None),
+        detectable = [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == fraction]
+        values = (
+            max((f for f in detectable if f is not None), default=None),
             min((c.moment_per_N_Nmm for c in here if c.moment_per_N_Nmm is not None), default=None),
             min((c.moment_per_mm_Nmm for c in here if c.moment_per_mm_Nmm is not None), default=None),
             min((1e3 * c.force_per_mm_N for c in here if c.force_per_mm_N is not None), default=None),
         )
-        shown = ["none" if cell is None else f"{cell:.3g}" for cell in cells]
-        lines.append(f"  {fraction:<5g}{shown[0]:>12}{shown[1]:>16}{shown[2]:>16}{shown[3]:>15}")
+        cells = (_cell(value, width) for value, width in zip(values, (12, 16, 16, 15), strict=True))
+        lines.append(f"  {fraction:<5g}" + "".join(cells))
     return "\n".join(lines)
+
+
+def _print_budget(
+    prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str
+) -> None:
+    """Print the error budget of the worst direction at each located place.
+
+    Args:
+        prediction: it has the places.
+        conditions: of one reading, or of fused touches.
+        force_N: wanted contact force [N]; the nearest force of the grid is used.
+        kind: name of the conditions, before the force.
+    """
+    worst = _worst_directions(conditions, force_N)
+    if not worst:
+        print(f"\nError budget of {kind} this force: none, no place is located")
+        return
+    force_mN = 1e3 * next(iter(worst.values())).force_N
+    print(f"\nError budget [mm], RMS of {kind} {force_mN:g} mN by error source, worst direction")
+    places = sorted(worst)
+    print("  s/L               " + "".join(f"{place:>7g}" for place in places))
+    rows: list[tuple[str, Callable[[AnyCondition], float | None]]] = [
+        (cause, lambda c, cause=cause: (c.budget_mm or {})[cause])  # type: ignore[misc]
+        for cause in next(iter(worst.values())).budget_mm or {}
+    ]
+    rows += [("all", lambda c: c.predicted_error_mm), ("95 % radius", lambda c: c.predicted_error_95_mm)]
+    for name, value in rows:
+        print(f"  {name:<18}" + "".join(_small_cell(value(worst[place]), 7) for place in places))
+    missing = ", ".join(
+        f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst))
+    )
+    if missing:
+        print(f"  Not located at this force: {missing}")
+
+
+def _worst_directions(conditions: "Sequence[AnyCondition]", wanted_N: float) -> "dict[float, AnyCondition]":
+    """Return the condition with the largest error at each located place, at the grid's force nearest to the wanted."""
+    force = min((c.force_N for c in conditions), key=lambda f: abs(f - wanted_N), default=0.0)
+    worst: dict[float, AnyCondition] = {}
+    for c in conditions:
+        if c.force_N == force and c.result == "ok" and c.budget_mm is not None:
+            before = worst.get(c.contact_fraction)
+            if before is None or (c.predicted_error_mm or 0.0) > (before.predicted_error_mm or 0.0):
+                worst[c.contact_fraction] = c
+    return worst
+
+
+def _monte_carlo_table(prediction: "Prediction") -> str:
+    lines = ["  s/L     force  from  touches   budget   Monte Carlo         95 %   located"]
+    for row in prediction.monte_carlo:
+        error = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"
+        lines.append(
+            f"  {row.contact_fraction:<5g}{1e3 * row.force_N:>5g} mN  {row.direction:<4}{row.touches:>9}"
+            f"{_cell(row.first_order_mm, 9)}{error:>14}{'*' if row.differs else ' '}{_cell(row.error_95_mm, 12)}"
+            f"{row.located / row.draws:>9.0%}"
+        )
+    return "\n".join(lines)
+
+
+def _threshold_table(prediction: "Prediction") -> str:
+    """Return the forces at which contacts are detected and located to 5, 2 and 1 mm, and the largest force."""
+    k = prediction.pressing.touches
+    lines = [f"  s/L  detect    5 mm    2 mm    1 mm  2 mm, {k:>2} fused    largest  limit       deflection",
+             "            mN      mN      mN      mN              mN         mN                     mm"]  # fmt: skip
+    for place in sorted({r.contact_fraction for r in prediction.reach}):
+        here = [r for r in prediction.reach if r.contact_fraction == place]
+        weakest = min(here, key=lambda r: r.greatest_force_N or 0.0)
+        thresholds = [
+            _max([d for d in prediction.detection if d.contact_fraction == place], "detectable_force_mN"),
+            *(_max(here, f"force_mN_for_{mm}_mm") for mm in (5, 2, 1)),
+            _max([f for f in prediction.fused_reach if f.contact_fraction == place], "force_mN_for_2_mm"),
+        ]
+        lines.append(
+            f"  {place:<5g}"
+            + "".join(_cell(value, width) for value, width in zip(thresholds, (7, 8, 8, 8, 16), strict=True))
+            + _cell(None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N, 11)
+            + f"  {LIMITS[weakest.limit]:<11}{_cell(weakest.deflection_mm, 10)}"
+        )
+    return "\n".join(lines)
+
+
+def _print_workspace(workspace: "Workspace") -> None:
+    """Print how far the contact point can be pushed."""
+    if not workspace.paths:
+        return
+    print("\nWorkspace of the contact point for a fixed base")
+    for side, area in (workspace.area_mm2 or {}).items():
+        furthest = max((path for path in workspace.paths if path.direction == side),
+                       key=lambda path: path.pressed_mm, default=None)  # fmt: skip
+        extent = " (mirrored)" if furthest is None else (
+            f", up to {furthest.pressed_mm:.3g} mm at {furthest.contact_fraction:g} of the length")  # fmt: skip
+        print(f"  along {side}  area {1e-2 * area:.3g} cm²{extent}")
+    if workspace.volume_mm3 is not None:
+        print(f"  volume {1e-3 * workspace.volume_mm3:.3g} cm³")
+
+
+def _max(rows: "Sequence[Any]", name: str) -> float | None:
+    """Return the largest value of an attribute; None if one of the rows has none."""
+    values = [getattr(row, name) for row in rows]
+    return None if None in values else max(values)
+
+
+def _cell(value: float | None, width: int) -> str:
+    return f"{'none' if value is None else f'{value:.3g}':>{width}}"
+
+
+def _small_cell(value: float | None, width: int) -> str:
+    """Return the value [mm] to 0.01 mm; smaller parts of an error budget are negligible."""
+    if value is None or value >= 100:
+        return _cell(value, width)
+    return f"{'<0.01' if value < 0.005 else f'{value:.2f}':>{width}}"
+
+
+def _print_table_one(table: "TableOne") -> None:
+    """Print the paper's Table I beside its prediction."""
+    print(
+        f"Table I, contact error [mm]: sensor noise {table.noise_force_mN:.3g} mN and {table.noise_moment_Nmm:.3g} "
+        f"N·mm, error of the stereo reference {table.reference_mm:g} mm (assumed), the same in all rows"
+    )
+    print("  probe    force   s/L    measured   predicted    noise only   largest error source")
+    for row in table.rows:
+        print(
+            f"  {row.probe:<7}{row.force_N:>7g}{row.contact_fraction:>6g}{row.measured_error_mm:>12g}"
+            f"{_cell(row.predicted_error_mm, 12)}{_cell(row.noise_error_mm, 14)}   {row.largest_cause}"
+        )
+    print(f"\n  {_score(table.score, len(table.rows))}")
+    for row in table.rows:
+        if not row.within:
+            print(f"  outside: {row.probe}, {row.force_N:g} N at {row.contact_fraction:g}: {row.why}")
+    print("\nSensitivity to the reference and to the assumed diameters")
+    for score in (*table.by_reference, *table.by_diameter):
+        print(f"  {score.setting:<24}{_score(score, len(table.rows))}")
+
+
+def _score(score: "AgreementScore", rows: int) -> str:
+    return (
+        f"{score.within} of {rows} within a factor of two; rank correlation {score.rank_correlation:.2f} "
+        f"over {score.predicted} predicted rows"
+    )

@@ -1,11 +1,11 @@
-"""`probedesign print`: the exported parts through PreForm, to its file or to a printer."""
+"""`probedesign print`: prepare the exported parts in PreForm and send them to a printer."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, print_table, telling
+from probedesign.cli.console import print_json, print_table, show_progress
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,38 +27,38 @@ def print_job(
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> int:
-    """Prepare the exported parts in PreForm: upright, supported, laid out, validated, with time and picture.
+    """Prepare the exported parts in PreForm: oriented upright, supported, laid out and validated.
 
-    Nothing goes to a printer without --send, and then into its queue, where a person starts it. Needs an export of
-    the design and a running PreFormServer. Exit status 1 if the print check or PreForm's validation finds a problem.
-    More: docs/printing.md.
+    Reports print time and resin and saves a screenshot. Nothing is sent to a printer without --send, and then the job
+    only enters the printer's queue; a person starts it there. Needs an export of the design and a running
+    PreFormServer. Exit status 1 if the print check or PreForm's validation finds a problem. More: docs/printing.md.
 
     Args:
         design: the design file.
         preform: address of PreFormServer.
         parts: the probe in its soft resin, or the adapters in a rigid one.
-        folder: of the export; by default exports/NAME.
-        server_folder: that folder as PreForm's machine names it, if it is another machine.
-        material: as PreForm labels it, or its code; by default that of the design's resin, or grey for adapters.
+        folder: folder of the export. Default: exports/NAME.
+        server_folder: path of that folder on PreForm's host, if that is another machine.
+        material: PreForm's label or code of the material. Default: the design's resin, or grey resin for adapters.
         save_form: save the job to this .form file.
-        send: send the job to this printer: its serial name or IP address.
-        timeout_s: for one operation of PreForm.
-        force: go on in spite of problems, and replace the file that --save-form names.
+        send: send the job to this printer, given by its serial name or IP address.
+        timeout_s: time limit of one PreForm operation [s].
+        force: continue in spite of problems, and replace an existing .form file.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.printing.preform.job import PrintOrder
 
     if send is not None and not (send.strip() and send.isprintable()):
-        raise InputError(f"--send {send!r} is no name of a printer")
+        raise InputError(f"--send {send!r} is not the name of a printer")
     if not 1.0 <= timeout_s <= 86400.0:
         raise InputError(f"--timeout-s {timeout_s:g} is out of range; allowed is 1 ... 86400")
     errors = [f.message for f in pipeline.check(design).errors if (f.part == "probe") == (parts == "probe")]
     if errors and not force:
-        raise InputError(f"{design}: the print check says: {'; '.join(errors)}; --force goes on")
+        raise InputError(f"{design}: the print check found errors: {'; '.join(errors)}. --force continues")
     order = PrintOrder(parts, folder, server_folder, material, save_form, send, force)
-    with telling() as tell:
-        prepared = pipeline.prepare_print(design, preform, order, timeout_s, tell)
+    with show_progress() as on_progress:
+        prepared = pipeline.prepare_print(design, preform, order, timeout_s, on_progress)
     if as_json:
         print_json(_document(prepared, send))
     else:
@@ -66,7 +66,7 @@ def print_job(
     return 1 if prepared.problems and not force else 0
 
 
-def _document(prepared: "PreparedJob", wanted: str | None) -> dict[str, Any]:
+def _document(prepared: "PreparedJob", printer: str | None) -> dict[str, Any]:
     return {
         "ok": not prepared.problems,
         "preform_api": prepared.api,
@@ -81,38 +81,33 @@ def _document(prepared: "PreparedJob", wanted: str | None) -> dict[str, Any]:
         "problems": prepared.problems,
         "screenshot": prepared.screenshot,
         "form_file": prepared.form_file,
-        "asked_to_send_to": wanted,
+        "asked_to_send_to": printer,
         "sent_to": prepared.sent_to,
         "job_id": prepared.job_id,
     }
 
 
-def _print(prepared: "PreparedJob", preform: str, wanted: str | None) -> None:
-    selection = prepared.selection
+def _print(prepared: "PreparedJob", preform: str, printer: str | None) -> None:
+    selection, minutes = prepared.selection, round(prepared.print_time_s / 60.0)
     rows = {
         "job": f"{selection.material} on a {selection.printer}, {selection.setting}",
-        "parts": f"{', '.join(prepared.parts)}: upright, supports below",
-        "resin": "not told" if prepared.volume_ml is None else f"{prepared.volume_ml:.1f} ml with supports",
-        "layers": "not told" if prepared.layer_count is None else f"{prepared.layer_count}",
-        "time": _hours(prepared.print_time_s),
-        "picture": prepared.screenshot,
-        "form file": prepared.form_file or "none: --save-form FILE saves it",
+        "parts": f"{', '.join(prepared.parts)}: upright on supports",
+        "resin": "unknown" if prepared.volume_ml is None else f"{prepared.volume_ml:.1f} ml with supports",
+        "layers": "unknown" if prepared.layer_count is None else f"{prepared.layer_count}",
+        "time": f"{minutes // 60} h {minutes % 60:02d} min, estimated",
+        "screenshot": prepared.screenshot,
+        "form file": prepared.form_file or "none; save it with --save-form FILE",
         "validation": "; ".join(prepared.problems) or "no problems",
-        "sent": _sent(prepared, wanted),
+        "sent": _sent(prepared, printer),
     }
     print(f"PreForm (API {prepared.api}) at {preform}")
     print_table(rows)
 
 
-def _sent(prepared: "PreparedJob", wanted: str | None) -> str:
+def _sent(prepared: "PreparedJob", printer: str | None) -> str:
     if prepared.sent_to is not None:
         job = f" as job {prepared.job_id}" if prepared.job_id else ""
-        return f"to the queue of {prepared.sent_to}{job}: start it there"
-    if wanted is not None:
-        return "no: validation found problems; --force sends it all the same"
-    return "no: --send PRINTER sends it"
-
-
-def _hours(seconds: float) -> str:
-    minutes = round(seconds / 60.0)
-    return f"{minutes // 60} h {minutes % 60:02d} min, estimated"
+        return f"to the queue of {prepared.sent_to}{job}; start it at the printer"
+    if printer is not None:
+        return "no, validation found problems; --force sends it anyway"
+    return "no; send it with --send PRINTER"

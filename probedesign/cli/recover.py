@@ -1,11 +1,11 @@
-"""`probedesign recover`: an MCAP recording that was cut off, made whole."""
+"""`probedesign recover`: repair an MCAP recording that was cut off."""
 
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json
+from probedesign.cli.console import print_json
 
 
 def recover(
@@ -16,31 +16,30 @@ def recover(
     force: bool = False,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Save what is whole of an MCAP recording that was cut off.
+    """Copy the readable part of an MCAP recording that was cut off into a new file.
 
-    A recorder that was killed, or whose disk was full, leaves a file that replay and estimate read up to its end
-    but other tools refuse. What can be read goes into a new file that all of them open; the old one is left as
-    it is. See docs/recording-format.md.
+    If a recorder is killed or the disk is full, the file has no end. replay and estimate read it up to there; other
+    tools refuse it, but open the new file. The original is not changed. See docs/recording-format.md.
 
     Args:
         recording: the MCAP file.
-        out: the new file; NAME-recovered.mcap if not said.
-        force: replace the file that --out names.
+        out: output file. Default: NAME-recovered.mcap.
+        force: replace an existing output file.
         as_json: print one JSON document.
     """
     from probedesign.live.recordings import require
 
     require()
-    from probedesign.live.recordings.mcap_read import recover as save
+    from probedesign.live.recordings.mcap_read import recover as write_recovered
 
-    saved = save(recording, out or recording.with_name(f"{recording.stem}-recovered.mcap"), force)
+    recovered = write_recovered(
+        recording, out or recording.with_name(f"{recording.stem}-recovered.mcap"), force
+    )
     if as_json:
-        print_json(saved)
-    elif saved.path is None:
-        print(
-            f"{recording} is whole: {saved.messages} messages over {saved.seconds:.3f} s; nothing to recover"
-        )
+        print_json(recovered)
+        return
+    extent = f"{recovered.messages} messages over {recovered.seconds:.3f} s"
+    if recovered.path is None:
+        print(f"{recording} is complete: {extent}; no file was written")
     else:
-        print(
-            f"wrote {saved.path}: {saved.messages} messages over {saved.seconds:.3f} s; there {saved.damage}"
-        )
+        print(f"wrote {recovered.path}: {extent}; damage of {recording}: {recovered.damage}")

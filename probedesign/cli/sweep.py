@@ -1,18 +1,19 @@
-"""`probedesign sweep`: a grid of designs."""
+"""`probedesign sweep`: evaluate a grid of designs."""
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import counted, print_json, telling
-from probedesign.cli.task import TaskOptions
+from probedesign.cli.console import plural, print_json, print_note, show_progress
+from probedesign.cli.options import TaskOptions
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.optimization.sweep import SweepResult
+
+SHOWN = ("error_mm", "detectable_mN", "sag_mm", "print_errors")
 
 
 def sweep(
@@ -26,18 +27,18 @@ def sweep(
     options: TaskOptions | None = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Compute every combination of some keys of a design; the same command goes on where it stopped.
+    """Evaluate every combination of values of some keys of a design.
 
-    Writes sweep.jsonl as results come, then sweep.csv and sweep.parquet. A design that cannot be is a row with its
-    reason. Needs the extra 'sweep'. More: docs/search.md.
+    Writes sweep.jsonl during the run, then sweep.csv and sweep.parquet. The same command resumes an interrupted sweep.
+    An invalid design is a row with the reason. Needs the extra 'sweep'. More: docs/search.md.
 
     Args:
-        design: the design file that the other keys come from.
-        vary: KEY=START:STOP:STEP or KEY=A,B,C with a key of the design file; again for more keys.
-        out: folder for the results; by default exports/NAME/sweep.
-        scheduler: address of a dask scheduler, tcp://HOST:PORT; by default workers of this machine.
-        workers: processes of this machine; by default one a processor.
-        options: what the designs are judged by.
+        design: the design file with the values of all other keys.
+        vary: KEY=START:STOP:STEP or KEY=A,B,C with a key of the design file; repeat the option for more keys.
+        out: output folder. Default: exports/NAME/sweep.
+        scheduler: address of a dask scheduler, tcp://HOST:PORT. Default: processes on this machine.
+        workers: number of processes on this machine. Default: one per processor.
+        options: the task for which the designs are evaluated.
         as_json: print one JSON document.
     """
     from probedesign.core.parallel import start_forkserver
@@ -45,21 +46,24 @@ def sweep(
     if workers is not None and not 1 <= workers <= 1024:
         raise InputError(f"--workers {workers} must lie in 1 ... 1024")
     if scheduler is None:
-        start_forkserver(
-            ("distributed", "probedesign.optimization.sweep")
-        )  # its imports take as long as this command's
+        # before the slow imports, so that they overlap
+        start_forkserver(("distributed", "probedesign.optimization.sweep"))
 
     from probedesign import pipeline
     from probedesign.optimization.grid import parse_axis
 
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
     try:
-        with telling() as tell:
-            swept = pipeline.sweep(design, axes, task, out, scheduler, workers or os.cpu_count() or 1, tell)
+        with show_progress() as on_progress:
+            swept = pipeline.sweep(
+                design, axes, task, out, scheduler, workers or os.cpu_count() or 1, on_progress
+            )
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("interrupted; nothing is lost: the same command goes on from here") from None
+        raise KeyboardInterrupt(
+            "interrupted; all results are kept. Run the same command again to resume"
+        ) from None
     for note in swept.notes:
-        print(f"note: {note}", file=sys.stderr)
+        print_note(note)
     if as_json:
         print_json({"task": task, "computed": swept.computed, "files": swept.files, "points": swept.records})
     else:
@@ -68,22 +72,19 @@ def sweep(
 
 def _print(swept: "SweepResult", keys: list[str], task: str) -> None:
     done, failed = len(swept.records), swept.failed
-    print(f"{counted(done, 'design')}, {swept.computed} computed now; {task}")
+    print(f"{plural(done, 'design')}, {swept.computed} computed in this run; {task}")
     good = sorted((r for r in swept.records if r["result"] == "ok"), key=lambda r: r["error_mm"])
     if good:
-        print("\nbest by error_mm")
-        wide = {key: max(16, len(key.rpartition(".")[2]) + 2) for key in [*keys, *_SHOWN]}
+        print("\nsmallest error_mm")
+        wide = {key: max(16, len(key.rpartition(".")[2]) + 2) for key in [*keys, *SHOWN]}
         print("".join(f"{key.rpartition('.')[2]:>{width}}" for key, width in wide.items()))
         for record in good[:8]:
             print("".join(f"{_cell(record[key]):>{width}}" for key, width in wide.items()))
     for record in failed[:5]:
         print(f"  point {record['point']}: {record['result']}: {record['reason']}")
     if len(failed) > 5:
-        print(f"  and {len(failed) - 5} more that are not ok; their reasons are in the tables")
+        print(f"  and {len(failed) - 5} more failed designs; the reasons are in the tables")
     print("wrote", ", ".join(map(str, swept.files)))
-
-
-_SHOWN = ("error_mm", "detectable_mN", "sag_mm", "print_errors")
 
 
 def _cell(value: Any) -> str:

@@ -1,12 +1,11 @@
-"""`probedesign validate`: what the frozen probe estimates beside what a reference measured."""
+"""`probedesign validate`: compare a frozen probe's estimates with a reference."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.output import print_json, telling
+from probedesign.cli.console import print_json, print_note, show_progress
 from probedesign.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,64 +19,66 @@ def validate(
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: Annotated[bool, Parameter(name="--json")] = False,
 ) -> None:
-    """Compare estimates with a reference: shape RMS, contact error, and whether stated errors come true.
+    """Compare estimates with a reference: shape RMS, contact error and coverage of the stated covariance.
 
-    Writes validation.json, .csv, .html and .png; of several probes table1.csv too. See docs/measurements.md.
+    Writes validation.json, .csv, .html and .png; for several probes also table1.csv. See docs/measurements.md.
 
     Args:
-        bundles_and_data: the frozen probe, NAME.probe.json, and the folder of a campaign; then those of further probes.
-        out: folder for the files, of several probes one folder each in it; by default exports/NAME/validation.
-        exact_model: take probe, mount and bench for exactly what BUNDLE says; the sensor's noise, the drift of its bias
-            and the prior on friction remain. Otherwise all tolerances of BUNDLE count.
-        plots: make the page and the picture; by default the latter where matplotlib is installed.
+        bundles_and_data: the frozen probe, NAME.probe.json, and the folder of a campaign; then the same of further
+            probes.
+        out: output folder; for several probes it has one folder each. Default: exports/NAME/validation.
+        exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
+            prior remain. Default: all tolerances of BUNDLE.
+        plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
 
     pairs = _pairs(bundles_and_data)
-    validations: tuple[ValidationReport, ...]
-    with telling() as tell:
+    reports: tuple[ValidationReport, ...]
+    with show_progress() as on_progress:
         if len(pairs) == 1:
-            found, files = pipeline.validate(*pairs[0], out, exact_model, plots, tell)
-            validations, document = (found,), found.as_dict
+            report, files = pipeline.validate(*pairs[0], out, exact_model, plots, on_progress)
+            reports, document = (report,), report.as_dict
         else:
-            joined, files = pipeline.validate_all(pairs, out, exact_model, plots, tell)
-            validations, document = joined.validations, joined.as_dict
+            joined, files = pipeline.validate_all(pairs, out, exact_model, plots, on_progress)
+            reports, document = joined.validations, joined.as_dict
     if as_json:
         print_json(document())
         return
-    _print(validations)
+    _print(reports)
     print("wrote", ", ".join(map(str, files)))
-    for one in validations:
-        for note in one.notes:
-            print(
-                f"note: {f'{one.estimator.model.name}: ' if len(validations) > 1 else ''}{note}",
-                file=sys.stderr,
-            )
+    for report in reports:
+        for note in report.notes:
+            print_note(_prefix(report, reports) + note)
 
 
 def _pairs(paths: tuple[Path, ...]) -> list[tuple[Path, Path]]:
     if not paths or len(paths) % 2:
-        raise InputError(f"{len(paths)} paths are given; validate takes a bundle and its data folder, "
-                         "BUNDLE DATA, or several such pairs")  # fmt: skip
+        raise InputError(f"{len(paths)} paths are given; validate needs pairs of a bundle and its data folder, "
+                         "BUNDLE DATA")  # fmt: skip
     return list(zip(paths[::2], paths[1::2], strict=True))
 
 
-def _print(validations: "tuple[ValidationReport, ...]") -> None:
-    for one in validations:
-        print(
-            f"{one.estimator.model.name}  geometry {one.estimator.model.fingerprint}  {one.campaign.folder}"
-        )
+def _prefix(report: "ValidationReport", reports: "tuple[ValidationReport, ...]") -> str:
+    """Return the probe's name for lines about one of several probes."""
+    return f"{report.estimator.model.name}: " if len(reports) > 1 else ""
+
+
+def _print(reports: "tuple[ValidationReport, ...]") -> None:
+    for report in reports:
+        model = report.estimator.model
+        print(f"{model.name}  geometry {model.fingerprint}  {report.campaign.folder}")
     print(
-        "\n  probe     test          force contact way    shape RMS    contact  stated predicted 95 %  "
+        "\n  probe     test          force     s/L dir    shape RMS    contact  stated predicted 95 %  "
         "method       result"
     )
-    print("                             mN    of L         mm     %       mm      mm      mm")
-    for one in validations:
-        for row in one.rows():
+    print("                             mN                mm     %       mm      mm      mm")
+    for report in reports:
+        for row in report.rows():
             print(_line(row))
-    for one in validations:
-        _summarise(one, f"{one.estimator.model.name}: " if len(validations) > 1 else "")
+    for report in reports:
+        _print_summary(report, _prefix(report, reports))
     print()
 
 
@@ -90,15 +91,15 @@ def _line(row: dict[str, Any]) -> str:
             f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}{row['result']}")  # fmt: skip
 
 
-def _summarise(found: "ValidationReport", name: str) -> None:
+def _print_summary(report: "ValidationReport", prefix: str) -> None:
     print()
-    for kind, means in found.summary.items():
+    for kind, means in report.summary.items():
         shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
-        print(f"  {name}{kind:<8}shape RMS mean {_mm(shape.mean)}, largest {_mm(shape.largest)}; "
+        print(f"  {prefix}{kind:<8}shape RMS mean {_mm(shape.mean)}, largest {_mm(shape.largest)}; "
               f"contact error mean {_mm(contact.mean)}, RMS {_mm(contact.rms)}")  # fmt: skip
     print()
-    for line in found.coverage.words:
-        print(f"  {name}{line}")
+    for line in report.coverage.words:
+        print(f"  {prefix}{line}")
 
 
 def _cell(value: Any, width: int) -> str:

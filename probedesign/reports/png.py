@@ -151,9 +151,7 @@ def _new_figure(
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
-        raise MissingDependencyError(
-            "plots need matplotlib: pip install 'probedesign[plots]', or give --no-plots"
-        ) from None
+        raise MissingDependencyError.of_extra("--plots", "matplotlib", "plots") from None
     figure = Figure(figsize=(width, height), layout="constrained" if margins is None else None)
     FigureCanvasAgg(figure)
     if margins is not None:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.files import check_overwrite
 from probedesign.frames import Array
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.sensor_noise import reading_std
@@ -114,8 +115,8 @@ def _check_replaceable(folder: Path, force: bool) -> None:
         raise InputError(
             f"{folder}: has no {TRUTH}, so it is not a synthetic campaign and is not replaced; name another"
         )
-    if any(folder.iterdir()) and not force:
-        raise InputError(f"{folder}: exists already; --force replaces it, or name another folder")
+    if any(folder.iterdir()):
+        check_overwrite(folder, force)
 
 
 def _replace(aside: Path, folder: Path) -> None:

@@ -12,4 +12,4 @@ def require() -> None:
         MissingDependencyError: it is not.
     """
     if find_spec("cv2") is None:
-        raise MissingDependencyError('photographs need: pip install "probedesign[vision]"')
+        raise MissingDependencyError.of_extra("reading photographs", "opencv", "vision")

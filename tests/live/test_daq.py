@@ -159,7 +159,7 @@ def test_no_driver_is_one_line_with_its_remedy(estimator, cal):
 def test_no_nidaqmx_is_one_line_with_its_remedy(estimator, cal, monkeypatch):
     for name in [*(name for name in sys.modules if name.startswith("nidaqmx.")), "nidaqmx"]:
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingDependencyError, match=r"needs nidaqmx; install probedesign\[daq\]"):
+    with pytest.raises(MissingDependencyError, match=r"needs nidaqmx: pip install 'probedesign\[daq\]'"):
         opened(estimator, cal)
 
 

@@ -286,8 +286,8 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
     ("options", "told"),
     [
         (["--friction", "-0.1"], "--friction -0.1 must lie in 0 ... 3"),
-        (["--rate-hz", "6000"], "must be 7000 over a whole number"),
-        (["--records", "41"], "must be 1 ... 40"),
+        (["--rate-hz", "6000"], "must be 7000 divided by a whole number"),
+        (["--records", "41"], "must lie in 1 ... 40"),
         (["--scene", "castle"], "--scene castle is unknown; available are edges"),
         (["--fault", "loss=2"], "--fault 'loss=2' must be one of"),
         (["--torque-unit", "N-furlong"], "is not a known unit"),

@@ -205,7 +205,9 @@ def test_datagrams_from_another_address_are_not_read(estimator):
 
 def test_pynetft_is_missing(estimator, monkeypatch):
     monkeypatch.setitem(sys.modules, "pynetft", None)
-    with pytest.raises(MissingDependencyError, match=r"netft:// needs pynetft; install probedesign\[live\]"):
+    with pytest.raises(
+        MissingDependencyError, match=r"netft:// needs pynetft: pip install 'probedesign\[live\]'"
+    ):
         open_source("netft://192.0.2.1", estimator.model)
 
 

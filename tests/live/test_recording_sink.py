@@ -161,7 +161,9 @@ def test_no_file_is_overwritten_unasked(model, tmp_path):
     path.write_text("mine")
     recordings = RecordingSink(path, model, said.append)
     recordings.try_start()
-    assert said == [f"cannot start recording: {path}: already exists; use --force or choose another file"]
+    assert said == [
+        f"cannot start recording: {path}: exists already; --force replaces it, or choose another name"
+    ]
     assert path.read_text() == "mine"
     with closing(RecordingSink(path, model, said.append, force=True)) as recordings:
         recordings.start()

@@ -110,7 +110,7 @@ def test_a_source_gives_the_same_as_the_recording(probe, house, found, tmp_path,
                "--pose", str(folder / "poses.csv"), "--tare-s", "0.5:3.5", "--json", "--out", str(out)]  # fmt: skip
     assert run(command) == 0
     output = capsys.readouterr()
-    assert "touch 1 is over: ok" in output.err
+    assert "touch 1 ended: ok" in output.err
     assert [point["touch_numbers"] for point in json.loads(output.out)["points"]] == ["1 3", "2"]
     for name in ("points.csv", "points.ply", "points.svg"):
         assert (out / name).read_bytes() == (found[0] / name).read_bytes()

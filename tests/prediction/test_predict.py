@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from probedesign.cli.prediction_tables import print_all
+from probedesign.cli.predict import print_tables
 from probedesign.design import check_design, load_design
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
@@ -258,9 +258,9 @@ def test_a_force_beyond_buckling_is_not_detectable():
 
 def test_what_is_not_located_has_no_budget_in_the_tables(capsys):
     """Moments alone of a probe that does not bend tell no place, whatever a linear formula makes of it."""
-    print_all(made_of(20000.0))
+    print_tables(made_of(20000.0))
     fused = capsys.readouterr().out.split("Error budget")[2]
-    assert "none, for no place is located" in fused and "e+" not in fused.split("What it takes")[0]
+    assert "none, no place is located" in fused and "e+" not in fused.split("Force limits")[0]
 
 
 def test_mirror_sides_err_alike(large):

@@ -600,7 +600,7 @@ def test_ctrl_c_in_the_terminal(fake, place):
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert (process.returncode, out, err) == (1, "", "probedesign: error: interrupted\n")
+    assert (process.returncode, out, err) == (130, "", "probedesign: error: interrupted\n")
     assert fake.scenes == {} and left_over(place) == []
 
 
@@ -666,7 +666,7 @@ def test_the_command_prints_its_outcome(fake, place, capsys):
         "12.3 ml with supports",
         "4 h 12 min",
         "no problems",
-        "no: --send PRINTER sends it",
+        "no; send it with --send PRINTER",
         str(place / "preform-probe.png"),
     ):
         assert piece in out
@@ -688,7 +688,7 @@ def test_the_command_fails_on_problems_unless_forced(fake, place, capsys):
     fake.polls = 0
     arguments = ["print", "thin.toml", "--preform", fake.url, "--send", "Form3-TestyTest"]
     assert run(arguments) == 1
-    assert "validation found problems; --force sends it all the same" in capsys.readouterr().out
+    assert "validation found problems; --force sends it anyway" in capsys.readouterr().out
     assert fake.printed == []
     assert run([*arguments, "--force"]) == 0
     assert len(fake.printed) == 1
@@ -697,7 +697,7 @@ def test_the_command_fails_on_problems_unless_forced(fake, place, capsys):
 def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, capsys):
     Path("thin.toml").write_text(DESIGN.replace("tip_d_mm = 2.0", "tip_d_mm = 1.2"))
     assert run(["print", "thin.toml", "--preform", fake.url]) == 2
-    assert "the print check says: probe: minimum thickness" in capsys.readouterr().err
+    assert "the print check found errors: probe: minimum thickness" in capsys.readouterr().err
     assert fake.diary == []
 
 
@@ -707,8 +707,8 @@ def test_a_design_that_the_check_refuses_does_not_reach_preform(fake, place, cap
         (["--save-form", "x.stl"], "PreForm's files end in .form"),
         (["--save-form", "none/x.form"], "there is no folder"),
         (["--save-form", "there.form"], "exists already; --force replaces it"),
-        (["--send", " "], "is no name of a printer"),
-        (["--send", "a\nb"], "is no name of a printer"),
+        (["--send", " "], "is not the name of a printer"),
+        (["--send", "a\nb"], "is not the name of a printer"),
         (["--timeout-s", "nan"], "--timeout-s nan is out of range"),
         (["--timeout-s", "0"], "--timeout-s 0 is out of range"),
         (["--parts", "all"], "--parts"),

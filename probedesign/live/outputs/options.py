@@ -7,6 +7,7 @@ from pathlib import Path
 
 from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
+from probedesign.files import check_overwrite
 from probedesign.live import Log
 from probedesign.live.outputs.recording import RecordingSink, check_suffix
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
@@ -52,8 +53,7 @@ class OutputOptions:
         replayed = Path(source.partition("?")[0].removeprefix("replay:"))
         if record.exists() and replayed.exists() and record.samefile(replayed):
             raise InputError(f"--record {record} is the recording being replayed; choose another file")
-        if record.exists() and not self.force:
-            raise InputError(f"{record}: already exists; use --force or choose another file")
+        check_overwrite(record, self.force)
 
     def publisher(self, log: Log) -> UdpPublisher | None:
         """Return the publisher; separate from the other sinks because an invalid address is reported first.

@@ -12,4 +12,4 @@ def require() -> None:
         MissingDependencyError: it is not installed.
     """
     if find_spec("mcap") is None:
-        raise MissingDependencyError('MCAP files need: pip install "probedesign[live]"')
+        raise MissingDependencyError.of_extra("an MCAP recording", "mcap", "live")

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from probedesign.errors import InputError
+from probedesign.files import exists_already
 
 
 class AppendFile:
@@ -24,7 +25,7 @@ class AppendFile:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, flags, 0o644)
         except FileExistsError:
-            raise InputError(f"{path}: already exists; use --force or choose another file") from None
+            raise exists_already(path) from None
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         self._path = path

@@ -23,6 +23,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from probedesign.errors import InputError
+from probedesign.files import check_overwrite
 from probedesign.live.recordings.schemas import MCAP_MAGIC, Channel, Message
 
 MAX_RECORD = 256 * 1024 * 1024
@@ -335,10 +336,9 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
     Raises:
         InputError: the file does not exist, contains no readable message, or `out` exists or cannot be written.
     """
-    if out.exists() and (not force or out.samefile(path)):
-        raise InputError(
-            f"{out}: exists; " + ("it is the input file" if force else "use --force to replace it")
-        )
+    check_overwrite(out, force)
+    if out.exists() and out.samefile(path):
+        raise InputError(f"{out}: is the input file; choose another name")
     temporary = ""
     try:
         with path.open("rb") as file:

@@ -104,9 +104,7 @@ def _root(path: Path) -> Element:
         from defusedxml.common import DefusedXmlException
         from defusedxml.ElementTree import ParseError, fromstring
     except ImportError:
-        raise MissingDependencyError(
-            "reading a calibration needs defusedxml; install probedesign[live]"
-        ) from None
+        raise MissingDependencyError.of_extra("reading a calibration", "defusedxml", "live") from None
     try:
         with path.open("rb") as file:
             text = file.read(MAX_FILE_BYTES)

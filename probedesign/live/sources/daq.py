@@ -185,7 +185,7 @@ def _devices() -> list[str]:
         from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
         from nidaqmx.system import System
     except ImportError:
-        raise MissingDependencyError("daq:// needs nidaqmx; install probedesign[daq]") from None
+        raise MissingDependencyError.of_extra("daq://", "nidaqmx", "daq") from None
     try:
         return list(System.local().devices.device_names)
     except DaqNotFoundError:

@@ -123,7 +123,7 @@ class RosBag:
         try:
             from rosbags.rosbag2 import Reader
         except ImportError:
-            raise MissingDependencyError('ROS 2 bags need: pip install "probedesign[live]"') from None
+            raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
         self.path, self.damage = path, ""
         self._reader = Reader
         try:
@@ -323,7 +323,7 @@ def _pose_reader(path: Path) -> Iterator["AnyReader"]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise MissingDependencyError("reading a bag needs rosbags; install probedesign[live]") from None
+        raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
         reader.open()

@@ -62,7 +62,7 @@ class BrowserView(ViewState):
             MissingDependencyError: viser is not installed.
         """
         if importlib.util.find_spec("viser") is None:
-            raise MissingDependencyError("--view needs viser; install probedesign[view]")
+            raise MissingDependencyError.of_extra("--view", "viser", "view")
         _check_address(host, port)
         self._commands, self._log = commands, log
         super().__init__(counts)

@@ -19,6 +19,7 @@ import numpy as np
 from probedesign.design import Design
 from probedesign.design_problems import quoted
 from probedesign.errors import InputError
+from probedesign.files import check_overwrite
 from probedesign.geometry import build_geometry
 from probedesign.printing.check import print_scale
 from probedesign.printing.preform.client import NoAnswerError, PreForm, PreFormError, RefusedError
@@ -219,8 +220,7 @@ def check_form_file(file: str, paths: PathMapping, force: bool) -> str:
     path = Path(os.path.abspath(file))
     if not path.parent.is_dir():
         raise InputError(f"--save-form {path}: there is no folder {path.parent}")
-    if path.exists() and not (force and path.is_file()):
-        raise InputError(f"--save-form {path}: exists already; --force replaces it, or name another file")
+    check_overwrite(path, force and path.is_file())
     return str(path)
 
 

@@ -176,9 +176,7 @@ def _texts(page: bytes) -> dict[str, str]:
         from defusedxml.common import DefusedXmlException
         from defusedxml.ElementTree import ParseError, fromstring
     except ImportError:
-        raise MissingDependencyError(
-            "reading a Net F/T box needs defusedxml; install probedesign[live]"
-        ) from None
+        raise MissingDependencyError.of_extra("reading a Net F/T box", "defusedxml", "live") from None
     try:
         root = fromstring(page, forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError, LookupError) as error:

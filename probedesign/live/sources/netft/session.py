@@ -142,7 +142,7 @@ class RdtSession:
         try:
             from pynetft import Calibration, Client, Config, ForceUnit, TorqueUnit
         except ImportError:
-            raise MissingDependencyError("netft:// needs pynetft; install probedesign[live]") from None
+            raise MissingDependencyError.of_extra("netft://", "pynetft", "live") from None
         config = Config(
             sensor_host=self._host,
             rdt_port=self._port,

@@ -1,0 +1,106 @@
+"""Console of the commands: results on stdout, notes and progress on stderr, termination signals.
+
+Progress appears only where stderr is a terminal, so that logs and pipes hold results and notes alone.
+"""
+
+import json
+import math
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+ProgressCallback = Callable[[str, float | None], None]
+"""Takes the name of the current step and the completed fraction of it, None if that is unknown."""
+
+
+def print_json(document: Any) -> None:
+    """Print one JSON document: arrays as lists, dataclasses as objects, numbers that are not finite as null."""
+    print(json.dumps(_to_json(document), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _to_json(value: Any) -> Any:
+    """Convert a value to JSON's own types."""
+    if isinstance(value, dict):
+        return {str(key): _to_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_to_json(item) for item in value]
+    if is_dataclass(value):
+        return {field.name: _to_json(getattr(value, field.name)) for field in fields(value)}
+    if hasattr(value, "tolist"):  # a numpy array or scalar, recognised without importing numpy
+        return _to_json(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value
+
+
+def print_table(rows: dict[str, str]) -> None:
+    """Print names and their values in two columns."""
+    width = max(map(len, rows), default=0)
+    for name, text in rows.items():
+        print(f"  {name:<{width}}  {text}")
+
+
+def plural(number: int, noun: str) -> str:
+    """Return a count with its noun: "no errors", "1 error", "2 errors"."""
+    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+
+
+def print_note(note: str) -> None:
+    """Print a note on stderr."""
+    print(f"note: {note}", file=sys.stderr)
+
+
+def print_step(step: str) -> None:
+    """Print the name of a step on stderr if that is a terminal."""
+    if sys.stderr.isatty():
+        print(f"{step} ...", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def show_progress(first_step: str = "") -> Iterator[ProgressCallback]:
+    """Show the current step on a terminal, with the completed fraction where it is known.
+
+    Args:
+        first_step: shown until the callback is called.
+
+    Returns:
+        Context manager that yields the callback; without a terminal the callback does nothing.
+    """
+    if not sys.stderr.isatty():
+        yield lambda step, fraction: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    def text_of(step: str, fraction: float | None) -> str:
+        return escape(f"{step} ..." if fraction is None else f"{step} {fraction:.0%}")
+
+    with Console(stderr=True).status(text_of(first_step, None) if first_step else "") as status:
+        yield lambda step, fraction: status.update(text_of(step, fraction))
+
+
+@contextmanager
+def interrupt_on_termination() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM and SIGHUP, so that `kill` and a closed terminal end a run as Ctrl-C does.
+
+    Files are closed then. A signal that is ignored, as under nohup, stays ignored. For the main thread only.
+    """
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    replaced = {}
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            replaced[number] = signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in replaced.items():
+            signal.signal(number, handler)

@@ -1,0 +1,285 @@
+"""Options that several commands share, or that form a group of their own.
+
+The field names are the names of the options and the docstrings below them are their help texts. `loaded_estimator`
+applies the options that `estimate` and `live` have in common.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from probedesign.cli.console import show_progress
+from probedesign.errors import InputError
+
+if TYPE_CHECKING:
+    from probedesign.estimation.estimator import Estimator
+    from probedesign.estimation.model import ProbeModel
+    from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.live.processing.scheduler import ProcessingOptions
+    from probedesign.live.sources.source import Source
+    from probedesign.mapping.base_pose import BasePoseUncertainty
+    from probedesign.optimization.task import Task
+
+Origin = Literal["sensor", "base"]
+_LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
+
+
+@Parameter(name="*")
+@dataclass
+class TaskOptions:
+    """Task of `compare`, `sweep` and `optimize`: each place with each force under each gravity is one case."""
+
+    force_N: Annotated[list[float] | None, Parameter(name="--force-N", **_LIST)] = None
+    """Normal contact force [N], one or several. With several touches it is the force of the strongest; the others are
+    evenly spaced below it. Default: 0.005."""
+    touches: int = 5
+    """Number of touches of one fixed point that are fused while the base presses on. 1 is a single reading."""
+    forces_too: bool = False
+    """Fuse forces and moments. Default: moments only."""
+    moments_about: Origin = "sensor"
+    """Origin of the moments where they are fused without forces: the sensor's origin or the base's origin."""
+    base_repeat_mm: float | None = None
+    """Standard deviation of the robot's position from touch to touch on each axis [mm]. Default: robot_mm of the
+    design's tolerances."""
+    bias_walk_steps: float | None = None
+    """Random walk of the sensor's bias from touch to touch, in steps of its resolution. Default: walk_steps of the
+    design's tolerances."""
+    places: str = "0.4:0.9:0.1"
+    """START:STOP:STEP of the touched places, as fractions of the length."""
+    at: Annotated[list[float] | None, Parameter(**_LIST)] = None
+    """Touched places as fractions of the length, instead of --places."""
+    gravity: Annotated[list[str] | None, Parameter(**_LIST)] = None
+    """X,Y,Z of gravity in base axes [m/s²], one or several, such as 9.81,0,0. Default: the design's mount."""
+    combine: Literal["mean", "worst"] = "mean"
+    """How the errors of the cases are combined: mean (RMS) or worst."""
+
+    def task(self) -> "Task":
+        """Return the task.
+
+        Raises:
+            InputError: a value is out of range or cannot be read.
+        """
+        from probedesign.optimization.grid import numbers_of
+        from probedesign.optimization.task import Task
+
+        moments = None if self.forces_too else self.moments_about
+        places = self.at if self.at is not None else numbers_of("--places", self.places)
+        return Task(
+            tuple(self.force_N or (0.005,)), self.touches, moments, self.base_repeat_mm, self.bias_walk_steps,
+            tuple(map(float, places)), tuple(map(_vector, self.gravity or [])), self.combine,
+        )  # fmt: skip
+
+
+def _vector(text: str) -> tuple[float, float, float]:
+    """Return the three numbers of --gravity [m/s²].
+
+    Raises:
+        InputError: the text is not three numbers.
+    """
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--gravity {text!r} cannot be read; write X,Y,Z in m/s², such as 9.81,0,0"
+        ) from None
+    return x, y, z
+
+
+@Parameter(name="*")
+@dataclass
+class ReadingOptions:
+    """Input of `explore`: a recording or a live source, and how it is processed."""
+
+    tare_s: str | None = None
+    """START:END of the tare in seconds after the first reading. The probe must be free then."""
+    average: int = 1
+    """Number of readings per mean."""
+    seconds: float | None = None
+    """End this many seconds after the first reading."""
+    source: str | None = None
+    """Live source instead of a recording, as for `live`. Ends with the source, at --seconds or with Ctrl-C."""
+    mend: bool = False
+    """Continue with a recording that lacks lines or its end."""
+    topic: str = ""
+    """Topic of the wrenches in a bag that has several."""
+    moment_unit: Literal["Nm", "Nmm"] = "Nm"
+    """Unit of the moments in a bag whose publisher does not use N·m."""
+    other_probe: bool = False
+    """Accept a recording that was made with another probe."""
+
+    def processing(self, recording: Path | None) -> "ProcessingOptions":
+        """Return how the readings are processed.
+
+        Args:
+            recording: the recording, None for a live source.
+
+        Raises:
+            InputError: there is no input, or more than one; there is no tare; or a value is out of range.
+        """
+        from probedesign.live.processing.scheduler import ProcessingOptions
+        from probedesign.live.processing.tare import parse_window
+
+        if (recording is None) == (self.source is None):
+            raise InputError("explore needs either a recording or --source for a live run, not both")
+        if self.tare_s is None:
+            raise InputError(
+                "explore needs a tare to separate touches from the sensor's bias. "
+                "Add --tare-s START:END, a time when the probe is free"
+            )
+        return ProcessingOptions(
+            parse_window(self.tare_s), self.average, seconds=self.seconds, estimates=False
+        )
+
+    def open(
+        self, recording: Path | None, model: "ProbeModel", poses: "BasePoses", log: Callable[[str], None]
+    ) -> "Source":
+        """Return the opened recording or live source.
+
+        Args:
+            recording: the recording, None for a live source.
+            model: the probe that the readings are from.
+            poses: poses of the base; their time span is compared with the recording's.
+            log: takes notes for the user.
+
+        Raises:
+            InputError: it cannot be opened, or its times are not those of the poses.
+        """
+        from probedesign.live.sources.replay import RecordingOptions
+        from probedesign.live.sources.source import open_source
+        from probedesign.mapping.explore import check_poses, load_recording
+
+        if recording is None:
+            return open_source(str(self.source), model, log)
+        options = RecordingOptions(self.topic, moment_unit=self.moment_unit, other_probe=self.other_probe)
+        played = load_recording(recording, model, self.mend, options)
+        check_poses(poses, played.span)
+        return played
+
+
+@Parameter(name="*")
+@dataclass
+class BaseOptions:
+    """Poses of the base in `explore`, and their uncertainty."""
+
+    pose: str = "fixed"
+    """Poses of the base: FILE.csv or .jsonl, a ROS 2 bag or udp://:PORT, as for `live`."""
+    pose_latency_ms: float = 0.0
+    """Delay of a pose relative to a reading of the same time [ms]."""
+    gravity_world: str | None = None
+    """X,Y,Z of gravity in world axes [m/s²]. Default: 0,0,-9.81."""
+    base_offset_mm: float | None = None
+    """Standard deviation of the base's position, common to all poses [mm]. Default: base_mm of the design's
+    tolerances, or 0.05 (assumed)."""
+    base_repeat_mm: float | None = None
+    """Standard deviation of the robot's position from pose to pose on each axis [mm]. Default: 0.01 (assumed)."""
+    tilt_deg: float | None = None
+    """Standard deviation of the base's tilt about its x and y axes, common to all poses [deg]. Default: the design's,
+    or 0.2 (assumed)."""
+    clocking_deg: float | None = None
+    """Standard deviation of the base's rotation about its z axis [deg]. Default: the design's, or 0.5 (assumed)."""
+
+    def base(self, model: "ProbeModel") -> "BasePoseUncertainty":
+        """Return the uncertainty of the base's pose.
+
+        Args:
+            model: its tolerances are the defaults.
+
+        Raises:
+            InputError: a value is out of range.
+        """
+        from probedesign.mapping.base_pose import BasePoseUncertainty
+
+        given = {entry.name: getattr(self, entry.name) for entry in fields(BasePoseUncertainty)}
+        stated = {name: value for name, value in given.items() if value is not None}
+        return replace(BasePoseUncertainty.from_model(model), **stated)
+
+    def poses(self, log: Callable[[str], None]) -> "BasePoses | None":
+        """Return the poses; None for a fixed base.
+
+        Args:
+            log: takes notes for the user.
+
+        Raises:
+            InputError: the poses cannot be opened.
+        """
+        from probedesign.live.poses.open_poses import open_poses
+
+        return open_poses(self.pose, self.pose_latency_ms, self.gravity_world, log)
+
+
+@Parameter(name="*")
+@dataclass
+class RehearsalOptions:
+    """Simulated run for a first try of `explore`."""
+
+    rehearse: Path | None = None
+    """Simulate touches of a card house, write the recording and poses to this folder, and end. Errors are drawn from
+    the bundle's tolerances and the options of the base."""
+    seed: int = 1
+    """Seed of the drawn errors."""
+    friction: float = 0.5
+    """Median friction coefficient of the simulated cards; contacts stick and slip. 0 is without friction."""
+    friction_spread: float = 0.2
+    """Standard deviation of the friction coefficient's logarithm from touch to touch."""
+
+    def write(
+        self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool
+    ) -> tuple[Path, ...]:
+        """Simulate the run and write its files.
+
+        Args:
+            folder: folder of the files.
+            model: the simulated probe.
+            base: uncertainty from which the error of the base's pose is drawn.
+            force: replace existing files.
+
+        Returns:
+            The files.
+
+        Raises:
+            InputError: seed or friction are out of range, the probe cannot touch the house, or files exist already.
+        """
+        import numpy as np
+
+        from probedesign.rod.friction import MAX_FRICTION
+        from probedesign.simulation.card_house import touch_targets
+        from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
+
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed} must not be negative")
+        if not 0.0 <= self.friction <= MAX_FRICTION:
+            raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
+        if not 0.0 <= self.friction_spread <= 1.0:
+            raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
+        rng = np.random.default_rng(self.seed)
+        with show_progress("simulating touches of a card house"):
+            errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)
+            run = simulate_run(model, touch_targets(), rng, errors)
+            return write_run(run, model, folder, rng, force)
+
+
+def loaded_estimator(
+    bundle: Path, manifest: Path | None, exact_model: bool, friction: float | None
+) -> "Estimator":
+    """Return the estimator of a frozen probe with the options of `estimate` and `live` applied.
+
+    Args:
+        bundle: NAME.probe.json.
+        manifest: manifest.json of the printed parts, whose geometry is compared with the bundle's.
+        exact_model: treat probe, mount and bench as exactly known. The drift of the sensor's bias still counts: a
+            reading that the drift alone explains must not be located.
+        friction: standard deviation of the friction prior; None keeps the bundle's.
+
+    Raises:
+        InputError: the file is unreadable, or the friction is NaN or below 0.
+    """
+    from probedesign.deployment import load_estimator
+    from probedesign.estimation.tolerances import Tolerances
+
+    estimator = load_estimator(bundle, manifest)
+    if exact_model:
+        estimator = estimator.with_tolerances(Tolerances.exact_probe(estimator.model))
+    return estimator if friction is None else estimator.with_friction(friction)
