@@ -13,7 +13,7 @@ from benchmarks.cases import GRAVITY, Cases, Load, bare_large, paper_loads, rand
 from benchmarks.inside import SOUGHT, Asked, counted, solver
 from benchmarks.plots import Cost, draw_cost, slope
 from benchmarks.timing import interleaved, print_table, shown
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.batch import CHUNK, solve_batch
 from probedesign.rod.kernels.solve import scratch_buffers

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.design import load_design
-from probedesign.frames import Array
 from probedesign.probe import build_probe
 from probedesign.rod import kernels
 from probedesign.rod.rod import Rod

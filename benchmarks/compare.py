@@ -12,7 +12,7 @@ from benchmarks.inside import BESIDE, COPIES, NODES, Asked, solver
 from benchmarks.peers.collocation import solve_by_bvp
 from benchmarks.peers.shooting import shoot_rk45
 from benchmarks.timing import digits, interleaved, print_table, shown, spread
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 ROUNDS = 9

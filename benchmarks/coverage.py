@@ -36,12 +36,12 @@ from benchmarks.reference_worlds import (
     rms,
 )
 from benchmarks.timing import print_table
+from probedesign.core.frames import Array, inverse, pose, wrench_map
+from probedesign.core.units import MM
 from probedesign.design import load_design
 from probedesign.estimation.estimator import SETTLED, Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array, inverse, pose, wrench_map
 from probedesign.probe import build_probe
-from probedesign.units import MM
 from tests.reference.cosserat import solve
 
 PROBES = ("large", "medium", "small")

@@ -9,9 +9,9 @@ import numpy as np
 from benchmarks.cases import GRAVITY, TABLE_I
 from benchmarks.timing import interleaved, print_table, shown
 from benchmarks.touches import paper_models, presses, touch
+from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tracker import Tracker
-from probedesign.frames import Array
 
 ROUNDS = 9
 

@@ -29,12 +29,12 @@ from benchmarks.touches import (
     surface_point,
     table_one,
 )
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
-from probedesign.units import MM
 
 SINGLES, FUSIONS, ON_TABLE, NEGATIVES, CASES = 2000, 100, 200, 60, 20
 """How many draws each table rests on."""

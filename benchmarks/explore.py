@@ -23,18 +23,18 @@ from benchmarks.figures import draw_card_house
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.cli.main import run
-from probedesign.deployment import write_frozen
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
+from probedesign.frozen_probe import write_frozen
 from probedesign.mapping.base_pose import BasePoseUncertainty
 from probedesign.mapping.contact_map import CHI2_95
 from probedesign.rod.friction import ASSUMED_FRICTION
 from probedesign.simulation.card_house import card_house, touch_targets
 from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
-from probedesign.units import MILLINEWTON, MM
 
 COMMANDS, HOUSES = 3, 20
 """Runs of the command, each a house of its own; houses fused from Python. Touches of a house share E and its base, so

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
 BLUE, ORANGE, GREY = "#1f5fa8", "#d9730d", "#777777"

@@ -32,7 +32,7 @@ from benchmarks.hyperelastic import (
     deformation,
     equilibrium,
 )
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 
 MAX_BEND = math.radians(45.0)

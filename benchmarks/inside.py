@@ -10,7 +10,7 @@ from numba import njit
 from benchmarks.cases import GRAVITY, Load
 from benchmarks.operations import count, flops
 from benchmarks.timing import interleaved, print_table, shown, spread
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.kernels.equations import frustum_of, rest_of
 from probedesign.rod.kernels.lane_sweep import tick

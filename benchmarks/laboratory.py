@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.core.frames import Array, pose, wrench_map
+from probedesign.core.units import MM
 from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, pose, wrench_map
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import DEGREE, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
@@ -17,7 +18,6 @@ from probedesign.prediction.print_samples import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.rod.rod import Rod
-from probedesign.units import MM
 
 STD_BASE, STD_TILT = 0.2 * MM, 0.2 * DEGREE
 """Of the base in the world: what `campaign.toml` assumes."""

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import print_table
-from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
+from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup
 from probedesign.live.processing.blocks import Block

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.touches import Presses, Touch, random_presses, random_touches, read, stiffened, surface_point
+from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.frames import Array
 from probedesign.rod.contact import solve_surface_force
 
 FORCES = (1e-2, 0.5)

@@ -14,14 +14,14 @@ import numpy as np
 from benchmarks.laboratory import Kind, draw
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.identification.identify import IdentificationData, identify
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
 from probedesign.simulation.stereo_render import RenderStyle, render
 from probedesign.simulation.stereo_rig import SIZE_PX, StereoRig
-from probedesign.units import MM
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
 from probedesign.vision.images import write_png

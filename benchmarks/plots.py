@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/cost.png"
 BLUE, GREY = "#1f5fa8", "#999999"

@@ -7,12 +7,12 @@ from scipy.special import chdtri
 
 from benchmarks.timing import print_table, shown
 from benchmarks.touches import paper_models
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
 from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.units import MM
 
 DRAWS = 300
 TOUCHES = ((0.3, 0.02, "+y"), (0.6, 0.02, "+y"), (0.9, 0.01, "+y"), (0.5, 0.1, "+x"), (0.3, 0.2, "+y"))

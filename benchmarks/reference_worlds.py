@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.core.frames import Array, inverse, wrench_map
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, inverse, wrench_map
-from probedesign.units import MM
 from tests.reference.cosserat import Touches, differences, press, solve
 from tests.reference.round_rods import Probes
 

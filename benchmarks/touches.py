@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from probedesign.core.frames import Array, pose
 from probedesign.design import load_design
 from probedesign.estimation import surface_contact_kernel as surface
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.multistart import placed
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, pose
 from probedesign.probe import build_probe
 from probedesign.rod.contact import SurfaceForce, solve_surface_force
 

@@ -11,11 +11,11 @@ from scipy.stats import binomtest
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.campaigns import read_campaign
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignKind, CampaignPlan
-from probedesign.units import MILLINEWTON, MM
 from probedesign.validation.validate import validate
 from probedesign.validation.validated_test import ValidatedTest
 

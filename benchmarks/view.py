@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
+from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream, warm_up

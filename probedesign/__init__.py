@@ -4,14 +4,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from probedesign.deployment import load_estimator as load_estimator
     from probedesign.design import load_design as load_design
+    from probedesign.frozen_probe import load_estimator as load_estimator
     from probedesign.probe import build_probe as build_probe
 
 _HOME = {
     "load_design": "probedesign.design",
     "build_probe": "probedesign.probe",
-    "load_estimator": "probedesign.deployment",
+    "load_estimator": "probedesign.frozen_probe",
 }
 __all__ = ["build_probe", "load_design", "load_estimator"]
 

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from probedesign import pipeline
-from probedesign.deployment import load_estimator
-from probedesign.design_file import draft_design, render_design, write_design
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.files import write_atomically
+from probedesign.core.units import MM
+from probedesign.design.io import draft_design, render_design, write_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.files import write_atomically
+from probedesign.frozen_probe import load_estimator
 from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.reports.png import SweepSeries, draw_sweep
-from probedesign.units import MM
 
 FOLDER = pipeline.EXPORTS / "demo"
 NAME = "demo"

@@ -15,11 +15,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from probedesign.deployment import check_manifest, check_replaceable, write_frozen
+from probedesign.core.errors import InputError
+from probedesign.core.files import backup, check_writable, write_atomically
+from probedesign.core.units import MM
 from probedesign.design import Design, load_design
-from probedesign.design_file import write_design
-from probedesign.errors import InputError
-from probedesign.files import check_room, keep_old, write_atomically
+from probedesign.design.io import write_design
+from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
 from probedesign.prediction.fused import PressSchedule
 from probedesign.prediction.predict import (
     PRESSING,
@@ -40,10 +41,9 @@ from probedesign.printing.preform.job import (
     prepare_job,
 )
 from probedesign.probe import Probe, build_probe
-from probedesign.units import MM
 
 if TYPE_CHECKING:
-    from probedesign.design_edit import Change
+    from probedesign.design.edit import Change
     from probedesign.identification.result import Identification
     from probedesign.optimization.grid import GridAxis
     from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult
@@ -244,7 +244,7 @@ def optimize(
     path = out or Path("designs") / f"{search.start.name}-best.toml"
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
-    check_room(path)  # here and below: a search takes a minute, so what cannot end does not begin
+    check_writable(path)  # here and below: a search takes a minute, so what cannot end does not begin
     if trials:
         check_installed()
     best = optimum(search, path.stem, tell)
@@ -324,7 +324,7 @@ def write_identified(
     """
     from datetime import date
 
-    from probedesign.design_edit import edited
+    from probedesign.design.edit import edited
     from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
@@ -337,7 +337,7 @@ def write_identified(
         check_overwritable(design, text, changes, str(design_path), force)
         write_design(result, design_path, force=True)
         return changes, design_path, None
-    kept = keep_old(out) if force else None
+    kept = backup(out) if force else None
     write_design(result, out, force=force)
     return changes, out, kept
 
@@ -373,12 +373,12 @@ def validate(
         What was found and the files written.
     """
     from probedesign.campaigns import read_campaign
-    from probedesign.deployment import load_estimator
+    from probedesign.frozen_probe import load_estimator
     from probedesign.validation.validate import validate as compare_all
 
     estimator, campaign = load_estimator(bundle), read_campaign(data)
     folder = EXPORTS / estimator.model.name / "validation" if out is None else out
-    check_room(folder / "validation.json")
+    check_writable(folder / "validation.json")
     found = compare_all(estimator, campaign, exact_model, lambda share: tell("estimating", share))
     tell("drawing", None)
     written = {
@@ -415,7 +415,7 @@ def validate_all(
         plots: likewise.
         tell: likewise.
     """
-    from probedesign.deployment import load_estimator
+    from probedesign.frozen_probe import load_estimator
     from probedesign.validation.validate import MultiProbeReport, check_names
 
     names = [load_estimator(bundle).model.name for bundle, _ in pairs]

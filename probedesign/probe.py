@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign import mass
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.design import Design
-from probedesign.errors import InputError
+from probedesign.design.catalog.sensors import averaged_noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
-from probedesign.geometry import ProbeGeometry, build_geometry
-from probedesign.mass import MassProperties
+from probedesign.geometry import ProbeGeometry, build_geometry, mass
+from probedesign.geometry.mass import MassProperties
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Columns, Mode, Rod
-from probedesign.sensor import averaged_noise
 
 if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction

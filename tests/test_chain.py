@@ -6,7 +6,7 @@ import pytest
 
 from probedesign import demo
 from probedesign.cli.main import run
-from probedesign.design_file import draft_design, render_design
+from probedesign.design.io import draft_design, render_design
 
 SOFT = ("new", "soft", "--length", "400", "--base-d", "0.3")
 """So slender that it has no stable equilibrium under gravity."""

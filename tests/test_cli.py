@@ -13,9 +13,9 @@ import pytest
 import probedesign
 from probedesign.cli import doctor, main
 from probedesign.cli.main import COMMANDS, run
+from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
+from probedesign.core.files import check_overwrite
 from probedesign.design import load_design
-from probedesign.errors import CheckFailedError, InputError, MissingDependencyError
-from probedesign.files import check_overwrite
 from probedesign.rod import kernels
 
 NEW = ("new", "--length", "150", "--base-d", "12")

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 

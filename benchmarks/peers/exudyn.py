@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.peers.mesh import nodal_weights, stations
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 sys.exudynFast = True  # its own switch: the build without range checks

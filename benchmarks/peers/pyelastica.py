@@ -9,7 +9,7 @@ import elastica
 import numpy as np
 
 from benchmarks.peers.mesh import stations
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 AT_REST = 1e-4

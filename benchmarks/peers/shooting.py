@@ -4,7 +4,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 

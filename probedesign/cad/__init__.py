@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from probedesign.cad.staging import defer_sigint
+from probedesign.core.errors import MissingDependencyError
 from probedesign.design import Design
-from probedesign.errors import MissingDependencyError
 
 
 def _quiet(_: str) -> None:

@@ -25,12 +25,12 @@ from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.parts import ScrewGroup
 from probedesign.cad.render import render_body, render_png
 from probedesign.cad.svg import Svg
-from probedesign.materials import RIGID_RESIN
+from probedesign.core.units import MM, MPA
+from probedesign.design.catalog.materials import RIGID_RESIN
+from probedesign.design.catalog.robot_flanges import RobotFlange
 from probedesign.mount.fasteners import M2, M2_CLEARANCE_D, SCREWS
 from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
 from probedesign.reports.html_page import html_document
-from probedesign.robot_flange import RobotFlange
-from probedesign.units import MM, MPA
 
 STEEL = "stainless steel A2"
 NUT_FACTOR = 0.2

@@ -17,7 +17,7 @@ from probedesign.cad.render import (
     render_png,
 )
 from probedesign.cad.svg import Svg
-from probedesign.units import MM
+from probedesign.core.units import MM
 
 UP, DOWN = 1, -1
 

@@ -17,14 +17,14 @@ from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
 from probedesign.cad.staging import MANIFEST, check_target, staged
 from probedesign.cad.verify import Findings, verify
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array
+from probedesign.core.stl import stl_bytes
+from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array
-from probedesign.mass import MassProperties, combined
+from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount.sensor_adapter import SQUEEZE, exported_root_radii
 from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
-from probedesign.stl import stl_bytes
-from probedesign.units import MM
 
 SCHEMA = 1
 

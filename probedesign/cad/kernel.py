@@ -14,11 +14,11 @@ from OCP.GProp import GProp_GProps
 from OCP.TColgp import TColgp_Array1OfPnt
 from OCP.TColStd import TColStd_Array1OfReal
 
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array
-from probedesign.mass import MassProperties
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.geometry.mass import MassProperties
 from probedesign.mount.engraving import DEPTH, XY, Engraving
-from probedesign.units import MM
 
 ARCS = 8
 """Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8."""

@@ -16,11 +16,11 @@ from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.IMeshTools import IMeshTools_Parameters
 
 from probedesign.cad.model import CadModel
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array
-from probedesign.materials import RIGID_RESIN
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.design.catalog.materials import RIGID_RESIN
 from probedesign.printing.check import scale_note
-from probedesign.units import MM
 
 LINEAR_TOLERANCE_MM = 0.01
 ANGULAR_TOLERANCE_RAD = 0.05

@@ -19,16 +19,16 @@ from probedesign.cad.parts import (
     screw_solids,
     sensor_adapter_solid,
 )
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.frames import Array, pose
+from probedesign.design.catalog.materials import RIGID_DENSITY
+from probedesign.design.catalog.sensors import ScrewPattern, SensorModel
 from probedesign.geometry import ProbeGeometry, build_geometry
-from probedesign.mass import MassProperties, combined
-from probedesign.materials import RIGID_DENSITY
+from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
 from probedesign.mount.fasteners import STEEL_DENSITY
 from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH, on_circle
-from probedesign.sensor import ScrewPattern, SensorModel
-from probedesign.units import MM
 
 MIN_CLEARANCE = 0.5 * MM
 """Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges."""

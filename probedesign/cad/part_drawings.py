@@ -27,11 +27,11 @@ from probedesign.cad.sheet import (
     scale_text,
     seen,
 )
-from probedesign.materials import RIGID_RESIN
+from probedesign.core.units import MM
+from probedesign.design.catalog.materials import RIGID_RESIN
 from probedesign.mount.engraving import XY
 from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
 from probedesign.mount.sensor_adapter import PEG_D
-from probedesign.units import MM
 
 TOLERANCE = "±0.5 %, at least ±0.15 (assumed)"
 """Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""

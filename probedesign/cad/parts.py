@@ -7,8 +7,10 @@ from typing import Any
 import cadquery as cq
 
 from probedesign.cad.kernel import block, cylinder, engraving_cuts, frusta, hexagon, revolved, single_solid
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.design.catalog.sensors import SensorModel
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import SensorAdapter
 from probedesign.mount.engraving import XY
@@ -25,8 +27,6 @@ from probedesign.mount.fasteners import (
 )
 from probedesign.mount.flange_adapter import FlangeAdapter
 from probedesign.mount.sensor_adapter import PEG_D
-from probedesign.sensor import SensorModel
-from probedesign.units import MM
 
 
 @dataclass(frozen=True)

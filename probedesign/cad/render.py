@@ -16,8 +16,8 @@ from PIL import Image
 
 from probedesign.cad.mesh import Mesh
 from probedesign.cad.model import CadPart
-from probedesign.frames import Array
-from probedesign.units import MM
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 
 BACKGROUND = -1
 INK = 0.12

@@ -14,7 +14,7 @@ from OCP.HLRAlgo import HLRAlgo_Projector
 from OCP.HLRBRep import HLRBRep_Algo, HLRBRep_HLRToShape
 
 from probedesign.cad.svg import XY, Svg
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 CURVE_POINTS = 48
 """Points of a curved edge: a full circle Ø60 mm is drawn within 0.07 mm, less than its line width."""

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 MANIFEST = "manifest.json"
 

@@ -9,7 +9,6 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
-from probedesign import section
 from probedesign.cad.exploded_view import assembly_steps
 from probedesign.cad.kernel import cylinder, hexagon, mass_properties, placed, revolved, section_properties
 from probedesign.cad.mesh import Mesh, package_objects, read_back
@@ -23,15 +22,15 @@ from probedesign.cad.model import (
     shared_volume,
 )
 from probedesign.cad.parts import ScrewGroup
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array, pose
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
+from probedesign.design.catalog.sensors import SensorModel
 from probedesign.geometry import ProbeGeometry
-from probedesign.mass import MassProperties, combined, flexible_part
+from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
 from probedesign.mount.fasteners import M2_NUT_AF
 from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
-from probedesign.sensor import SensorModel
-from probedesign.units import MM
 
 CORRIDOR = 60.0 * MM
 """Length of the corridors of nuts and pins below the adapter, which lies free on the bench."""
@@ -166,9 +165,9 @@ def _same_body(name: str, drawn: MassProperties, formula: MassProperties) -> Fin
 def _sections(model: CadModel) -> Findings:
     geometry, solid = model.geometry, model.parts["probe"].shape
     formulae = {
-        "section_area": section.area,
-        "section_second_moment_xx": section.second_moment_xx,
-        "section_second_moment_yy": section.second_moment_yy,
+        "section_area": ProbeGeometry.area_at,
+        "section_second_moment_xx": ProbeGeometry.second_moment_xx_at,
+        "section_second_moment_yy": ProbeGeometry.second_moment_yy_at,
     }
     stations = _stations(geometry)
     drawn = np.array([section_properties(solid, s) for s in stations])

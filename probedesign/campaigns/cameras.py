@@ -10,8 +10,8 @@ from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest
 from probedesign.campaigns.tables import MARKERS, POSITION, indices_of_tests, marker_numbers
 from probedesign.core.csv_tables import TableRows, TableSchema, read_rows
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
 from probedesign.vision.triangulate import MIN_STD_PX, triangulate

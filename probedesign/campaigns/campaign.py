@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.csv_tables import Frame
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 
 
 @dataclass(frozen=True, eq=False)

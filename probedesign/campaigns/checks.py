@@ -13,11 +13,11 @@ import numpy as np
 from probedesign.campaigns.campaign import Campaign, Markers, Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.tables import PUSH_DIRECTIONS, TESTS, WRENCHES
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import GRAM, MM, N_MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
-from probedesign.units import GRAM, MM, N_MM
 
 DEVIATIONS = 5.0
 """Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair

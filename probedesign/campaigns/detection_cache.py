@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from probedesign.campaigns.cameras import PIXELS
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.vision.dots import Dot
 from probedesign.vision.marker_sequence import DetectedMarkers, ImageSide
 

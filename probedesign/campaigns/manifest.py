@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from probedesign.core.csv_tables import read_text
+from probedesign.core.errors import InputError
 from probedesign.design import check_name
-from probedesign.design_problems import Inconsistent, parse_toml
-from probedesign.design_tables import MAX_GRAVITY, Table, as_tuple
-from probedesign.errors import InputError
+from probedesign.design.diagnostics import Inconsistent, parse_toml
+from probedesign.design.schema import MAX_GRAVITY, Table, as_tuple
 
 FILE = "campaign.toml"
 MAX_BYTES = 1_000_000

@@ -13,10 +13,10 @@ from probedesign.campaigns.detection_cache import DetectionCache, cache_key
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
 from probedesign.campaigns.tables import read_tests
-from probedesign.errors import InputError
-from probedesign.files import check_overwrite, write_atomically
-from probedesign.frames import Array
-from probedesign.units import MM
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite, write_atomically
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.vision.camera import Camera
 from probedesign.vision.marker_sequence import DetectedMarkers, ImageSide, find_markers
 from probedesign.vision.triangulate import triangulate

@@ -18,9 +18,9 @@ from probedesign.campaigns.tables import (
     read_tests,
     read_wrenches,
 )
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.units import GRAM, MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.units import GRAM, MM
 
 
 def read_campaign(path: str | Path) -> Campaign:

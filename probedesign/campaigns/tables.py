@@ -20,8 +20,8 @@ from probedesign.core.csv_tables import (
     read_rows,
     shown,
 )
-from probedesign.frames import Array, pose
-from probedesign.units import MM
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
 
 TESTS, WRENCHES, MARKERS = "tests.csv", "wrenches.csv", "markers.csv"
 FORCE = ("force_x_world", "force_y_world", "force_z_world")

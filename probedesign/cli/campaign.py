@@ -49,8 +49,8 @@ def campaign(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
+    from probedesign.core.units import MM, MPA
     from probedesign.simulation.ground_truth import CampaignPlan
-    from probedesign.units import MM, MPA
 
     def si(value: float | None, unit: float) -> float | None:
         return None if value is None else value * unit

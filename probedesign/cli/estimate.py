@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_note, show_progress
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.live.processing.blocks import WrenchReading
@@ -58,7 +58,7 @@ def estimate(
         as_json: print one JSON document with the rows and their metadata.
     """
     from probedesign.cli.options import loaded_estimator
-    from probedesign.files import write_atomically
+    from probedesign.core.files import write_atomically
     from probedesign.live.offline import estimate_recording
     from probedesign.live.processing.tare import parse_window
     from probedesign.live.run import describe_counts, warm_up
@@ -89,7 +89,7 @@ def _check_out(out: Path | None, recording: Path, force: bool) -> None:
     Raises:
         InputError: otherwise.
     """
-    from probedesign.files import check_overwrite
+    from probedesign.core.files import check_overwrite
 
     if out is None:
         return

@@ -14,11 +14,11 @@ from probedesign.cli.console import (
     show_progress,
 )
 from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
+    from probedesign.core.frames import Array
     from probedesign.estimation.estimator import Estimator
-    from probedesign.frames import Array
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
     from probedesign.live.sources.source import Source
@@ -63,7 +63,7 @@ def explore(
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         as_json: print one JSON document with the points and their uncertainty.
     """
-    from probedesign.deployment import load_estimator, load_model
+    from probedesign.frozen_probe import load_estimator, load_model
     from probedesign.mapping.explore import Exploration, parse_min_separation
     from probedesign.reports.map_picture import MapScene
 
@@ -95,11 +95,11 @@ def _check_out(out: Path, force: bool) -> None:
     Raises:
         InputError: `out` is a file, cannot be written to, or has one of the files and `force` is not set.
     """
-    from probedesign.files import check_overwrite, check_room
+    from probedesign.core.files import check_overwrite, check_writable
 
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file; choose a folder")
-    check_room(out / FILES[0])
+    check_writable(out / FILES[0])
     for name in FILES:
         check_overwrite(out / name, force)
 
@@ -161,7 +161,7 @@ def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
         probe: its name and fingerprint.
         notes: lines about the origin of the points, for the page.
     """
-    from probedesign.files import write_atomically
+    from probedesign.core.files import write_atomically
     from probedesign.mapping.map_files import map_csv, map_ply
     from probedesign.reports.map_page import map_page
     from probedesign.reports.map_picture import map_svg

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.design_edit import Change
+    from probedesign.design.edit import Change
     from probedesign.identification.result import Identification, Identified
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 FOLDER = Path("designs")
 OPTIONS = {
@@ -65,7 +65,7 @@ def new(
         force: replace an existing design file.
         as_json: print one JSON document.
     """
-    from probedesign.design_file import draft_design, render_design, write_design
+    from probedesign.design.io import draft_design, render_design, write_design
 
     try:
         design, notes = draft_design(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import show_progress
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -276,8 +276,8 @@ def loaded_estimator(
     Raises:
         InputError: the file is unreadable, or the friction is NaN or below 0.
     """
-    from probedesign.deployment import load_estimator
     from probedesign.estimation.tolerances import Tolerances
+    from probedesign.frozen_probe import load_estimator
 
     estimator = load_estimator(bundle, manifest)
     if exact_model:

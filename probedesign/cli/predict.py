@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_table, show_progress
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
     from probedesign.prediction.fused import FusedCondition

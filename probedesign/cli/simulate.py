@@ -59,7 +59,7 @@ def simulate(
     """
     from contextlib import ExitStack
 
-    from probedesign.deployment import load_estimator
+    from probedesign.frozen_probe import load_estimator
     from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
     from probedesign.simulation.robot import BaseMotion, SimulatedRobot
 
@@ -90,7 +90,7 @@ def _configuration(
     Raises:
         InputError: an option is out of range.
     """
-    from probedesign.errors import InputError
+    from probedesign.core.errors import InputError
     from probedesign.live.sources.netft.wire import MAX_RECORDS, SAMPLES_PER_SECOND
     from probedesign.simulation.netft_box import NATIVE
 

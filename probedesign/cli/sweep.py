@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_note, show_progress
 from probedesign.cli.options import TaskOptions
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.optimization.sweep import SweepResult

@@ -1,1 +1,1 @@
-"""Foundations that every package may use: they do not depend on what a probe is."""
+"""Base of all packages: frames, units, errors, files, statistics and tables; none knows a probe."""

@@ -15,7 +15,7 @@ from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any, TypeVar
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 Record = dict[str, Any]
 OnProgress = Callable[[str, float | None], None]

@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.observation import Observation
-from probedesign.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.solve import scratch_buffers

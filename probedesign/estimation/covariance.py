@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Sensitivity
 
 NO_CAUSES = np.zeros((6, 0)), np.zeros((3, 0))

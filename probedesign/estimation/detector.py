@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 from scipy.stats import f as fisher
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.rod.kernels.compiled import inner, kernel
 
 LENGTHS = (1, 4, 16, 64, 256, 1024)

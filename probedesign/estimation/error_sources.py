@@ -11,13 +11,13 @@ from functools import cached_property
 
 import numpy as np
 
+from probedesign.core.frames import Array, inverse, wrench_map
+from probedesign.core.units import MM
 from probedesign.estimation import multistart, surface_contact_kernel, uncertainty_kernel
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, inverse, wrench_map
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
-from probedesign.units import MM
 
 CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "length", "root", "base place",
           "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.multistart import FIT
-from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 
 Result = Literal[

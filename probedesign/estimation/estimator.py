@@ -9,7 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, max_chi2
+from probedesign.design.catalog.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, Result
@@ -19,10 +22,7 @@ from probedesign.estimation.observation import Observation, covariance
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.unknowns import Unknowns
-from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.sensor import Noise
-from probedesign.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, max_chi2
 
 Method = Literal["ml", "force_moment", "paper"]
 """Ways to locate a single contact; "paper" is another name of "force_moment"."""

@@ -7,12 +7,12 @@ Source: "Spatial Position Estimation of Lightweight and Delicate Objects using a
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation import multistart
 from probedesign.estimation.covariance import propagate
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import TIP, TOUCH
-from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 

@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, is_pose
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, is_pose
 
 
 def fuse(

@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Result
-from probedesign.frames import Array
 
 MomentsAbout = Literal["base", "sensor"]
 """Where the moments are taken about that count alone: the base's origin, or the sensor's own."""

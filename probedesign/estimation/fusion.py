@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.core.frames import Array, wrench_map
+from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import Result
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
@@ -29,8 +31,6 @@ from probedesign.estimation.surface_contact_kernel import (
 )
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.uncertainty_kernel import ASIDE, TAIL
-from probedesign.frames import Array, wrench_map
-from probedesign.statistics import MISFIT_CHANCE, RIVAL_CHI2, max_chi2
 
 NEAR = 1e-9
 """Poses whose numbers differ by no more, in metres too, are one."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel as kernel
 from probedesign.estimation import multistart
 from probedesign.estimation.error_sources import FINE
@@ -25,8 +27,6 @@ from probedesign.estimation.surface_contact_kernel import (
     work_size,
 )
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
-from probedesign.units import MM
 
 if TYPE_CHECKING:
     from probedesign.estimation.fusion import Fusion, Reading

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.core.frames import Array
 from probedesign.estimation.multistart import placed
 from probedesign.estimation.surface_contact_kernel import TIP, TOUCH
-from probedesign.frames import Array
 from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.rod import Rod
 

@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.estimation import multistart, rounded_tip
 from probedesign.estimation.contact_fit import AT_END, STALLED
 from probedesign.estimation.contact_fit import WORK as FIT_WORK
@@ -38,9 +40,7 @@ from probedesign.estimation.surface_contact_kernel import (
     work_size,
 )
 from probedesign.estimation.uncertainty_kernel import CHI2, COV_CENTRE, COV_POINT, LEVER, LINEAR, VAR_S
-from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.statistics import MISFIT_CHANCE, max_chi2
 
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.cross_section import FULL_ROUND, CrossSection
-from probedesign.errors import InputError
-from probedesign.frames import Array, inverse, wrench_map
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, inverse, wrench_map
+from probedesign.design.catalog.materials import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.catalog.sensors import Noise
 from probedesign.geometry import Flange
-from probedesign.mass import MassProperties
-from probedesign.materials import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
+from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
-from probedesign.sensor import Noise
 
 if TYPE_CHECKING:
     from probedesign.estimation.tolerances import Tolerances

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.rod.kernels.compiled import kernel
 
 NUMERICAL = 1e-6

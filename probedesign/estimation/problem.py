@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+from probedesign.core.frames import Array
 from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.observation import Observation
-from probedesign.frames import Array
 
 
 @dataclass(eq=False)

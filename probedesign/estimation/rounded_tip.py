@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation import multistart
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import TIP, TOUCH
-from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Rod
 

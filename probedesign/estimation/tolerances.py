@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.unknowns import Unknowns, stiffness_spread
-from probedesign.units import MM
 
 SOURCES = {
     "drift_steps": "assumed, as in fusion",

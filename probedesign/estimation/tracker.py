@@ -13,7 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
+from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel as kernel
 from probedesign.estimation import multistart, tracker_kernel
 from probedesign.estimation.detector import Detector, Touching
@@ -41,9 +44,6 @@ from probedesign.estimation.surface_contact_kernel import (
     work_size,
 )
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
-from probedesign.statistics import MISFIT_CHANCE, max_chi2
-from probedesign.units import MM
 
 MAX_KEYFRAMES = 8
 IN_TURN = 4

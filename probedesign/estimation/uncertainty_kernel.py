@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.contact_fit import RESIDUALS, normal_equations, residuals
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -37,7 +38,6 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
 )
-from probedesign.frames import Array
 from probedesign.rod.kernels.compiled import inner, kernel
 from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
 from probedesign.rod.kernels.linalg import (

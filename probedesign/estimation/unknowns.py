@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 
 IDENTIFIED = 0.005

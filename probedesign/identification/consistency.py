@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom, chi2
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.identification.parameters import PARAMETERS, PRINT, columns_of
 from probedesign.identification.residuals import ResidualBlock
 from probedesign.identification.solver import REJECTION_CHANCE, ROBUST_KINDS, Fit, NoiseScale

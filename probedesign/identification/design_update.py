@@ -5,13 +5,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from probedesign.core.errors import InputError
+from probedesign.core.units import MPA
 from probedesign.design import Design
-from probedesign.design_edit import Change
-from probedesign.errors import InputError
+from probedesign.design.edit import Change
 from probedesign.estimation.unknowns import ASSUMED_STIFFNESS, IDENTIFIED
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
-from probedesign.units import MPA
 
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
 """Parameters that a design file holds."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.reading import check_probe
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
 from probedesign.identification import result
 from probedesign.identification.consistency import inconsistency, outlier_notes, rejected_prior
 from probedesign.identification.observability import UnobservableDirection, unobservable_direction

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.identification.parameters import DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
 from probedesign.identification.solver import Fit, Linearization, column_scales
 

@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError, unknown_name
+from probedesign.core.frames import Array, pose, wrench_map
+from probedesign.core.units import MM, MPA
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, pose, wrench_map
-from probedesign.naming import unknown
 from probedesign.rod import kernels
 from probedesign.rod.rod import Rod
-from probedesign.units import MM, MPA
 
 if TYPE_CHECKING:
     from probedesign.identification.residuals import SolvedTest, WithJacobian
@@ -235,7 +234,7 @@ def check_requested(names: Sequence[str]) -> tuple[str, ...]:
     """
     for name in names:
         if name not in REQUESTABLE:
-            raise unknown("--for", name, REQUESTABLE)
+            raise unknown_name("--for", name, REQUESTABLE)
     if not names:
         raise InputError(f"--for: no parameter is named; known: {', '.join(REQUESTABLE)}")
     return tuple(name for name in REQUESTABLE if name in names)

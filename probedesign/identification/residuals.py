@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array, skew
+from probedesign.core.frames import Array, skew
 from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_ROTATION,

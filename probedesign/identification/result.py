@@ -11,7 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import norm, t
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MM, MPA
 from probedesign.identification.observability import (
     UnobservableDirection,
     conditional_estimate,
@@ -35,7 +36,6 @@ from probedesign.identification.solver import (
     squared_distance,
 )
 from probedesign.rod.rod import Rod
-from probedesign.units import MM, MPA
 
 CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",

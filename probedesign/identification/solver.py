@@ -16,7 +16,7 @@ from functools import cache, cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.identification.parameters import (
     LOG_E,
     LOGARITHMS,

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live.processing.blocks import WrenchReading, averaged
 from probedesign.live.processing.estimates import COLUMNS, Row, csv_line, estimate_row, locate

@@ -9,11 +9,11 @@ from itertools import islice
 
 import numpy as np
 
+from probedesign.core.frames import Array, pose
 from probedesign.estimation.detector import Detector
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tracker import Tracker
-from probedesign.frames import Array, pose
 from probedesign.live import Log
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import BasePoses

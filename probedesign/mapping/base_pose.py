@@ -4,10 +4,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
 
 MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
 """Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.mapping.touch_point import ConditionalPoint, LocatedTouch
 
 MIN_SEPARATION = 5e-3

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.contact_map import ContactMap, MapPoint
 from probedesign.mapping.touch_point import RESULT_MEANINGS, LocatedTouch
-from probedesign.units import MILLINEWTON, MM
 
 COVARIANCE_ENTRIES = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
 COLUMNS = (

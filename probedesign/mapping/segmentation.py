@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import LEVER, SPAN, Contact
 

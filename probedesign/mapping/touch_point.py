@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
@@ -24,7 +25,6 @@ from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
 from probedesign.live.processing.touches import BIAS_STEPS
 from probedesign.mapping.segmentation import StationaryInterval, TouchSegment
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.frames import Array, pose, rotation_z
-from probedesign.units import MM
+from probedesign.core.frames import Array, pose, rotation_z
+from probedesign.core.units import MM
 
 XY = tuple[float, float]
 """A point (x, y) [m]."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from probedesign.units import MM
+from probedesign.core.units import MM
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.frames import Array, pose, rotation_z
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose, rotation_z
+from probedesign.core.units import MM
+from probedesign.design.catalog.robot_flanges import RobotFlange
+from probedesign.design.catalog.sensors import SensorModel
 from probedesign.mount.engraving import HEIGHT, XY, Engraving, engrave, free_arcs
 from probedesign.mount.fasteners import M2_COUNTERBORE_D, M2_GRIP, SCREWS
 from probedesign.mount.sensor_adapter import on_circle
-from probedesign.robot_flange import RobotFlange
-from probedesign.sensor import SensorModel
-from probedesign.units import MM
 
 ENTRY_MARGIN = 0.5 * MM
 """Margin of the robot bolts to the deepest allowed entry, in case the plate prints thin."""

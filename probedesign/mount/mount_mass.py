@@ -8,9 +8,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from probedesign.core.units import MM
+from probedesign.design.catalog.materials import RIGID_DENSITY
 from probedesign.geometry import ProbeGeometry
-from probedesign.mass import MassProperties, combined, flange_part, frustum
-from probedesign.materials import RIGID_DENSITY
+from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
 from probedesign.mount.fasteners import (
     M2,
@@ -23,7 +24,6 @@ from probedesign.mount.fasteners import (
     STEEL_DENSITY,
 )
 from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH, PEG_D, SensorAdapter
-from probedesign.units import MM
 
 
 def mount_mass_properties(

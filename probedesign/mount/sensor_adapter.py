@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.frames import Array, pose
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
+from probedesign.design.catalog.sensors import ScrewPattern, SensorModel
 from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry
 from probedesign.mount.engraving import XY, Engraving, engrave, free_arcs
 from probedesign.mount.fasteners import (
@@ -24,8 +26,6 @@ from probedesign.mount.fasteners import (
     M2_NUT_HEIGHT,
     NUT_PROTRUSION,
 )
-from probedesign.sensor import ScrewPattern, SensorModel
-from probedesign.units import MM
 
 FOOT_HEIGHT = 1.0 * MM
 """Height of the wide plate above the tool face: clearance to the sensor's body and its cable."""

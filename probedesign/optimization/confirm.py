@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, process_map
+from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.optimization.objective import predict_task
 from probedesign.optimization.task import Task, side_of
 from probedesign.prediction.monte_carlo import locate_draws
 from probedesign.prediction.print_samples import PrintSamples
 from probedesign.probe import build_probe
-from probedesign.units import MM
 
 _CHUNK = 10
 """Draws that a worker takes at a time: a few seconds."""

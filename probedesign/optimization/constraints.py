@@ -10,9 +10,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
-from probedesign.naming import unknown
+from probedesign.core.errors import InputError, unknown_name
+from probedesign.core.frames import Array
 from probedesign.optimization.evaluator import SAFETY_FACTOR, DesignEvaluator, differences
 
 Goal = Literal["error-at-force", "force-for-error"]
@@ -68,7 +67,7 @@ def parse_limit(text: str) -> Limit:
         )
     figure, sign, number = match.groups()
     if figure not in LIMITED_METRICS:
-        raise unknown("--subject-to", figure, LIMITED_METRICS)
+        raise unknown_name("--subject-to", figure, LIMITED_METRICS)
     try:
         value = float(number)
     except ValueError:

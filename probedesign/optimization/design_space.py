@@ -8,15 +8,15 @@ from typing import Any, Literal
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design_tables import MAX_DIAMETER_MM, MIN_DIAMETER_MM
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
 from probedesign.optimization.grid import design_dict
 from probedesign.printing import rules as limits
-from probedesign.units import MM
 
 FreeParameter = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.objective import predict_task
 from probedesign.optimization.task import Task, side_of
@@ -18,7 +19,6 @@ from probedesign.prediction.predict import tip_sag
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
-from probedesign.units import MM
 
 _WEAK_N = 1e-6
 _SQUARE = 2.0

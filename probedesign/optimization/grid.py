@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from probedesign.core.errors import InputError, unknown_name
 from probedesign.design import Design
-from probedesign.design_problems import known_keys
-from probedesign.errors import InputError
-from probedesign.naming import unknown
+from probedesign.design.diagnostics import known_keys
 
 MAX_POINTS = 1_000_000
 _HOW = "write KEY=START:STOP:STEP or KEY=A,B,C"
@@ -41,7 +40,7 @@ def parse_axis(text: str) -> GridAxis:
     known = [name for name in keys if "." in name and not any(k.startswith(f"{name}.") for k in keys)]
     if key not in known:
         table = [name for name in known if name.partition(".")[0] == key.partition(".")[0]]
-        raise unknown("--vary", key, table or known)
+        raise unknown_name("--vary", key, table or known)
     if ":" in values:
         return GridAxis(key, numbers_of(f"--vary {key}", values))
     found = tuple(_value(part.strip()) for part in values.split(","))

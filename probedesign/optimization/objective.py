@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import BETTER_THAN_NOTHING
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.optimization.task import Case, Task, side_of
 from probedesign.prediction.budget import error_budget
 from probedesign.prediction.fused import LinearizedPresses
@@ -19,7 +20,6 @@ from probedesign.prediction.predict import tip_sag
 from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
-from probedesign.units import MM
 
 DETECTION_FRACTION = 0.8
 """Contact fraction whose detectable force is reported."""

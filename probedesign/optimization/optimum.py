@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress
+from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design_file import render_design
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.design.io import render_design
 from probedesign.optimization.constraints import FORCES, Goal, Limit, NonlinearProgram, check_limits
 from probedesign.optimization.design_space import DIGITS, DesignSpace, FreeParameter
 from probedesign.optimization.evaluator import DesignEvaluator
@@ -20,7 +21,6 @@ from probedesign.optimization.grid import design_dict
 from probedesign.optimization.objective import DesignMetrics, design_metrics, predict_task
 from probedesign.optimization.task import Task, Vector
 from probedesign.probe import build_probe
-from probedesign.units import MM
 
 if TYPE_CHECKING:
     from probedesign.optimization.confirm import MonteCarloCheck

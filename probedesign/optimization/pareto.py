@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress
 from probedesign.design import Design
-from probedesign.errors import InputError, MissingDependencyError
-from probedesign.frames import Array
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram
 from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.evaluator import DesignEvaluator

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
 from probedesign.design import Design, check_design
-from probedesign.errors import InputError, MissingDependencyError
-from probedesign.files import write_atomically
 from probedesign.optimization.grid import GridAxis, design_dict, grid_points, with_values
 from probedesign.optimization.objective import METRICS, design_metrics
 from probedesign.optimization.task import Task

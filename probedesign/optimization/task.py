@@ -7,11 +7,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.fused import MomentsAbout
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
 from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
 
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, erf
 
+from probedesign.core.frames import Array
 from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
@@ -33,7 +34,6 @@ from probedesign.estimation.surface_contact_kernel import (
     VALUE,
     S,
 )
-from probedesign.frames import Array
 from probedesign.rod.rod import Rod
 
 CAUSES = (*SOURCES, "friction")

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.fused import MomentsAbout
 from probedesign.estimation.fusion import BETTER_THAN_NOTHING, Fusion, Reading, channels_of
@@ -23,11 +25,9 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, pose
 from probedesign.prediction.budget import radius_95, rms_of
 from probedesign.prediction.thresholds import ACCURACIES_MM, force_for_accuracy
 from probedesign.prediction.touches import Touches
-from probedesign.units import MM
 
 MAX_TOUCHES = 20
 

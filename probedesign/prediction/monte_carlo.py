@@ -16,19 +16,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from probedesign.core.errors import InputError
+from probedesign.core.files import write_atomically
+from probedesign.core.frames import Array, pose
 from probedesign.core.parallel import process_map
-from probedesign.errors import InputError
+from probedesign.core.statistics import max_chi2
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.files import write_atomically
-from probedesign.frames import Array, pose
 from probedesign.prediction.fused import FusedCondition, PressSchedule
 from probedesign.prediction.predict import PRESSING, Condition, MonteCarloResult, Prediction
 from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.statistics import max_chi2
-from probedesign.units import MM
 
 MAX_DIFFERENCE = 0.10
 """Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors of Monte

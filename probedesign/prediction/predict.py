@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import (
     FUSED_CAUSES,
@@ -28,7 +29,6 @@ from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_t
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
 from probedesign.prediction.workspace import Workspace, workspace_of
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.units import MM
 
 __all__ = [
     "DIRECTIONS",

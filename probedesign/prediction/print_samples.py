@@ -12,15 +12,15 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.core.frames import Array, inverse, wrench_map
+from probedesign.core.units import MM
 from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, inverse, wrench_map
 from probedesign.prediction.touches import SurfaceRod
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
-from probedesign.units import MM
 
 _PER_TOUCH = ("creep", "stiffness scatter")
 """Sources that a single touch cannot distinguish: of fused touches the first grows, the second is drawn for each."""

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
+from probedesign.core.units import MM
 from probedesign.design import Design, check_design
+from probedesign.design.catalog.materials import ELASTIC_50A
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.materials import ELASTIC_50A
 from probedesign.prediction.budget import CAUSES, unweighted_error_budget
 from probedesign.prediction.touches import DIRECTIONS, touches_of
-from probedesign.units import MM
 
 REFERENCE_MM = 1.0
 """RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.prediction.touches import Touches
-from probedesign.units import MM
 
 ACCURACIES_MM = (1.0, 2.0, 5.0)
 """RMS errors for which the required force is computed."""

@@ -12,7 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation import surface_contact_kernel as kernel
 from probedesign.estimation.error_sources import FINE, NOTHING, ErrorSources
 from probedesign.estimation.estimator import Estimator
@@ -34,7 +35,6 @@ from probedesign.estimation.surface_contact_kernel import (
     VALUE,
     S,
 )
-from probedesign.frames import Array
 from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod

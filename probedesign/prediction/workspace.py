@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.prediction.thresholds import ForceThresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches
-from probedesign.units import MM
 
 STEPS = 12
 """Number of points of a path, evenly spaced from the untouched one."""

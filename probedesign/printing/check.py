@@ -8,8 +8,9 @@ drawn parts.
 from dataclasses import dataclass
 from typing import Any
 
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.errors import InputError
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
 from probedesign.printing.rules import (
@@ -23,7 +24,6 @@ from probedesign.printing.rules import (
     probe_findings,
     probe_fits,
 )
-from probedesign.units import MM
 
 AS_DRAWN = (1.0, 1.0, 1.0)
 

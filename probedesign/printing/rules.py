@@ -11,14 +11,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.design.catalog.printers import PRINTERS, Printer
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import FlangeAdapter, SensorAdapter
 from probedesign.mount.engraving import XY
 from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
 from probedesign.mount.sensor_adapter import PEG_D
-from probedesign.printer import PRINTERS, Printer
-from probedesign.units import MM
 
 Severity = Literal["ok", "warning", "error"]
 Confidence = Literal["high", "medium", "low"]

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.errors import InputError
 from probedesign.optimization.objective import (
     METRICS,
     DesignMetrics,
@@ -20,7 +21,6 @@ from probedesign.prediction.predict import Prediction
 from probedesign.probe import build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, span_of
 from probedesign.reports.html_page import HtmlTable, Section, report_page
-from probedesign.units import MM
 
 MAX_DESIGNS = 6
 PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 DOCTYPE = "<!DOCTYPE html>"
 STYLE = """

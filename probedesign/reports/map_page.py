@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.contact_map import CHI2_95, ContactMap, MapPoint
 from probedesign.mapping.map_files import COVARIANCE_ENTRIES, point_line, touch_numbers, unlocated_lines
 from probedesign.reports.html_page import html_document
@@ -24,7 +25,6 @@ from probedesign.reports.map_picture import (
     map_svg,
     map_symbols,
 )
-from probedesign.units import MILLINEWTON, MM
 
 SCRIPT = Path(__file__).with_suffix(".js")
 STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab;

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.mapping.contact_map import CHI2_95, ContactMap, MapPoint
 from probedesign.mapping.map_files import MAX_RMS_MM, MIN_RMS_MM, rms_colour
-from probedesign.units import MM
 
 # scene
 

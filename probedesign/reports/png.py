@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from probedesign.errors import MissingDependencyError
+from probedesign.core.errors import MissingDependencyError
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.frames import Array
 from probedesign.prediction.predict import Prediction
 from probedesign.reports.chart import COLOURS, ORDERED
 from probedesign.reports.prediction_charts import (
@@ -18,7 +19,6 @@ from probedesign.reports.prediction_charts import (
     sensitivity_chart,
 )
 from probedesign.reports.validation_page import error_size_chart, shape_chart
-from probedesign.units import MILLINEWTON, MM
 from probedesign.validation.validate import ValidationReport
 
 if TYPE_CHECKING:

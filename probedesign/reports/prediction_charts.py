@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.frames import Array
 from probedesign.prediction.fused import FusedCondition
 from probedesign.prediction.predict import Condition, Prediction
 from probedesign.prediction.touches import DIRECTIONS
@@ -26,7 +27,6 @@ from probedesign.reports.chart import (
     span_of,
 )
 from probedesign.rod.contact import solve_frictionless
-from probedesign.units import MM
 
 GROUPS = {
     "noise": ("noise",),

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM, N_MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.reports.chart import COLOURS, NO_LINE, Chart, ChartAxis, LegendEntry, span_of
 from probedesign.reports.html_page import HtmlTable, Section, report_page
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.units import MILLINEWTON, MM, N_MM
 from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
 from probedesign.validation.validated_test import ValidatedTest
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.kernels.solve import scratch_buffers
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod

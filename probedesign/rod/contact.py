@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.coulomb_equations import SurfaceProfile
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Mode, Rod

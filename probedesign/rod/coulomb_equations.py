@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 Numbers = NDArray[Any]

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.errors import InputError
-from probedesign.frames import Array, skew
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, skew
 from probedesign.rod import kernels
 
 

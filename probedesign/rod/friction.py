@@ -32,8 +32,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.rod.coulomb_equations import SurfaceProfile, coulomb_residuals
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.obstacle.first_contact import FirstContactQuery, NearestPoint, Obstacle

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels.solve import SINGLE_ROD, scratch_buffers

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.files import check_overwrite
-from probedesign.frames import Array
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.sensor_noise import reading_std
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
-from probedesign.units import MM
 
 TRUTH = "truth.json"
 STD_CONTACT = {"cameras": 0.6 * MM, "stage": 0.05 * MM}

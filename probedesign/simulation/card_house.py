@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 CARD = (63.5e-3, 88.9e-3)
 """Size of a poker card, 2.5 by 3.5 inches: depth and width in the house [m]; its thickness is neglected."""

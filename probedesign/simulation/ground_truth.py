@@ -7,11 +7,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose, wrench_map
+from probedesign.core.units import MM
 from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, pose, wrench_map
 from probedesign.prediction.print_samples import perturbed_rod
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
@@ -19,7 +20,6 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
 from probedesign.simulation.rod_contact import solve_contact
-from probedesign.units import MM
 
 CampaignKind = Literal["cameras", "stage"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM

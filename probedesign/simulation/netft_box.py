@@ -15,9 +15,9 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
 from probedesign.live.sources.netft.wire import (

@@ -17,15 +17,15 @@ from urllib.parse import urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose, skew
+from probedesign.core.units import MM
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array, pose, skew
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block
 from probedesign.simulation.scenes import PressedObject
 from probedesign.simulation.sensor_noise import bias_step, sample_std
-from probedesign.units import MM
 
 # cyclic motion
 

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON
 from probedesign.estimation.force_moment import surface_point
-from probedesign.frames import Array
 from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Mode, Rod
-from probedesign.units import MILLINEWTON
 
 DEFAULT_FORCE = 20.0 * MILLINEWTON
 """Default contact force [N], reduced for a probe that it would bend too far."""

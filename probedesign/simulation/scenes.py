@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,
@@ -25,7 +26,6 @@ from probedesign.rod.friction import (
 from probedesign.rod.obstacle import ObstacleContact, press_against_line, press_against_point
 from probedesign.simulation.card_house import LEAN
 from probedesign.simulation.rod_contact import safe_force
-from probedesign.units import MILLINEWTON, MM
 
 CLEARANCE = 0.05
 """Distance between probe and object before the base moves towards it, as a fraction of the length."""

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 
 
 def reading_std(model: ProbeModel) -> Array:

@@ -15,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.files import write_atomically
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.files import write_atomically
-from probedesign.frames import Array, pose
 from probedesign.live.poses.pose_file import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
@@ -37,7 +38,6 @@ from probedesign.rod.obstacle import ObstacleContact, press_against_line
 from probedesign.rod.rod import Mode, Rod
 from probedesign.simulation.card_house import SOURCE, TouchTarget
 from probedesign.simulation.robot import SimulatedTrajectory
-from probedesign.units import MILLINEWTON, MM
 
 LIGHT_FORCE, FIRM_FORCE = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON
 """Forces between which the base alternates [N]; the firm one stays below 5 mN when the robot is off its place."""

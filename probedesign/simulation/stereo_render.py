@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.vision.camera import Camera
 
 Picture = NDArray[np.uint8]

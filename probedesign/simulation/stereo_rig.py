@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.simulation.ground_truth import GroundTruth, SimulatedTest, marker_arclengths
 from probedesign.simulation.stereo_render import PaintedDots, RenderStyle, SurfaceTube, render

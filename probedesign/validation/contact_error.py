@@ -7,12 +7,12 @@ import numpy as np
 from scipy.special import chdtri
 
 from probedesign.campaigns.campaign import Campaign, Test
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.prediction.predict import predict_touch
-from probedesign.units import MM
 
 TAIL = 0.05
 """Probability outside a 95 % ellipsoid."""

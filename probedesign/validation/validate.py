@@ -11,10 +11,10 @@ import numpy as np
 
 from probedesign.campaigns.campaign import Campaign
 from probedesign.campaigns.reading import check_probe
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.units import MM
 from probedesign.validation.coverage import Coverage, coverage_of
 from probedesign.validation.validated_test import ValidatedTest, validate_test
 

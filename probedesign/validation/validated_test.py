@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 
 from probedesign.campaigns.campaign import Campaign, Test
+from probedesign.core.frames import Array, inverse
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, inverse
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.contact_error import (
     ContactError,

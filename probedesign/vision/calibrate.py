@@ -10,9 +10,9 @@ from scipy import stats
 from scipy.linalg import rq
 from scipy.optimize import least_squares
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
-from probedesign.units import MM
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.vision.camera import LINEAR, Camera
 
 MAX_DISTORTION = 2

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from probedesign.frames import Array, skew
+from probedesign.core.frames import Array, skew
 
 LINEAR = 11
 """Parameters of a camera without distortion, as many as Direct Linear Transformation has."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import erfc
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 MIN_AREA_PX = 3.0
 """Smallest area within the outermost pixels' centres; a smaller spot has neither shape nor centre."""

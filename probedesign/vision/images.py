@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError
-from probedesign.files import write_atomically
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.files import write_atomically
+from probedesign.core.frames import Array
 from probedesign.vision import require
 
 if TYPE_CHECKING:

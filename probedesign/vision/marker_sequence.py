@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.vision.dots import DetectedSpots, Dot, detect_spots, fit_dot
 from probedesign.vision.images import read_grey
 

@@ -29,8 +29,8 @@ from probedesign.cad.parts import clamp_ring_solid
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
 from probedesign.cad.sheet import FRONT, HEIGHT, WIDTH, cut, seen
 from probedesign.cad.svg import Svg
+from probedesign.core.frames import pose
 from probedesign.design import Design
-from probedesign.frames import pose
 from probedesign.mount.engraving import Engraving
 
 Exported = tuple[Path, dict[str, Any]]

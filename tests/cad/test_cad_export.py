@@ -21,11 +21,11 @@ from probedesign.cad import export_parts
 from probedesign.cad.assembly_docs import Documents
 from probedesign.cad.kernel import location
 from probedesign.cad.model import CadModel
-from probedesign.deployment import freeze
+from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.frozen_probe import freeze
 from probedesign.geometry import build_geometry
-from probedesign.mass import MassProperties, combined, flexible_part
+from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
 from probedesign.printing.preform.job import load_job
 from probedesign.probe import build_probe

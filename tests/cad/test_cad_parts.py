@@ -16,10 +16,10 @@ from probedesign.cad.mesh import Mesh, tessellate, threemf_packages
 from probedesign.cad.model import IN_SENSOR_FRAME, CadModel, CadPart, build_cad, overlaps
 from probedesign.cad.parts import probe_solid
 from probedesign.cad.verify import blocked_tools, verify
+from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
-from probedesign.design_file import render_design
-from probedesign.errors import CheckFailedError, InputError
-from probedesign.frames import Array, pose, rotation_z
+from probedesign.design.io import render_design
 from probedesign.mount.engraving import Engraving
 
 Meshes = tuple[dict[str, Mesh], dict[str, bytes]]

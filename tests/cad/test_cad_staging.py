@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from probedesign.cad.staging import staged
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals and locks of POSIX")
 

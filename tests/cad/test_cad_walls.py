@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
+from probedesign.core.units import MM
 from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
 from probedesign.printing.check import check_print
-from probedesign.units import MM
 
 
 def round_faces(shape: Any, diameter: float) -> list[Any]:

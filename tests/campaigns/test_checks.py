@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.campaigns import Campaign
 from probedesign.campaigns import campaign as tables
 from probedesign.campaigns.reading import check_probe
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import data_of

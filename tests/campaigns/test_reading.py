@@ -8,7 +8,7 @@ import pytest
 
 from probedesign.campaigns import read_campaign
 from probedesign.campaigns.reading import check_probe
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
 from probedesign.vision.camera import Camera

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.detector import Detector
 
 RATE = 7000.0

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import pose, rotation_z
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.surface_contact_kernel import AROUND, BY_PARAMETER, POINT
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import pose, rotation_z
-from probedesign.units import MM
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
 from tests.reference import fusion as dense
 

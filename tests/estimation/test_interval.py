@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import NORMAL, TIP, TOUCH
-from probedesign.frames import Array
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.deployment import load_estimator, write_frozen
+from probedesign.core.errors import InputError
 from probedesign.design import check_design
-from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
+from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.probe import build_probe
 from tests.estimation.true_touches import EXACT
 from tests.reference.cosserat import solve

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import ALARM_CHI2, Estimator
 from probedesign.estimation.tolerances import Tolerances

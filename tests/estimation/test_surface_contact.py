@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from probedesign.core.frames import rotation_z
 from probedesign.estimation.error_sources import FINE
 from probedesign.estimation.multistart import contact_arclengths
 from probedesign.estimation.surface_contact_kernel import (
@@ -23,7 +24,6 @@ from probedesign.estimation.surface_contact_kernel import (
     linearise_touch,
     work_size,
 )
-from probedesign.frames import rotation_z
 from probedesign.rod.rod import Rod
 from tests.reference.surface_contact import SurfaceTouch, derivatives, solve_touch
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import pose, rotation_z
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.tracker import Tracker
-from probedesign.frames import pose, rotation_z
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
 
 RATE = 7000.0

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from probedesign.core.frames import inverse as inverse_pose
+from probedesign.core.frames import pose, wrench_map
 from probedesign.estimation.contact_fit import residuals
 from probedesign.estimation.error_sources import CAUSES, ErrorSources
 from probedesign.estimation.estimator import Estimator
@@ -23,8 +25,6 @@ from probedesign.estimation.uncertainty_kernel import (
     posterior,
     whitening,
 )
-from probedesign.frames import inverse as inverse_pose
-from probedesign.frames import pose, wrench_map
 from probedesign.rod.kernels.compiled import kernel
 from tests.estimation.true_touches import EXACT, settle, sources_of
 from tests.reference.surface_contact import SurfaceTouch, solve_touch

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array, pose
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.surface_contact_kernel import CENTRE, DEAD, POINT, TIP, TOUCH, VALUE
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frames import Array, pose
 
 EXACT = Tolerances.none()
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.campaigns import Campaign
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.consistency import OutlierCount, rejected_prior
 from probedesign.identification.identify import IdentificationData, data_of, identify

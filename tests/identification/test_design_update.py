@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from probedesign.core.errors import InputError
 from probedesign.design import parse_design
-from probedesign.design_edit import Change, edited
-from probedesign.errors import InputError
+from probedesign.design.edit import Change, edited
 from probedesign.identification.design_update import check_overwritable
 from tests.identification.conftest import LARGE
 

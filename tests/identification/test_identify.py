@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from probedesign.campaigns import Campaign
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.parameters import CommonParameters, check_requested

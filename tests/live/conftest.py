@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from probedesign.deployment import load_estimator, write_frozen
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
+from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[2] / "designs" / "large.toml"

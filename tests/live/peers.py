@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, SimulatedTransducer
 

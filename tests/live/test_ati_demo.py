@@ -2,7 +2,7 @@
 
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from tests.live.mcap_files import read
 
 HEAD = """Start Time: 6/3/10 3:32 PM

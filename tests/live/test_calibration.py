@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.sources.calibration import clipped, read_calibration
 from tests.live.cal_file import U, text
 

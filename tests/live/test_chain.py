@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import pose
 from probedesign.estimation.detector import DRIFT_STEPS
-from probedesign.frames import pose
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.listener import PoseListener
 from probedesign.live.poses.open_poses import open_poses

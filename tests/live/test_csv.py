@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.recordings.csv import CSV_HEADER, Recording, read_recording, write_recording
 
 ROW = "0.5,-0.25,0.125,0.001,0.002,-0.003"

@@ -6,7 +6,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError, MissingDependencyError, ProbeDesignError
+from probedesign.core.errors import InputError, MissingDependencyError, ProbeDesignError
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.estimates import locate
 from probedesign.live.sources.source import open_source

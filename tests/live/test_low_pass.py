@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.processing.low_pass import LowPass
 
 RATE = 7000.0

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
 from probedesign.live.offline import estimate_recording
 from probedesign.live.poses.track import pose_from_matrix

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.sources.netft import wire
 from probedesign.live.sources.netft.session import drain
 from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request

@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from probedesign.errors import MissingDependencyError
+from probedesign.core.errors import MissingDependencyError
 from probedesign.live.processing.blocks import Block, averaged
 from probedesign.live.processing.estimates import locate
 from probedesign.live.processing.scheduler import ProcessingOptions

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from probedesign.errors import InputError
-from probedesign.frames import inverse, is_pose, pose
+from probedesign.core.errors import InputError
+from probedesign.core.frames import inverse, is_pose, pose
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.listener import MAX_DATAGRAM, PoseListener
 from probedesign.live.poses.open_poses import open_poses

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink
 from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.recordings import append_file as pieces

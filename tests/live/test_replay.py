@@ -5,7 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from probedesign.frames import inverse, wrench_map
+from probedesign.core.frames import inverse, wrench_map
 from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import WrenchReading, group_readings
 from probedesign.live.processing.estimates import locate

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.estimates import json_line

@@ -7,7 +7,7 @@ SCRIPT = """
 import gc, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from probedesign.deployment import load_estimator
+from probedesign.frozen_probe import load_estimator
 from probedesign.estimation.tracker import Tracker
 from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream

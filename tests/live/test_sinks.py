@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate

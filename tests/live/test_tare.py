@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.processing.blocks import group_readings, iter_readings
 from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.processing.tare import TareWindow, parse_window, split_at_tare, take_tare, without_bias

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probedesign.frames import pose
+from probedesign.core.frames import pose
 from probedesign.live.processing.touches import MAX_TRAVEL, SPAN, PhaseTracker, StationarityTest
 
 RATE = 200.0

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from probedesign.core.frames import pose
 from probedesign.estimation.estimate import RESULTS, Estimate
-from probedesign.frames import pose
 from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.scheduler import ProcessingOptions

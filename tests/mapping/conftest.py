@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.deployment import load_estimator, write_frozen
+from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.simulation.card_house import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
 from tests.live.conftest import bundle as bundle  # the paper's large probe

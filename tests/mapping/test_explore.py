@@ -9,11 +9,11 @@ import pytest
 import trimesh
 
 from probedesign.cli.main import run
-from probedesign.deployment import write_frozen
+from probedesign.core.units import MM
+from probedesign.frozen_probe import write_frozen
 from probedesign.live.poses.pose_file import POSE_COLUMNS
 from probedesign.mapping.contact_map import CHI2_95
 from probedesign.mapping.map_files import COLUMNS
-from probedesign.units import MM
 
 
 def arguments(probe, folder, *more, poses="poses.csv"):

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
@@ -13,7 +14,6 @@ from probedesign.mapping.base_pose import BasePoseUncertainty
 from probedesign.mapping.touch_point import ConditionalPoint
 from probedesign.simulation.card_house import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
-from probedesign.units import MM
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TURN = np.radians([0.4, 0.4, 1.0])

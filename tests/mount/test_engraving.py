@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.design import check_design
+from probedesign.design.catalog.sensors import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import SensorAdapter, sensor_adapter_for
 from probedesign.mount.engraving import (
@@ -20,7 +21,6 @@ from probedesign.mount.engraving import (
 )
 from probedesign.mount.fasteners import M2, M2_CLEARANCE_D
 from probedesign.mount.mount_mass import engraving_mass
-from probedesign.sensor import NANO17
 
 BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
 

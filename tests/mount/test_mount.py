@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from probedesign.core.errors import InputError
+from probedesign.core.frames import is_pose
 from probedesign.design import Design
-from probedesign.errors import InputError
-from probedesign.frames import is_pose
+from probedesign.design.catalog.sensors import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import (
     SensorAdapter,
@@ -20,7 +21,6 @@ from probedesign.mount import (
 )
 from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, M2_LENGTH
 from probedesign.mount.mount_mass import cylinder, hexagon, segment, subtract
-from probedesign.sensor import NANO17
 from tests.cad.conftest import design_of as make_design
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
+from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.design_file import render_design
-from probedesign.errors import InputError
+from probedesign.design.io import render_design
 from probedesign.optimization.confirm import confirm
 from probedesign.optimization.constraints import Limit, check_limits, parse_limit
 from probedesign.optimization.design_space import DesignSpace

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
+from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
 from probedesign.design import load_design
-from probedesign.errors import InputError
 from probedesign.optimization.grid import design_dict, grid_points, parse_axis, with_values
 from probedesign.optimization.objective import METRICS
 from probedesign.optimization.sweep import _write_tables, evaluate_point

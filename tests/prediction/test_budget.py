@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.errors import InputError
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from probedesign.cli.main import run
+from probedesign.core.errors import InputError
 from probedesign.design import load_design
-from probedesign.errors import InputError
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
 from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo

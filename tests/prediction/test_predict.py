@@ -9,8 +9,9 @@ import pytest
 from scipy import stats
 
 from probedesign.cli.predict import print_tables
+from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.errors import InputError
+from probedesign.design.catalog.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
@@ -23,7 +24,6 @@ from probedesign.prediction.predict import Condition, predict, predict_touch
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force
-from probedesign.sensor import Noise
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

@@ -11,7 +11,7 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.design import load_design, parse_design
-from probedesign.printer import PRINTERS
+from probedesign.design.catalog.printers import PRINTERS
 from probedesign.printing.check import check_print
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -276,7 +276,7 @@ def test_the_check_needs_no_cad_and_no_mechanics():
 @pytest.mark.parametrize("key", ["scale_xy", "scale_z", "rigid_scale_xy", "rigid_scale_z"])
 @pytest.mark.parametrize("value", ["0.5", "101.0", "nan", '"1 %"'])
 def test_implausible_scales_are_refused(key, value):
-    from probedesign.errors import InputError
+    from probedesign.core.errors import InputError
 
     with pytest.raises(InputError, match=rf"print\.{key} = .*(0\.9 \.\.\. 1\.1|finite|number)"):
         design_of(print_=f"{key} = {value}")

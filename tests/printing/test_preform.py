@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
+from probedesign.core.errors import InputError
 from probedesign.design import load_design
-from probedesign.errors import InputError
+from probedesign.design.catalog.materials import RESINS
 from probedesign.geometry import build_geometry
-from probedesign.materials import RESINS
 from probedesign.printing.preform import client
 from probedesign.printing.preform.client import (
     Connection,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 WRENCH, POINT, CENTRE = slice(0, 6), slice(6, 9), slice(9, 12)
 

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
-from probedesign.errors import CheckFailedError
-from probedesign.frames import Array
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array
 from probedesign.rod.rod import FINITE_BEND, FINITE_STRETCH, Rod
 
 LOOSE, TIGHT = 1e-7, 3e-13

@@ -11,7 +11,7 @@ With E[m mᵀ] = 1 and the ratios drawn from their prior, cov(ŷ - y) = C and co
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 
 def reading_covariance(noise: Array, D: Array) -> Array:

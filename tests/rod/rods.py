@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.cross_section import CrossSection
+from probedesign.geometry.cross_section import CrossSection
 from probedesign.rod.rod import Rod
 
 E, G, RHO = 2.32e6, 0.761e6, 1010.0

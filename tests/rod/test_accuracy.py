@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rods import ALL_RODS, PROFILE, bending_force
 
-from probedesign.cross_section import CrossSection
+from probedesign.geometry.cross_section import CrossSection
 from probedesign.rod.rod import Rod
 
 SAMPLE = 150

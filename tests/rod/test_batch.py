@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rods import CURVED, ELLIPTIC, EVERYTHING, PROFILE, bending_force
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.rod import batch
 from probedesign.rod.batch import solve_batch
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, turned
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.rod.contact import line_of_action, solve_surface_force
 from probedesign.rod.friction import CoulombSolver, draw_friction
 from probedesign.rod.obstacle import press_against_line, press_against_point

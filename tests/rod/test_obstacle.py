@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rods import CONE, CYLINDER, PROFILE, ROOTED_CONE, turned
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.obstacle import press_against_line, press_against_point
 from probedesign.rod.rod import Rod

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rods import CONE, CYLINDER, EVERYTHING, FINITE, FLAT, PROFILE, RHO, E, G
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.rod.rod import Rod
 
 ELASTICA = replace(CYLINDER, inextensible=True)

@@ -18,7 +18,7 @@ from rods import (
 )
 from scipy.spatial.transform import Rotation
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.rod.kernels import PARAMETERS
 
 GRAVITY = np.array([6.0, 5.0, -6.0])

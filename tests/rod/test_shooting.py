@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rods import ALL_RODS, bending_force
 
-from probedesign.errors import CheckFailedError
+from probedesign.core.errors import CheckFailedError
 from tests.reference import shooting
 from tests.reference.shooting import solve_by_shooting
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from probedesign.core.units import MM
 from probedesign.simulation.rod_contact import DEFAULT_FORCE, safe_force, solve_contact
-from probedesign.units import MM
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from probedesign.core.units import MILLINEWTON
 from probedesign.simulation.card_house import touch_targets
 from probedesign.simulation.simulated_run import FIRM_FORCE, RunErrors, simulate_run
-from probedesign.units import MILLINEWTON
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 

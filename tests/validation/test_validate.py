@@ -10,8 +10,8 @@ import pytest
 
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
+from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import predict_touch
 from probedesign.prediction.table_one import paper_design

@@ -5,7 +5,7 @@ import pytest
 from scene import BOX, calibrated, camera
 from scipy import stats
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.vision.calibrate import calibrate
 
 BENDS = [(), (-0.05,), (-0.05, 0.02)]

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 cv2 = pytest.importorskip("cv2")
 
-from probedesign.errors import InputError  # noqa: E402
+from probedesign.core.errors import InputError  # noqa: E402
 from probedesign.simulation.stereo_render import (  # noqa: E402
     PaintedDots,
     RenderStyle,

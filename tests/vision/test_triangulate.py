@@ -5,7 +5,7 @@ import pytest
 from scene import MARKERS, calibrated, camera
 from scipy import stats
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.vision.triangulate import triangulate
 
 PAIR = (camera("left"), camera("right"))

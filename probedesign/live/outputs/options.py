@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite
 from probedesign.estimation.estimator import Estimator
-from probedesign.files import check_overwrite
 from probedesign.live import Log
 from probedesign.live.outputs.recording import RecordingSink, check_suffix
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher

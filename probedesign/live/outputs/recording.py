@@ -9,7 +9,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Protocol
 
-from probedesign.errors import InputError, ProbeDesignError
+from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.outputs.sinks import Sink

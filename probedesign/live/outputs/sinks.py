@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row

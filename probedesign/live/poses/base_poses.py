@@ -6,7 +6,7 @@ from time import monotonic
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.live import Log
 from probedesign.live.poses.listener import PoseListener
 from probedesign.live.poses.track import MAX_GAP, MAX_POSES, ClockOffset, PoseTrack, TimedPose

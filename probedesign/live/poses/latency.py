@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 MAX_SHIFT = 0.200
 """Maximum shift that is tested, in both directions [s]."""

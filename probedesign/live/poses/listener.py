@@ -5,7 +5,7 @@ import threading
 from collections import Counter, deque
 from time import monotonic, sleep
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.poses.pose_file import parse_pose_json
 from probedesign.live.poses.track import TimedPose
 

@@ -5,8 +5,8 @@ from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.listener import PoseListener

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from probedesign.core.csv_tables import UNITS
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live.poses.track import TimedPose, timed_pose
 
 POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.frames import Array, inverse, pose
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, inverse, pose
 
 MAX_NORM_ERROR = 1e-3
 """Maximum deviation of a quaternion's norm from 1: it may have been printed with four digits."""

@@ -11,7 +11,7 @@ from math import inf
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from time import monotonic
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.fused import FusedEstimate
-from probedesign.frames import Array
 from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.tare import Tare, without_bias
 from probedesign.live.processing.touches import Contact, Phase
-from probedesign.units import MILLINEWTON, MM
 
 
 def _nan_pose() -> Array:

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 
 
 class LowPass:

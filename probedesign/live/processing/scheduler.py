@@ -7,7 +7,7 @@ from queue import Empty, SimpleQueue
 from time import monotonic
 from typing import Literal
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Method
 from probedesign.live import Log
 from probedesign.live.processing.blocks import WrenchReading

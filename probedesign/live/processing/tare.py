@@ -7,9 +7,9 @@ from itertools import chain
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
-from probedesign.frames import Array
 from probedesign.live.processing.blocks import WrenchReading
 
 MIN_READINGS = 10

@@ -19,13 +19,13 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri
 
+from probedesign.core.frames import Array
 from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
-from probedesign.frames import Array
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.latency import MIN_REPORTED, LatencyCheck

@@ -2,7 +2,7 @@
 
 from importlib.util import find_spec
 
-from probedesign.errors import MissingDependencyError
+from probedesign.core.errors import MissingDependencyError
 
 
 def require() -> None:

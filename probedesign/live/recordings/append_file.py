@@ -3,8 +3,8 @@
 import os
 from pathlib import Path
 
-from probedesign.errors import InputError
-from probedesign.files import exists_already
+from probedesign.core.errors import InputError
+from probedesign.core.files import exists_already
 
 
 class AppendFile:

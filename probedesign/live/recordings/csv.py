@@ -24,8 +24,8 @@ from probedesign.core.csv_tables import (
     read_lines,
     shown,
 )
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate

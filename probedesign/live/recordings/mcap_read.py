@@ -22,8 +22,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import Writer
 
-from probedesign.errors import InputError
-from probedesign.files import check_overwrite
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite
 from probedesign.live.recordings.schemas import MCAP_MAGIC, Channel, Message
 
 MAX_RECORD = 256 * 1024 * 1024

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
-from probedesign.frames import Array
 from probedesign.live.processing.estimates import COLUMNS, WORLD_COLUMNS
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"

@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError, MissingDependencyError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.frames import Array
 from probedesign.live.sources.netft.configuration import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit_of
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.calibration import (

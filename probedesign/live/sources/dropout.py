@@ -3,7 +3,7 @@
 from math import isfinite
 from time import monotonic
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.live import Log
 
 FIRST_RECORD_TIMEOUT = 3.0

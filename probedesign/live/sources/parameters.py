@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from urllib.parse import parse_qsl, urlencode
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ from urllib.parse import parse_qsl, urlencode
 import numpy as np
 
 from probedesign.core.csv_tables import Frame, plain, shown
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
 from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
@@ -38,7 +39,6 @@ from probedesign.live.sources.rosbag import (
     is_bag,
     open_bag,
 )
-from probedesign.units import MM
 
 MomentUnit = Literal["Nm", "Nmm"]
 
@@ -166,7 +166,7 @@ def _check_probe(bag: AnnotatedBag, model: ProbeModel, options: RecordingOptions
         if not options.other_probe:
             raise InputError(f"{bag.path}: {notes}; use its own frozen probe, or allow it with other_probe")
         return (notes,)
-    from probedesign.deployment import freeze
+    from probedesign.frozen_probe import freeze
 
     if probe.get("checksum") == freeze(model)["checksum"]:
         return ()

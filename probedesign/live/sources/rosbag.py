@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from probedesign.core.csv_tables import plain, shown
-from probedesign.errors import InputError, MissingDependencyError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require
 from probedesign.live.recordings.schemas import MCAP_MAGIC, WRENCH, Channel, Message, read_stamped

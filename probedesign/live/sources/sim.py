@@ -5,9 +5,10 @@ from collections.abc import Generator, Iterator
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array
 from probedesign.live.processing.blocks import (
     NO_CONTACT,
     Block,
@@ -26,7 +27,6 @@ from probedesign.live.sources.parameters import (
 from probedesign.rod.friction import MAX_FRICTION
 from probedesign.simulation.rod_contact import OUTERMOST, safe_force, solve_contact
 from probedesign.simulation.sensor_noise import reading_std
-from probedesign.units import MILLINEWTON, MM
 
 PARAMETERS = {
     "force_mN": SourceParameter(math.nan, 1e-3, 1e5),  # see safe_force

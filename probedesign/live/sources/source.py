@@ -4,7 +4,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Protocol
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, get_args
 
-from probedesign.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log
 from probedesign.live.processing.scheduler import CommandName, CommandQueue

@@ -10,7 +10,7 @@ import viser
 import viser.transforms as tf
 from websockets.asyncio import server
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.live.view.panel import Panel
 from probedesign.live.view.scene import SceneSetup, StripCharts, ellipsoid
 from probedesign.live.view.snapshot import ContactMarker, Snapshot

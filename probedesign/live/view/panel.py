@@ -6,9 +6,9 @@ import numpy as np
 import viser
 from viser import uplot
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.live.view.scene import StripCharts
-from probedesign.units import MM
 
 AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
 """Colours of x, y and z."""

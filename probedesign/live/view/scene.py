@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.core.frames import Array, inverse, is_pose
+from probedesign.core.units import MILLINEWTON, MM
+from probedesign.design.catalog.sensors import NANO17
 from probedesign.estimation.model import ProbeModel
-from probedesign.frames import Array, inverse, is_pose
 from probedesign.live.view.snapshot import STRIP, BentShape
-from probedesign.sensor import NANO17
-from probedesign.units import MILLINEWTON, MM
 
 MAX_STATIONS, RING_POINTS = 72, 36
 

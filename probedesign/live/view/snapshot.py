@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import RESULTS
-from probedesign.frames import Array
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.units import MILLINEWTON, MM
 
 Level = Literal["good", "fair", "bad", "plain"]
 

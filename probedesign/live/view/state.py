@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.view.snapshot import STRIP, BentShape, ContactMarker, RunHealth, Snapshot, status_lines

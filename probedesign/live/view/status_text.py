@@ -7,9 +7,9 @@ import math
 from html import escape
 from typing import TYPE_CHECKING
 
+from probedesign.core.units import MM
 from probedesign.live.view.snapshot import ContactMarker, Level, Snapshot
 from probedesign.live.view.state import Counts, ViewState
-from probedesign.units import MM
 
 if TYPE_CHECKING:
     from rich.console import Console

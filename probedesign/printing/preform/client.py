@@ -18,8 +18,8 @@ from urllib.parse import quote, urlsplit
 
 from pydantic import ValidationError
 
-from probedesign.design_problems import one_line, quoted
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.design.diagnostics import one_line, quoted
 from probedesign.printing.preform.settings import (
     MaterialList,
     OperationAccepted,

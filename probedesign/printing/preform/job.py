@@ -16,10 +16,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite
+from probedesign.core.stl import stl_corners
 from probedesign.design import Design
-from probedesign.design_problems import quoted
-from probedesign.errors import InputError
-from probedesign.files import check_overwrite
+from probedesign.design.diagnostics import quoted
 from probedesign.geometry import build_geometry
 from probedesign.printing.check import print_scale
 from probedesign.printing.preform.client import NoAnswerError, PreForm, PreFormError, RefusedError
@@ -31,7 +32,6 @@ from probedesign.printing.preform.settings import (
     SceneModel,
     select_settings,
 )
-from probedesign.stl import stl_corners
 
 Parts = Literal["probe", "adapters"]
 PLAIN = re.compile(r"[A-Za-z0-9_-]+\.stl")

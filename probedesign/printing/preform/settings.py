@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from probedesign.design_problems import one_line, quoted
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.design.diagnostics import one_line, quoted
 from probedesign.printing.rules import LAYER
 
 Id = Annotated[str, Field(pattern=r"^\{?[A-Za-z0-9][A-Za-z0-9._-]{0,63}\}?$")]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.kernels.compiled import announce, inline_always, inlined, kernel
 from probedesign.rod.kernels.equations import GENERAL, NOT_CONVERGED, OK, UNSTABLE
 from probedesign.rod.kernels.lane_sweep import SEEN, TIP, arrive, body_of, launch, tick

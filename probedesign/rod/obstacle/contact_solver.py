@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.coulomb_equations import Numbers
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.obstacle.first_contact import Obstacle

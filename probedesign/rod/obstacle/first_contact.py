@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 

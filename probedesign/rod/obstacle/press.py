@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.obstacle.contact_solver import MIN_FORCE, ContactSolver, SolvedContact, StepFailure
 from probedesign.rod.obstacle.first_contact import FirstContactQuery, NearestPoint, Obstacle

@@ -26,7 +26,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from probedesign.frames import Array
+from probedesign.core.frames import Array
 from probedesign.rod.coulomb_equations import Numbers, cross, dot
 from probedesign.rod.rod import Rod
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from probedesign.core.csv_tables import read_text, shown
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.live.recordings.csv import Recording, check_wrenches, gaps_in
 from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS
 from probedesign.live.sources.netft.wire import SAMPLES_PER_SECOND, fault_of

@@ -15,8 +15,8 @@ from time import monotonic
 
 import numpy as np
 
-from probedesign.errors import InputError, MissingDependencyError
-from probedesign.frames import Array, pose, rotation_z, wrench_map
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.frames import Array, pose, rotation_z, wrench_map
 from probedesign.live.sources.netft.wire import PAGE
 
 POUND_FORCE = 4.4482216152605  # exact, from the pound and standard gravity

@@ -9,8 +9,8 @@ from time import monotonic
 
 import numpy as np
 
-from probedesign.errors import InputError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.dropout import DropoutMonitor

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.errors import InputError, MissingDependencyError
-from probedesign.frames import Array
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.frames import Array
 from probedesign.live.sources.netft.wire import SAMPLES_PER_SECOND
 
 if TYPE_CHECKING:

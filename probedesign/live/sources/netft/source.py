@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from probedesign.naming import unknown
-from probedesign.units import MPA
+from probedesign.core.errors import unknown_name
+from probedesign.core.units import MPA
 
 Provenance = Literal["assumed", "datasheet", "identified"]
 
@@ -90,4 +90,4 @@ def resin_named(name: str) -> Resin:
     try:
         return RESINS[name]
     except KeyError:
-        raise unknown("material.resin", name, RESINS) from None
+        raise unknown_name("material.resin", name, RESINS) from None

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad
 
-from probedesign.cross_section import FULL_ROUND, CrossSection
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
 EXACT = 1e-12
 """Relative: closed forms against closed forms."""

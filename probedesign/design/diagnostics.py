@@ -7,7 +7,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.cross_section import FULL_ROUND, CrossSection
-from probedesign.frames import Array, skew
+from probedesign.core.frames import Array, skew
 from probedesign.geometry import ProbeGeometry
+from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
 
 @dataclass(frozen=True)

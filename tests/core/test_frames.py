@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from probedesign.frames import inverse, is_pose, pose, rotation_z, skew, wrench_map
+from probedesign.core.frames import inverse, is_pose, pose, rotation_z, skew, wrench_map
 
 EXACT = 1e-12
 """Relative to values of order one: a few dozen roundings of double precision."""

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from probedesign.naming import unknown
-from probedesign.units import MM
+from probedesign.core.errors import unknown_name
+from probedesign.core.units import MM
 
 
 @dataclass(frozen=True)
@@ -116,4 +116,4 @@ def robot_flange_named(name: str) -> RobotFlange:
     try:
         return ROBOT_FLANGES[name]
     except KeyError:
-        raise unknown("mount.robot_flange", name, [*ROBOT_FLANGES, OWN]) from None
+        raise unknown_name("mount.robot_flange", name, [*ROBOT_FLANGES, OWN]) from None

@@ -5,9 +5,9 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, parse_design
-from probedesign.design_file import COMMENT_COLUMN
-from probedesign.errors import InputError
+from probedesign.design.io import COMMENT_COLUMN
 
 _HEADER = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from probedesign import deployment
-from probedesign.deployment import check_manifest, freeze, load_estimator, load_model, write_frozen
+from probedesign import frozen_probe
+from probedesign.core.errors import InputError
 from probedesign.design import load_design, parse_design
-from probedesign.errors import InputError
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.frozen_probe import check_manifest, freeze, load_estimator, load_model, write_frozen
 from probedesign.probe import build_probe
 
 DESIGNS = Path(__file__).parents[1] / "designs"
@@ -244,7 +244,7 @@ def test_a_friction_that_is_none_is_refused(value, frozen, path):
     "at",
     [("contact",), ("tolerances",), ("spread",), ("rod", "section"),
      *(("contact", key) for key in ("friction", "provenance", "source")),
-     *(("tolerances", key) for key in (*deployment.NEW_TOLERANCES, "youngs_modulus_by_diameter", "tared"))],
+     *(("tolerances", key) for key in (*frozen_probe.NEW_TOLERANCES, "youngs_modulus_by_diameter", "tared"))],
 )  # fmt: skip
 def test_a_missing_part_is_refused_under_a_checksum_of_its_own(at, frozen, path):
     refused(path, signed(with_changed(frozen, at, remove)), at[-1])
@@ -297,7 +297,7 @@ def test_what_an_older_file_lacks_takes_its_default_and_is_listed_as_assumed(sch
 def test_an_older_probe_frozen_again_is_one_of_today(schema, path):
     old = load_model(DATA / f"small-schema-{schema}.probe.json")
     write_frozen(old, path)
-    assert json.loads(path.read_text())["schema"] == deployment.SCHEMA
+    assert json.loads(path.read_text())["schema"] == frozen_probe.SCHEMA
     back = load_model(path)
     assert (back.assumptions, back.friction) == (old.assumptions, old.friction)
     assert back.tolerances == Tolerances.of(old)
@@ -306,7 +306,7 @@ def test_an_older_probe_frozen_again_is_one_of_today(schema, path):
 def signed(data):
     """The text of a frozen probe under a checksum of its own."""
     body = {key: value for key, value in data.items() if key != "checksum"}
-    return json.dumps({**body, "checksum": deployment._checksum(body)})
+    return json.dumps({**body, "checksum": frozen_probe._checksum(body)})
 
 
 def as_once_written(frozen):
@@ -319,7 +319,7 @@ def as_once_written(frozen):
         table[old] = table.pop(new)
     del table["second_moment_yy_m4"], table["EI_yy_Nm2"]
     data["schema"] = 1
-    return {**data, "checksum": deployment._checksum(data)}
+    return {**data, "checksum": frozen_probe._checksum(data)}
 
 
 def test_a_probe_frozen_before_there_were_other_sections_still_loads(frozen, model, path):
@@ -374,7 +374,7 @@ def test_what_contradicts_itself_is_refused_under_a_checksum_of_its_own(frozen, 
     for at, change, told in contradictions:
         data = with_changed(frozen, at, change)
         del data["checksum"]
-        refused(path, json.dumps({**data, "checksum": deployment._checksum(data)}), told)
+        refused(path, json.dumps({**data, "checksum": frozen_probe._checksum(data)}), told)
 
 
 def alter_by_tenth(parent, key):
@@ -478,7 +478,7 @@ def test_geometries_have_fingerprints_of_their_own():
 
 
 @pytest.mark.parametrize(
-    "module", ["probedesign.deployment", "probedesign.live.run", "probedesign.live.sources.source"]
+    "module", ["probedesign.frozen_probe", "probedesign.live.run", "probedesign.live.sources.source"]
 )
 def test_running_needs_nothing_of_the_design_side(module):
     code = f"import sys, {module}; print(*{{name.split('.')[0] for name in sys.modules}})"

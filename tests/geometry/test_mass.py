@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from probedesign.cross_section import FULL_ROUND, CrossSection
-from probedesign.frames import pose, wrench_map
+from probedesign.core.frames import pose, wrench_map
 from probedesign.geometry import Flange, ProbeGeometry
-from probedesign.mass import NOTHING, MassProperties, combined, flange_part, flexible_part, frustum
+from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
+from probedesign.geometry.mass import NOTHING, MassProperties, combined, flange_part, flexible_part, frustum
 
 DENSITY = 1010.0
 EXACT = 1e-12

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from probedesign.design import Design, check_design, load_design, parse_design
-from probedesign.errors import CheckFailedError, InputError
-from probedesign.materials import Quantity, Resin, resin_named
-from probedesign.naming import unknown
-from probedesign.sensor import SENSORS
-from probedesign.units import MPA
+from probedesign.core.errors import CheckFailedError, InputError, unknown_name
+from probedesign.core.units import MPA
+from probedesign.design.catalog.materials import Quantity, Resin, resin_named
+from probedesign.design.catalog.sensors import SENSORS
+from probedesign.design.diagnostics import check_toml, one_line, parse_toml
+from probedesign.design.schema import Design
 
 COMMENT_COLUMN = 36
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
@@ -83,7 +83,7 @@ def sensor_keys(choice: str) -> dict[str, str]:
         if choice in (model.name, *names):
             return {"model": model.name, "calibration": names[0] if choice == model.name else choice}
         known += [model.name, *names]
-    raise unknown("sensor.calibration", choice, known)
+    raise unknown_name("sensor.calibration", choice, known)
 
 
 def material_keys(resin: Resin) -> dict[str, Any]:
@@ -271,3 +271,53 @@ def _claim(path: Path) -> None:
     except FileExistsError:
         message = f"{path}: exists already; --force replaces it, or choose another name"
         raise InputError(message) from None
+
+
+def load_design(path: str | Path) -> Design:
+    """Read and check a design file.
+
+    Args:
+        path: the TOML file.
+
+    Returns:
+        The design.
+
+    Raises:
+        InputError: the file cannot be read, is not TOML, or says something wrong; one line.
+    """
+    path = Path(path)
+    try:
+        text = path.read_bytes().decode("utf-8-sig")  # Windows editors put a byte order mark first
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such design file; make one with: probedesign new") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file in UTF-8") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise InputError(one_line(f"{path}: cannot be read: {getattr(error, 'strerror', error)}")) from None
+    return parse_design(text, str(path))
+
+
+def parse_design(text: str, where: str = "design") -> Design:
+    """Check the text of a design file; `where` names it in errors.
+
+    Raises:
+        InputError: one line naming the key, the value, the remedy and the line.
+    """
+    return parse_toml(text, Design, where)
+
+
+def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Design:
+    """Check what a design file says, or would say.
+
+    Args:
+        data: its tables, with the keys and units of the file.
+        text: the file's text, to name the line of a wrong value; empty if there is no file.
+        where: names the file in errors; empty if there is none.
+
+    Returns:
+        The design.
+
+    Raises:
+        InputError: one line naming the key, the value and the remedy.
+    """
+    return check_toml(data, Design, text, where)

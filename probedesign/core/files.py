@@ -5,10 +5,10 @@ import tempfile
 from itertools import count
 from pathlib import Path
 
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
 
 
-def check_room(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Refuse early what could not be written in the end; folders that are missing are made only then.
 
     Raises:
@@ -49,7 +49,7 @@ def write_atomically(path: Path, content: bytes) -> None:
         raise
 
 
-def keep_old(path: Path) -> Path | None:
+def backup(path: Path) -> Path | None:
     """Keep a file that is about to be replaced: as NAME.old, or NAME.old2 and so on where that is taken.
 
     Args:

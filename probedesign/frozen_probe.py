@@ -10,18 +10,18 @@ from typing import Any, get_args
 
 import numpy as np
 
-from probedesign.cross_section import FULL_ROUND, CrossSection
-from probedesign.errors import InputError
+from probedesign.core.errors import InputError
+from probedesign.core.files import write_atomically
+from probedesign.core.frames import Array, is_pose
+from probedesign.design.catalog.materials import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.catalog.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.files import write_atomically
-from probedesign.frames import Array, is_pose
 from probedesign.geometry import Flange, ProbeGeometry
-from probedesign.mass import MassProperties
-from probedesign.materials import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
+from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
-from probedesign.sensor import Noise
 
 KIND = "probedesign frozen probe"
 SCHEMA = 3

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.frames import Array
-from probedesign.naming import unknown
-from probedesign.units import MM, N_MM
+from probedesign.core.errors import unknown_name
+from probedesign.core.frames import Array
+from probedesign.core.units import MM, N_MM
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class SensorModel:
         for calibration in self.calibrations:
             if calibration.name == name:
                 return calibration
-        raise unknown("sensor.calibration", name, (c.name for c in self.calibrations), of=self.name)
+        raise unknown_name("sensor.calibration", name, (c.name for c in self.calibrations), of=self.name)
 
 
 def _si(force: float, force_z: float, moment_n_mm: float, per_n: float, per_n_mm: float) -> Calibration:
@@ -101,7 +101,7 @@ def sensor_named(name: str) -> SensorModel:
     try:
         return SENSORS[name]
     except KeyError:
-        raise unknown("sensor.model", name, SENSORS) from None
+        raise unknown_name("sensor.model", name, SENSORS) from None
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.geometry import FLANGE_MIN_D, ProbeGeometry, build_geometry, flange_for
-from probedesign.section import area, second_moment_xx, second_moment_yy, torsion_constant
 
 EXACT = 1e-12
 """Relative: a handful of roundings of double precision."""
@@ -46,10 +45,10 @@ def test_section_properties_of_a_round_section():
     """A = π d²/4, I = π d⁴/64, J = π d⁴/32: any table of sections."""
     cone, s = geometry_of(), np.linspace(0.0, 0.15, 5)
     d = 2.0 * cone.radius_at(s)
-    assert area(cone, s) == pytest.approx(math.pi * d**2 / 4, rel=EXACT, abs=0)
-    assert second_moment_xx(cone, s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
-    assert second_moment_yy(cone, s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
-    assert torsion_constant(cone, s) == pytest.approx(math.pi * d**4 / 32, rel=EXACT, abs=0)
+    assert cone.area_at(s) == pytest.approx(math.pi * d**2 / 4, rel=EXACT, abs=0)
+    assert cone.second_moment_xx_at(s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
+    assert cone.second_moment_yy_at(s) == pytest.approx(math.pi * d**4 / 64, rel=EXACT, abs=0)
+    assert cone.torsion_constant_at(s) == pytest.approx(math.pi * d**4 / 32, rel=EXACT, abs=0)
 
 
 def test_section_properties_of_a_hollow_section():
@@ -57,10 +56,10 @@ def test_section_properties_of_a_hollow_section():
     tube, s = geometry_of(bore_ratio=0.6), np.linspace(0.0, 0.15, 5)
     D = 2.0 * tube.radius_at(s)
     d = 0.6 * D
-    assert area(tube, s) == pytest.approx(math.pi * (D**2 - d**2) / 4, rel=EXACT, abs=0)
-    for moment in (second_moment_xx, second_moment_yy):
-        assert moment(tube, s) == pytest.approx(math.pi * (D**4 - d**4) / 64, rel=EXACT, abs=0)
-    assert torsion_constant(tube, s) == pytest.approx(math.pi * (D**4 - d**4) / 32, rel=EXACT, abs=0)
+    assert tube.area_at(s) == pytest.approx(math.pi * (D**2 - d**2) / 4, rel=EXACT, abs=0)
+    for moment in (tube.second_moment_xx_at, tube.second_moment_yy_at):
+        assert moment(s) == pytest.approx(math.pi * (D**4 - d**4) / 64, rel=EXACT, abs=0)
+    assert tube.torsion_constant_at(s) == pytest.approx(math.pi * (D**4 - d**4) / 32, rel=EXACT, abs=0)
 
 
 def test_section_properties_of_an_ellipse():
@@ -68,10 +67,10 @@ def test_section_properties_of_an_ellipse():
     blade, s = geometry_of(flatness=0.5), np.linspace(0.0, 0.15, 5)
     a = blade.radius_at(s)
     b = 0.5 * a
-    assert area(blade, s) == pytest.approx(math.pi * a * b, rel=EXACT, abs=0)
-    assert second_moment_xx(blade, s) == pytest.approx(math.pi * a * b**3 / 4, rel=EXACT, abs=0)
-    assert second_moment_yy(blade, s) == pytest.approx(math.pi * a**3 * b / 4, rel=EXACT, abs=0)
-    assert torsion_constant(blade, s) == pytest.approx(
+    assert blade.area_at(s) == pytest.approx(math.pi * a * b, rel=EXACT, abs=0)
+    assert blade.second_moment_xx_at(s) == pytest.approx(math.pi * a * b**3 / 4, rel=EXACT, abs=0)
+    assert blade.second_moment_yy_at(s) == pytest.approx(math.pi * a**3 * b / 4, rel=EXACT, abs=0)
+    assert blade.torsion_constant_at(s) == pytest.approx(
         math.pi * a**3 * b**3 / (a**2 + b**2), rel=EXACT, abs=0
     )
 

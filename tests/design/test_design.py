@@ -7,8 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
-from probedesign.design_file import (
+from probedesign.design.catalog.materials import RESINS
+from probedesign.design.catalog.robot_flanges import ROBOT_FLANGES
+from probedesign.design.catalog.sensors import NANO17
+from probedesign.design.io import (
     default_name,
     default_tip_d_mm,
     draft_design,
@@ -16,12 +20,8 @@ from probedesign.design_file import (
     sensor_keys,
     write_design,
 )
-from probedesign.errors import InputError
-from probedesign.materials import RESINS
-from probedesign.robot_flange import ROBOT_FLANGES
-from probedesign.sensor import NANO17
 
-DESIGNS = Path(__file__).parents[1] / "designs"
+DESIGNS = Path(__file__).parents[2] / "designs"
 LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")
 
 

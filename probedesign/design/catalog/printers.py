@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from probedesign.naming import unknown
-from probedesign.units import MM
+from probedesign.core.errors import unknown_name
+from probedesign.core.units import MM
 
 
 @dataclass(frozen=True)
@@ -47,4 +47,4 @@ def printer_named(name: str) -> Printer:
     try:
         return PRINTERS[name]
     except KeyError:
-        raise unknown("print.printer", name, PRINTERS) from None
+        raise unknown_name("print.printer", name, PRINTERS) from None

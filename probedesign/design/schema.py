@@ -1,15 +1,20 @@
 """The tables of a design file, each checked by itself: what may stand in `[probe]`, `[material]` and so on."""
 
 import math
+import re
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from probedesign.cross_section import CrossSection
-from probedesign.design_problems import Inconsistent
-from probedesign.materials import Provenance
-from probedesign.robot_flange import OWN
-from probedesign.tip import rounded, rounding_height_mm
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM, MPA
+from probedesign.design.catalog.materials import Provenance, Quantity, Resin, resin_named
+from probedesign.design.catalog.printers import Printer, printer_named
+from probedesign.design.catalog.robot_flanges import OWN, RobotFlange, own_flange, robot_flange_named
+from probedesign.design.catalog.sensors import Calibration, SensorModel, sensor_named
+from probedesign.design.diagnostics import Inconsistent, quoted
+from probedesign.geometry.cross_section import CrossSection
+from probedesign.geometry.probe_geometry import rounded, rounding_height_mm
 
 Shape = Literal["cone", "cylinder", "profile"]
 Section = Literal["round", "hollow", "elliptic"]
@@ -311,3 +316,143 @@ def as_tuple(value: Any) -> Any:
     if not isinstance(value, list):
         return value
     return tuple(tuple(v) if isinstance(v, list) else v for v in value)
+
+
+NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+
+
+class Design(Table):
+    """One probe, as its design file says it."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: str
+    probe: ProbeTable
+    material: MaterialTable = MaterialTable()
+    sensor: SensorTable = SensorTable()
+    mount: MountTable = MountTable()
+    contact: ContactTable = ContactTable()
+    print_: PrintTable = Field(default=PrintTable(), alias="print")
+    tolerances: TolerancesTable = TolerancesTable()
+
+    @field_validator("name")
+    @classmethod
+    def _plain(cls, value: str) -> str:
+        check_name(value)
+        return value
+
+    @model_validator(mode="after")
+    def _root_fits(self) -> Self:
+        """The rigid root must end on the probe."""
+        rigid = self.mount.root_rigid_radii * self.probe.base_d_mm / 2.0
+        if rigid >= self.probe.length_mm:
+            most = 2.0 * self.probe.length_mm / self.probe.base_d_mm
+            raise Inconsistent(
+                "mount.root_rigid_radii",
+                f"= {self.mount.root_rigid_radii:g} makes {rigid:g} mm rigid, the whole probe; stay below {most:g}",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        try:
+            _ = self.resin, self.calibration, self.robot_flange, self.printer
+        except InputError as error:
+            key, _, rest = str(error).partition(": ")
+            raise Inconsistent(key, rest) from None
+        return self
+
+    @property
+    def resin(self) -> Resin:
+        """The named resin."""
+        return resin_named(self.material.resin)
+
+    @property
+    def sensor_model(self) -> SensorModel:
+        """The named sensor."""
+        return sensor_named(self.sensor.model)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The named calibration of that sensor."""
+        return self.sensor_model.calibration(self.sensor.calibration)
+
+    @property
+    def robot_flange(self) -> RobotFlange:
+        """The named robot flange, or that of `[mount.flange]`."""
+        own = self.mount.flange
+        if own is None:
+            return robot_flange_named(self.mount.robot_flange)
+        slot, spigot = (
+            None if pair is None else (pair[0] * MM, pair[1] * MM)
+            for pair in (own.pin_slot_mm, own.spigot_mm)
+        )
+        return own_flange(
+            own.bolt, own.bolt_circle_d_mm * MM, own.bolt_azimuths_deg, own.max_bolt_entry_mm * MM,
+            own.bolt_length_mm * MM, own.face_d_mm * MM, slot, spigot,
+        )  # fmt: skip
+
+    @property
+    def printer(self) -> Printer:
+        """The named printer."""
+        return printer_named(self.print_.printer)
+
+    @property
+    def youngs_modulus(self) -> Quantity:
+        """E [Pa] with its provenance."""
+        return self._quantity("youngs_modulus_mpa", MPA, self.resin.youngs_modulus)
+
+    @property
+    def shear_modulus(self) -> Quantity:
+        """G [Pa] with its provenance."""
+        return self._quantity("shear_modulus_mpa", MPA, self.resin.shear_modulus)
+
+    @property
+    def density(self) -> Quantity:
+        """Density [kg/m³] with its provenance."""
+        return self._quantity("density_kg_m3", 1.0, self.resin.density)
+
+    @property
+    def friction(self) -> Quantity:
+        """Friction of a touch, tangential over normal force [-], with its provenance."""
+        given = self.contact.friction
+        if given is None:
+            return self.resin.friction
+        return Quantity(given, self.contact.provenance.friction, "design file, contact.friction")
+
+    def _quantity(self, key: str, unit: float, default: Quantity) -> Quantity:
+        given = getattr(self.material, key)
+        if given is None:
+            return default
+        return Quantity(given * unit, getattr(self.material.provenance, key), f"design file, material.{key}")
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What of this design is assumed, each as `table.key`, for every report that shows numbers."""
+        dimensions = [f"probe.{key}" for key in self.probe.assumed]
+        quantities = {
+            "material.youngs_modulus_mpa": self.youngs_modulus,
+            "material.shear_modulus_mpa": self.shear_modulus,
+            "material.density_kg_m3": self.density,
+        }
+        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/sensor_adapter.py).
+        root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
+        # An infinite friction leaves the direction of the force free: no number is assumed.
+        friction, free = self.friction, math.isinf(self.friction.value)
+        contact = ("contact.friction",) if friction.provenance == "assumed" and not free else ()
+        return (
+            *dimensions,
+            *(k for k, q in quantities.items() if q.provenance == "assumed"),
+            *root,
+            *contact,
+        )
+
+
+def check_name(name: str) -> None:
+    """Refuse a design name that is not a plain file name.
+
+    Raises:
+        InputError: the name has a path, a space or odd characters in it.
+    """
+    if not NAME_PATTERN.fullmatch(name) or name.endswith((".", ".toml")):
+        allowed = "letters, digits, '-', '_' and '.', at most 64, no path, no extension"
+        raise InputError(f"name: {quoted(name)} is not a plain name; use {allowed}")

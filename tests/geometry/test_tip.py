@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from probedesign.deployment import freeze, load_model, write_frozen
+from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design
-from probedesign.errors import InputError
+from probedesign.frozen_probe import freeze, load_model, write_frozen
 from probedesign.geometry import build_geometry
-from probedesign.mass import flexible_part
+from probedesign.geometry.mass import flexible_part
+from probedesign.geometry.probe_geometry import DEVIATION_MM
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
-from probedesign.tip import DEVIATION_MM
 
 BODIES = [
     {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0},

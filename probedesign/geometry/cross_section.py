@@ -1,0 +1,78 @@
+"""What a section looks like: full and round, hollow or flattened. The same along the whole probe, but for its size."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from probedesign.core.errors import InputError
+
+
+class Factors(NamedTuple):
+    """What a section has over what a full round one has of the same width along x.
+
+    Attributes:
+        area: of A.
+        xx: of I_xx = ∫y² dA, the bending about the section's x axis.
+        yy: of I_yy = ∫x² dA.
+        torsion: of J.
+    """
+
+    area: float
+    xx: float
+    yy: float
+    torsion: float
+
+
+@dataclass(frozen=True)
+class CrossSection:
+    """A section by its proportions; what is called its radius is its half-width along x.
+
+    Attributes:
+        bore_ratio: inner over outer diameter; 0 is full.
+        flatness: diameter along y over diameter along x; 1 is round.
+    """
+
+    bore_ratio: float = 0.0
+    flatness: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.bore_ratio < 1.0 and 0.0 < self.flatness <= 1.0):
+            raise InputError(f"section: {self} is none; 0 <= bore_ratio < 1 and 0 < flatness <= 1")
+        if self.hollow and self.flat:
+            raise InputError(f"section: {self} is both hollow and flattened; nothing here draws that")
+
+    @property
+    def hollow(self) -> bool:
+        """Whether there is a bore."""
+        return self.bore_ratio > 0.0
+
+    @property
+    def flat(self) -> bool:
+        """Whether it bends more easily about x than about y."""
+        return self.flatness < 1.0
+
+    @property
+    def full_round(self) -> bool:
+        """Whether it is neither."""
+        return not (self.hollow or self.flat)
+
+    def reach(self, side: float) -> float:
+        """From the axis to the surface over the half-width along x, in the direction `side` from x to y [rad]."""
+        return 1.0 / math.hypot(math.cos(side), math.sin(side) / self.flatness)
+
+    @cached_property
+    def factors(self) -> Factors:
+        """A, I_xx, I_yy and J over π r², π r⁴/4, π r⁴/4 and π r⁴/2.
+
+        With β the bore ratio and φ = b/a the flatness of semi-axes a = r and b: a bore takes β² of A and β⁴ of
+        the moments; an ellipse has A = π a b, I_xx = π a b³/4, I_yy = π a³ b/4, J = π a³ b³/(a² + b²).
+
+        Source: Saint-Venant's torsion of the ellipse, any book of elasticity; the tests integrate all four again.
+        """
+        f = self.flatness
+        full, ring = 1.0 - self.bore_ratio**2, 1.0 - self.bore_ratio**4
+        return Factors(full * f, ring * f**3, ring * f, ring * 2.0 * f**3 / (1.0 + f**2))
+
+
+FULL_ROUND = CrossSection()
