@@ -6,6 +6,7 @@ import sys
 import pytest
 
 FORMER = {
+    "probedesign.cross_section": ("probedesign.geometry", "CrossSection"),
     "probedesign.campaign": ("probedesign.campaigns", "read_campaign"),
     "probedesign.stereo.calibrate": ("probedesign.vision.calibrate", "calibrate"),
     "probedesign.stereo.camera": ("probedesign.vision.camera", "Camera"),
