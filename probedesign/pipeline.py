@@ -1,11 +1,12 @@
-"""The whole chain, one function an arrow. Read this page first.
+"""The chain from a design file to its results: one function for each arrow.
 
     designs/NAME.toml → design → geometry → section, mass ─→ rod ─→ estimator ─→ prediction ─→ report
                             ├→ print check                                            └→ frozen probe → live
                             └→ cad (solids, adapters) → exports/NAME/ + manifest → PreForm
 
-`probe.build_probe` is the middle of it: one `ProbeGeometry` feeds the rod here and CadQuery there. The
-frozen probe at the end is all that `estimate` and `live` ever read.
+`probe.build_probe` is the middle of it: one `ProbeGeometry` feeds the rod and CadQuery. `estimate`, `live` and
+`explore` read the frozen probe only; they are in `probedesign.live` and `probedesign.exploring`. Each function imports
+what its own arrow needs, so that an export loads no estimator.
 """
 
 import json
@@ -19,28 +20,6 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import backup, check_writable, write_atomically
 from probedesign.core.units import MM
 from probedesign.design import Design, load_design
-from probedesign.design.io import write_design
-from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
-from probedesign.prediction.fused import PressSchedule
-from probedesign.prediction.predict import (
-    PRESSING,
-    Prediction,
-    along_csv,
-    conditions_csv,
-    predict_touch,
-    tip_sag_mm,
-)
-from probedesign.printing.check import PrintCheck, check_print
-from probedesign.printing.preform.client import PreForm, connection_to
-from probedesign.printing.preform.job import (
-    PreparedJob,
-    PrintOrder,
-    check_form_file,
-    load_job,
-    path_mapping,
-    prepare_job,
-)
-from probedesign.probe import Probe, build_probe
 
 if TYPE_CHECKING:
     from probedesign.design.edit import Change
@@ -49,7 +28,12 @@ if TYPE_CHECKING:
     from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult
     from probedesign.optimization.sweep import SweepResult
     from probedesign.optimization.task import Task
+    from probedesign.prediction.fused import PressSchedule
+    from probedesign.prediction.predict import Prediction
     from probedesign.prediction.table_one import TableOne
+    from probedesign.printing.check import PrintCheck
+    from probedesign.printing.preform.job import PreparedJob, PrintOrder
+    from probedesign.probe import Probe
     from probedesign.reports.comparison_page import ComparedDesign
     from probedesign.simulation.campaign_folder import SimulatedCampaign
     from probedesign.simulation.ground_truth import CampaignPlan
@@ -57,29 +41,33 @@ if TYPE_CHECKING:
 
 EXPORTS = Path("exports")
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
-"""Fraction, newtons and direction of the touch that `new` speaks of: delicate, and near the tip."""
+"""Fraction of the length, force [N] and direction of the touch that `new` reports: light, and near the tip."""
+Progress = Callable[[str, float | None], None]
+"""Called with the step at work and the completed fraction, which is None where it is unknown."""
 
 
-def _quiet(_: str) -> None:
-    """Say nothing."""
+def _ignore(step: str, fraction: float | None = None) -> None:
+    """Report no progress."""
 
 
-def _silent(_: str, __: float | None) -> None:
-    """Tell nothing."""
+def probe_of(design_path: Path) -> "Probe":
+    """Return the probe of a design file."""
+    from probedesign.probe import build_probe
 
-
-def probe_of(design_path: Path) -> Probe:
-    """Design file → design → geometry, mass, rod."""
     return build_probe(load_design(design_path))
 
 
 def summary(design: Design) -> dict[str, Any]:
-    """What to expect of a design, in a few numbers.
+    """Return the main figures of a design.
 
     Returns:
         mass_g, sag_mm, thinnest_mm, fits_upright, printer, print_check, expected_error_mm,
         expected_error_condition, assumptions.
     """
+    from probedesign.prediction.predict import predict_touch, tip_sag_mm
+    from probedesign.printing.check import check_print
+    from probedesign.probe import build_probe
+
     probe = build_probe(design)
     estimator = probe.estimator()
     fraction, force_N, direction = SUMMARY_TOUCH
@@ -99,15 +87,17 @@ def summary(design: Design) -> dict[str, Any]:
     }
 
 
-def check(design_path: Path) -> PrintCheck:
-    """Design → will it print? The rules of the printer and of both resins; no CAD."""
+def check(design_path: Path) -> "PrintCheck":
+    """Check a design against the rules of the printer and of both resins, without CAD."""
+    from probedesign.printing.check import check_print
+
     return check_print(load_design(design_path))
 
 
 def export(
-    design_path: Path, out: Path | None = None, progress: Callable[[str], None] = _quiet
+    design_path: Path, out: Path | None = None, progress: Callable[[str], None] = _ignore
 ) -> dict[str, Any]:
-    """Design → solids, adapters, meshes → exports/NAME/ with their manifest. Needs CadQuery."""
+    """Write solids, adapters and meshes with their manifest to exports/NAME/; return the manifest. Needs CadQuery."""
     from probedesign.cad import export_parts
 
     return export_parts(load_design(design_path), out, progress)
@@ -116,18 +106,21 @@ def export(
 def prepare_print(
     design_path: Path,
     preform: str,
-    order: PrintOrder,
+    order: "PrintOrder",
     timeout_s: float,
-    tell: Callable[[str, float | None], None],
-) -> PreparedJob:
-    """Exported parts → PreForm → form file, and the queue of a printer if one is named."""
+    on_progress: Progress,
+) -> "PreparedJob":
+    """Prepare the exported parts in PreForm: a form file, and the queue of a printer if one is named."""
+    from probedesign.printing.preform.client import PreForm, connection_to
+    from probedesign.printing.preform.job import check_form_file, load_job, path_mapping, prepare_job
+
     design = load_design(design_path)
     connection = connection_to(preform)
     job = load_job(design, order.folder or EXPORTS / design.name, order.parts)
     places = path_mapping(job.folder, order.server_folder, connection.local, connection.url)
     if order.form_file is not None:
         order = replace(order, form_file=check_form_file(order.form_file, places, order.force))
-    return prepare_job(PreForm(connection, timeout_s, on_progress=tell), job, places, order)
+    return prepare_job(PreForm(connection, timeout_s, on_progress=on_progress), job, places, order)
 
 
 def predict(
@@ -136,33 +129,35 @@ def predict(
     plots: bool | None = None,
     draws: int | None = None,
     seed: int = 0,
-    tell: Callable[[str, float | None], None] = _silent,
-    pressing: PressSchedule = PRESSING,
-) -> tuple[Prediction, list[Path]]:
-    """Design → rod → estimator → prediction → report.
+    on_progress: Progress = _ignore,
+    pressing: "PressSchedule | None" = None,
+) -> tuple["Prediction", list[Path]]:
+    """Predict sensitivity and contact error of a design and write the report.
 
     Args:
         design_path: the design file.
         out: folder for prediction.json, its tables as CSV, prediction.html and prediction.png; exports/NAME if None.
-        plots: make page and picture; None makes the picture where matplotlib is installed.
-        draws: Monte Carlo's estimates of each condition; none is run if None.
-        seed: of what it draws.
-        tell: told the step at work and the share done, if known.
-        pressing: how the touches are made that are fused.
+        plots: write page and picture; None writes the picture where matplotlib is installed.
+        draws: Monte Carlo samples of each condition; no Monte Carlo if None.
+        seed: seed of the samples.
+        on_progress: progress callback.
+        pressing: schedule of the touches that are fused; the default one if None.
 
     Returns:
         The prediction and the files written.
     """
+    from probedesign.prediction.predict import along_csv, conditions_csv
+
     probe = probe_of(design_path)
     folder = EXPORTS / probe.design.name if out is None else out
-    tell("predicting", None)
+    on_progress("predicting", None)
     prediction = probe.predict(pressing=pressing)
     if draws is not None:
         from probedesign.prediction.fused import shown
         from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo
 
         plan = MonteCarloPlan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
-        sampled = run_monte_carlo(plan, prediction, folder, lambda share: tell("Monte Carlo", share),
+        sampled = run_monte_carlo(plan, prediction, folder, lambda share: on_progress("Monte Carlo", share),
                          fused=shown(prediction.fused))  # fmt: skip
         prediction = replace(prediction, monte_carlo=sampled)
     files = [folder / "prediction.json"]
@@ -186,8 +181,9 @@ def predict(
 
 
 def predict_table_one() -> "TableOne":
-    """The paper's probes → its Table I, predicted."""
+    """Predict Table I of the paper for its probes."""
     from probedesign.prediction.table_one import PROBES, paper_design, table_one
+    from probedesign.probe import build_probe
 
     probes = {name: build_probe(paper_design(name)) for name in PROBES}
     return table_one({name: (probe.model, probe.tolerances) for name, probe in probes.items()})
@@ -196,7 +192,7 @@ def predict_table_one() -> "TableOne":
 def compare(
     design_paths: list[Path], task: "Task", out: Path | None, page: bool
 ) -> tuple["list[ComparedDesign]", Path | None]:
-    """Designs → their figures for one task → a page with the same axes for all."""
+    """Compute the figures of several designs for one task, and write a page with the same axes for all."""
     from probedesign.reports.comparison_page import compare as side_by_side
     from probedesign.reports.comparison_page import comparison_page
     from probedesign.reports.html_page import check_page_target
@@ -218,13 +214,13 @@ def sweep(
     out: Path | None,
     scheduler: str | None,
     workers: int,
-    tell: Callable[[str, float | None], None],
+    on_progress: Progress,
 ) -> "SweepResult":
-    """Design → many designs → their figures → sweep.csv, sweep.parquet. Needs dask and pyarrow."""
+    """Compute a grid of designs and write sweep.csv and sweep.parquet. Needs dask and pyarrow."""
     from probedesign.optimization.sweep import sweep as run
 
     design = load_design(design_path)
-    return run(design, axes, task, out or EXPORTS / design.name / "sweep", scheduler, workers, tell)
+    return run(design, axes, task, out or EXPORTS / design.name / "sweep", scheduler, workers, on_progress)
 
 
 def optimize(
@@ -234,9 +230,10 @@ def optimize(
     draws: int,
     trials: int,
     seed: int,
-    tell: Callable[[str, float | None], None],
+    on_progress: Progress,
 ) -> "OptimizeResult":
-    """Design, task, limits → the best body → a design file, confirmed by drawn touches, with a Pareto front."""
+    """Find the best body for a task; write its design file, checked by Monte Carlo, and a Pareto front."""
+    from probedesign.design.io import write_design
     from probedesign.optimization.confirm import confirm
     from probedesign.optimization.optimum import OptimizeResult, design_text, optimum
     from probedesign.optimization.pareto import check_installed, pareto_front
@@ -244,18 +241,18 @@ def optimize(
     path = out or Path("designs") / f"{search.start.name}-best.toml"
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; --force replaces it, or name another with --out")
-    check_writable(path)  # here and below: a search takes a minute, so what cannot end does not begin
+    check_writable(path)  # before the search, which takes a minute
     if trials:
         check_installed()
-    best = optimum(search, path.stem, tell)
-    write_design(design_text(search, best), path, force)  # before what may be interrupted or find nothing
+    best = optimum(search, path.stem, on_progress)
+    write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
     files, confirmed = [path], None
     try:
         if draws:
             start_gives_way = best.before.error_mm is None
-            confirmed = (None if start_gives_way else confirm(search.start, best.task, draws, seed, tell),
-                         confirm(best.design, best.task, draws, seed, tell))  # fmt: skip
-        shown = pareto_front(search, trials, seed, tell, best) if trials else None
+            confirmed = (None if start_gives_way else confirm(search.start, best.task, draws, seed, on_progress),
+                         confirm(best.design, best.task, draws, seed, on_progress))  # fmt: skip
+        shown = pareto_front(search, trials, seed, on_progress, best) if trials else None
     except InputError as error:
         raise InputError(f"{path} is written, but {error}") from None
     if shown is not None:
@@ -274,20 +271,21 @@ def optimize(
 def identify(
     design_path: Path, data: Path, names: Sequence[str], folder: Path | None, page: bool
 ) -> tuple["Identification", list[Path]]:
-    """Design, campaign → E, G and their kin → identification.json, residuals.csv, identification.html.
+    """Estimate the parameters of a probe from a campaign; write identification.json, residuals.csv and a page.
 
     Args:
         design_path: the design file.
         data: folder of the campaign.
-        names: what is asked for.
-        folder: for the files; exports/NAME/identification if None.
-        page: make the page.
+        names: parameters to estimate.
+        folder: of the files; exports/NAME/identification if None.
+        page: write identification.html.
     """
     from probedesign.campaigns import read_campaign
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
     from probedesign.identification.parameters import check_requested
     from probedesign.mount import mount_part_masses, sensor_adapter_for
+    from probedesign.probe import build_probe
 
     design = load_design(design_path)
     names = check_requested(names)
@@ -310,21 +308,22 @@ def identify(
 def write_identified(
     found: "Identification", design_path: Path, out: Path | None, write: bool, force: bool
 ) -> "tuple[tuple[Change, ...], Path | None, Path | None]":
-    """Identified numbers → the design file, whose comments, layout and old values stay.
+    """Write identified parameters into a design file, which keeps its comments, its layout and the former values.
 
     Args:
-        found: the numbers.
+        found: the identified parameters.
         design_path: the design file.
         out: another file to write instead.
-        write: whether to write at all; else it is only looked what would change.
-        force: replace what was set or identified before, or the file `out`, which is kept beside.
+        write: write the file; otherwise the changes are computed only.
+        force: replace values that were set or identified before, or the file `out`, of which a backup is made.
 
     Returns:
-        The changes; the file that has them, if any; and where the file `out` that stood there is kept, if one did.
+        The changes; the file written, if any; the backup of the file `out`, if there was one.
     """
     from datetime import date
 
     from probedesign.design.edit import edited
+    from probedesign.design.io import write_design
     from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
@@ -343,12 +342,12 @@ def write_identified(
 
 
 def campaign(
-    design_path: Path, out: Path, plan: "CampaignPlan", force: bool, tell: Callable[[str, float | None], None]
+    design_path: Path, out: Path, plan: "CampaignPlan", force: bool, on_progress: Progress
 ) -> "SimulatedCampaign":
-    """Design → a print of it, drawn → what a laboratory would measure of that → a data folder."""
+    """Simulate the measurements of a laboratory on a randomly perturbed print of a design; write a data folder."""
     from probedesign.simulation.campaign_folder import make_campaign
 
-    return make_campaign(probe_of(design_path).model, out, plan, force, tell)
+    return make_campaign(probe_of(design_path).model, out, plan, force, on_progress)
 
 
 def validate(
@@ -357,20 +356,20 @@ def validate(
     out: Path | None,
     exact_model: bool,
     plots: bool | None,
-    tell: Callable[[str, float | None], None],
+    on_progress: Progress,
 ) -> tuple["ValidationReport", list[Path]]:
-    """Frozen probe, data folder → estimates beside the reference → table, page, picture.
+    """Compare the estimates of a frozen probe with the stereo reference; write table, page and picture.
 
     Args:
         bundle: the frozen probe.
         data: folder of a campaign.
         out: folder for validation.json, .csv, .html and .png; exports/NAME/validation if None.
-        exact_model: take the probe for exactly what its file says.
-        plots: make page and picture; None makes the picture where matplotlib is installed.
-        tell: told the step at work and the share done.
+        exact_model: take the model of the frozen probe as exactly known.
+        plots: write page and picture; None writes the picture where matplotlib is installed.
+        on_progress: progress callback.
 
     Returns:
-        What was found and the files written.
+        The report and the files written.
     """
     from probedesign.campaigns import read_campaign
     from probedesign.frozen_probe import load_estimator
@@ -379,8 +378,8 @@ def validate(
     estimator, campaign = load_estimator(bundle), read_campaign(data)
     folder = EXPORTS / estimator.model.name / "validation" if out is None else out
     check_writable(folder / "validation.json")
-    found = compare_all(estimator, campaign, exact_model, lambda share: tell("estimating", share))
-    tell("drawing", None)
+    found = compare_all(estimator, campaign, exact_model, lambda share: on_progress("estimating", share))
+    on_progress("drawing", None)
     written = {
         "validation.json": (json.dumps(found.as_dict(), indent=1) + "\n").encode(),
         "validation.csv": found.csv(),
@@ -403,17 +402,17 @@ def validate_all(
     out: Path | None,
     exact_model: bool,
     plots: bool | None,
-    tell: Callable[[str, float | None], None],
+    on_progress: Progress,
 ) -> tuple["MultiProbeReport", list[Path]]:
-    """Frozen probes, each with its data folder → one table of all, as the paper's Table I, beside the files of each.
+    """Validate several frozen probes and write one table of all, as Table I of the paper, beside the files of each.
 
     Args:
-        pairs: frozen probe and folder of a campaign, one a probe.
-        out: folder for table1.csv and for a folder a probe; if None the table is written into exports, and each
-            probe's files as `validate` does.
-        exact_model: as for `validate`.
-        plots: likewise.
-        tell: likewise.
+        pairs: frozen probe and campaign folder of each probe.
+        out: folder of table1.csv and of one folder for each probe; if None the table is written into exports and
+            the files of each probe as by `validate`.
+        exact_model: as in `validate`.
+        plots: as in `validate`.
+        on_progress: progress callback.
     """
     from probedesign.frozen_probe import load_estimator
     from probedesign.validation.validate import MultiProbeReport, check_names
@@ -422,7 +421,9 @@ def validate_all(
     check_names(names)
     found, files = [], []
     for name, (bundle, data) in zip(names, pairs, strict=True):
-        one, written = validate(bundle, data, None if out is None else out / name, exact_model, plots, tell)
+        one, written = validate(
+            bundle, data, None if out is None else out / name, exact_model, plots, on_progress
+        )
         found.append(one)
         files += written
     joined = MultiProbeReport(tuple(found))
@@ -432,11 +433,13 @@ def validate_all(
 
 
 def deploy(design_path: Path, out: Path | None = None) -> Path:
-    """Design → frozen probe. Refused where the parts exported beside it are of another geometry.
+    """Write the frozen probe of a design, unless the parts exported beside it have another geometry.
 
     Returns:
-        The file written: exports/NAME/NAME.probe.json unless `out` says otherwise.
+        The file written: exports/NAME/NAME.probe.json unless `out` is given.
     """
+    from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
+
     probe = probe_of(design_path)
     path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
     check_replaceable(path)

@@ -1,8 +1,12 @@
-"""A designed probe as one object: geometry, sections, mass, rod, estimator, prediction. No CAD."""
+"""A designed probe as one object: geometry, sections and mass; its rod, estimator and prediction when they are used.
 
+The rod and the estimator are imported where they are used: an export needs the geometry alone.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,26 +15,27 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.design import Design
 from probedesign.design.catalog.sensors import averaged_noise
-from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
-from probedesign.geometry import ProbeGeometry, build_geometry, mass
-from probedesign.geometry.mass import MassProperties
+from probedesign.geometry import ProbeGeometry, build_geometry
+from probedesign.geometry.mass import MassProperties, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
-from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.rod import Columns, Mode, Rod
 
 if TYPE_CHECKING:
+    from probedesign.estimation.estimator import Estimator
+    from probedesign.estimation.model import ProbeModel
+    from probedesign.estimation.tolerances import Tolerances
+    from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
+    from probedesign.rod.equilibrium import Equilibrium
+    from probedesign.rod.rod import Columns, Mode, Rod
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What a design means for the mechanics.
+    """A probe as its design describes it, for mechanics and estimation.
 
     Attributes:
-        design: it came from.
-        geometry: the one that CAD builds too.
+        design: the design of the probe.
+        geometry: its geometry, which CAD builds as well.
     """
 
     design: Design
@@ -38,31 +43,33 @@ class Probe:
 
     @property
     def length(self) -> float:
-        """Of the flexible part [m]."""
+        """Return the length of the flexible part [m]."""
         return self.geometry.length
 
     @cached_property
     def body(self) -> MassProperties:
-        """Mass properties of the flexible part, undeformed, in the base frame."""
-        return mass.flexible_part(self.geometry, self.design.density.value)
+        """Return the mass properties of the undeformed flexible part in the base frame."""
+        return flexible_part(self.geometry, self.design.density.value)
 
     @property
     def mass(self) -> float:
-        """Of the flexible part [kg]."""
+        """Return the mass of the flexible part [kg]."""
         return self.body.mass
 
     @property
     def p_base_com(self) -> Array:
-        """Centre of mass of the flexible part, undeformed, in the base frame [m], (3,)."""
+        """Return the centre of mass of the undeformed flexible part in the base frame [m], (3,)."""
         return self.body.p_com
 
     @cached_property
-    def rod(self) -> Rod:
-        """The flexible part as a rod, its root as the design holds it."""
+    def rod(self) -> "Rod":
+        """Return the flexible part as a Cosserat rod with the root compliance of the design."""
         return self._rod(self.design.mount.root_rigid_radii)
 
-    def _rod(self, root_rigid_radii: float) -> Rod:
-        """The part in its mount, with what is known beyond the paper's rod; 0 is the paper's (decision 0006)."""
+    def _rod(self, root_rigid_radii: float) -> "Rod":
+        """Return the rod with that root compliance in base radii; 0 is the rod of the paper (decision 0006)."""
+        from probedesign.rod.rod import Rod
+
         d = self.design
         return Rod(
             s=self.geometry.s,
@@ -78,8 +85,11 @@ class Probe:
         )
 
     @cached_property
-    def model(self) -> ProbeModel:
-        """All that estimation needs of it."""
+    def model(self) -> "ProbeModel":
+        """Return the model from which the estimator computes: rod, mount, sensor, priors and their sources."""
+        from probedesign.estimation.model import ProbeModel
+        from probedesign.estimation.tolerances import Tolerances
+
         d = self.design
         adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name)
         calibration = d.calibration
@@ -117,10 +127,10 @@ class Probe:
         *,
         root_rigid_radii: float | None = None,
         tip_moment_base: ArrayLike = (0.0, 0.0, 0.0),
-        mode: Mode = "fast",
-        columns: Columns = "none",
-    ) -> Equilibrium:
-        """Static equilibrium of the probe under gravity and a dead point force on its centreline.
+        mode: "Mode" = "fast",
+        columns: "Columns" = "none",
+    ) -> "Equilibrium":
+        """Return the static equilibrium of the probe under gravity and a dead point force on its centreline.
 
         Args:
             gravity_base: in base axes [m/s²], (3,); the design's mount if None.
@@ -129,11 +139,11 @@ class Probe:
             root_rigid_radii: bending compliance that the bonded root lacks, in base radii; the design's if
                 None. 0 is the bare rod of the paper and of tables: clamped at s = 0, linear in its strains.
             tip_moment_base: a dead moment at the tip [N·m], (3,).
-            mode: "fast" or "reference" (rod/rod.py).
-            columns: which sensitivities to carry along.
+            mode: "fast" or "reference", see `Rod.solve`.
+            columns: which sensitivities to compute.
 
         Returns:
-            The equilibrium; look at its `result` first.
+            The equilibrium; its `result` is "ok" or the reason why there is none.
 
         Raises:
             InputError: an argument is not finite or s_contact lies off the probe.
@@ -146,31 +156,64 @@ class Probe:
             gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns
         )  # fmt: skip
 
-    def estimator(self, exact: bool = False) -> Estimator:
+    def estimator(self, exact: bool = False) -> "Estimator":
         """Return the estimator for this geometry, as `deploy` freezes it.
 
         Args:
             exact: take probe, mount, bench and bias as exactly known, so that the sensor's noise and the prior on
                 friction alone remain; otherwise every error source of the design's tolerances counts.
         """
+        from probedesign.estimation.estimator import Estimator
+        from probedesign.estimation.tolerances import Tolerances
+
         return Estimator(self.model, Tolerances.none() if exact else None)
 
-    def predict(self, **options: Any) -> "Prediction":
-        """How well this probe will feel; see `probedesign.prediction.predict.predict`."""
-        from probedesign.prediction.predict import predict
+    def predict(
+        self,
+        fractions: Sequence[float] | None = None,
+        forces_N: Sequence[float] | None = None,
+        directions: Sequence[str] | None = None,
+        tolerances: "Tolerances | None" = None,
+        pressing: "PressSchedule | None" = None,
+    ) -> "Prediction":
+        """Predict sensitivity and contact error over a grid of touches.
 
-        return predict(self.model, **{"tolerances": self.tolerances, **options})
+        Args:
+            fractions: positions of the touches as fractions of the length, in (0, 1]; ten from 0.1 to 1 if None.
+            forces_N: contact forces [N]; seven from 2 mN to 0.2 N if None.
+            directions: in which the object pushes: "+x", "-x", "+y" or "-y"; the first three if None.
+            tolerances: standard deviations of the parameters of the probe; those of the design if None.
+            pressing: schedule of the touches of one point that are fused; the default one if None.
+
+        Returns:
+            The prediction; its `conditions` are one for each position, direction and force.
+
+        Raises:
+            InputError: a fraction, force or direction is out of range.
+        """
+        from probedesign.prediction import predict as defaults
+
+        return defaults.predict(
+            self.model,
+            defaults.FRACTIONS if fractions is None else tuple(fractions),
+            defaults.FORCES_N if forces_N is None else tuple(forces_N),
+            ("+x", "-x", "+y") if directions is None else tuple(directions),
+            self.tolerances if tolerances is None else tolerances,
+            defaults.PRESSING if pressing is None else pressing,
+        )
 
     @property
-    def tolerances(self) -> Tolerances:
-        """How well the probe is known, as its design has it."""
+    def tolerances(self) -> "Tolerances":
+        """Return the standard deviations of the parameters of the probe, from its design."""
+        from probedesign.estimation.tolerances import Tolerances
+
         return Tolerances.of(self.model)
 
 
 def build_probe(design: Design) -> Probe:
-    """The probe that a design describes.
+    """Return the probe that a design describes: geometry, sections, mass and rod, without CAD.
 
     Args:
-        design: from `load_design`.
+        design: the design, for example from `load_design`.
     """
     return Probe(design, build_geometry(design))
