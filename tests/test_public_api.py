@@ -1,0 +1,86 @@
+"""The public names of the package: where they are, that they are imported lazily, and what each part loads."""
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import probedesign
+
+NOUNS = {"Campaign", "Design", "Detector", "Estimate", "Estimator", "FusedEstimate", "Identification", "Prediction",
+         "Priors", "Probe", "Rod", "Sensor", "Tolerances", "Tracker"}  # fmt: skip
+VERBS = {"build_probe", "identify", "load_design", "load_estimator", "predict", "read_campaign", "validate"}
+
+
+def modules_after(code: str) -> set[str]:
+    """Return the names of the modules that are loaded after some code, in a new process."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules, sep='\\n')"],
+        capture_output=True, text=True, timeout=300, check=True,
+    )  # fmt: skip
+    return set(done.stdout.split())
+
+
+def own(modules: set[str]) -> set[str]:
+    return {name for name in modules if name.split(".")[0] == "probedesign"}
+
+
+def test_the_nouns_and_verbs_are_public():
+    assert set(probedesign.__all__) >= NOUNS | VERBS
+    assert set(probedesign.__all__) <= set(dir(probedesign))
+
+
+@pytest.mark.parametrize("name", probedesign.__all__)
+def test_each_public_name_has_a_docstring_and_a_signature_without_any_options(name):
+    thing = getattr(probedesign, name)
+    assert inspect.getdoc(thing)
+    if not inspect.isclass(thing):
+        assert not any(p.kind is p.VAR_KEYWORD for p in inspect.signature(thing).parameters.values())
+
+
+def test_type_checkers_see_the_same_names():
+    tree = ast.parse(Path(probedesign.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {a.asname: f"{node.module}:{a.name}" for node in block.body for a in node.names}
+    assert seen == probedesign._LOCATIONS
+    assert list(seen) != [] and set(seen) == set(probedesign.__all__)
+    assert (Path(probedesign.__file__).parent / "py.typed").is_file()
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'Porbe'"):
+        _ = probedesign.Porbe
+
+
+def test_importing_the_package_loads_no_other_module_of_it():
+    loaded = modules_after("import probedesign")
+    assert own(loaded) == {"probedesign"}
+    assert not {"numpy", "scipy", "numba", "pydantic"} & loaded
+
+
+def test_no_public_name_loads_cad():
+    loaded = modules_after("import probedesign\nfor name in probedesign.__all__: getattr(probedesign, name)")
+    assert len(own(loaded)) > len(probedesign.__all__)
+    assert not {"cadquery", "OCP", "trimesh", "lib3mf", "matplotlib"} & {
+        name.split(".")[0] for name in loaded
+    }
+
+
+def test_an_export_loads_no_mechanics_and_at_most_60_modules():
+    pytest.importorskip("cadquery")
+    loaded = own(modules_after("import probedesign.cli.export, probedesign.pipeline, probedesign.cad.export"))
+    packages = {name.split(".")[1] for name in loaded - {"probedesign"}}
+    assert not {"rod", "estimation", "prediction", "frozen_probe", "live"} & packages
+    assert len(loaded) <= 60
+
+
+def test_an_estimator_loads_no_design_and_no_drawing():
+    loaded = own(modules_after("import probedesign; probedesign.load_estimator"))
+    assert (
+        not {"probedesign.design.schema", "probedesign.probe", "probedesign.pipeline", "probedesign.cad"}
+        & loaded
+    )
+    assert len(loaded) <= 60
