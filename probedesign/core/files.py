@@ -1,7 +1,10 @@
-"""Writing files so that nobody ever finds half of one."""
+"""Writing of files: whole or not at all, never over a file that nobody asked to replace."""
 
 import os
+import secrets
 import tempfile
+from collections.abc import Callable
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
@@ -9,10 +12,13 @@ from probedesign.core.errors import InputError
 
 
 def check_writable(path: Path) -> None:
-    """Refuse early what could not be written in the end; folders that are missing are made only then.
+    """Refuse a file that could not be written; call it before a long computation. No folder is made.
+
+    Args:
+        path: of the file that is to be written later.
 
     Raises:
-        InputError: no folder, or none that may be written to.
+        InputError: its folder, or the nearest one that exists, is not writable.
     """
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     try:
@@ -21,45 +27,54 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write aside, then rename: the file is the old one or the whole new one at every moment.
+def write_atomically(
+    path: Path, content: bytes, *, replace: bool = True, check: Callable[[Path], None] | None = None
+) -> None:
+    """Write a temporary file beside the target, flush it to the disk and rename it over the target.
+
+    The target is the former file or the whole new one at all times, also after a power failure. Its permissions are
+    those of any new file of the user (0666 without the umask).
 
     Args:
-        path: its folder is made if missing.
+        path: of the file; missing folders are made.
         content: of the file.
+        replace: replace a file that exists.
+        check: is called with the temporary file before the rename; what it raises leaves the target as it was.
 
     Raises:
-        InputError: the folder cannot be written to.
+        InputError: the file exists and must not be replaced, or it cannot be written.
     """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with temporary.open("xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            if check is not None:
+                check(temporary)
+            if not replace:
+                _claim(path)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        _flush_folder(path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(aside, 0o644)
-        os.replace(aside, path)
-    except OSError as error:
-        os.unlink(aside)
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-    except BaseException:
-        os.unlink(aside)
-        raise
 
 
 def backup(path: Path) -> Path | None:
-    """Keep a file that is about to be replaced: as NAME.old, or NAME.old2 and so on where that is taken.
+    """Copy a file that is about to be replaced to NAME.old, or to NAME.old2 and so on where that exists.
 
     Args:
         path: of the file.
 
     Returns:
-        Where its content stands now, beside it; None if there is no such file.
+        The copy, beside the file; None if there is no such file.
 
     Raises:
-        InputError: it cannot be read, or the folder cannot be written to.
+        InputError: the file cannot be read, or the folder is not writable.
     """
     if not path.is_file():
         return None
@@ -68,9 +83,9 @@ def backup(path: Path) -> Path | None:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     names = (f"{path.name}.old{'' if i == 1 else i}" for i in count(1))
-    kept = next(aside for name in names if not os.path.lexists(aside := path.with_name(name)))
-    write_atomically(kept, content)
-    return kept
+    copy = next(beside for name in names if not os.path.lexists(beside := path.with_name(name)))
+    write_atomically(copy, content)
+    return copy
 
 
 def check_overwrite(path: Path, force: bool) -> None:
@@ -86,3 +101,21 @@ def check_overwrite(path: Path, force: bool) -> None:
 def exists_already(path: Path) -> InputError:
     """Return the error for a file or folder that is not replaced without --force."""
     return InputError(f"{path}: exists already; --force replaces it, or choose another name")
+
+
+def _claim(path: Path) -> None:
+    """Create the file, or refuse if it exists: one step, so that no other process can create it in between."""
+    try:
+        path.open("x").close()
+    except FileExistsError:
+        raise exists_already(path) from None
+
+
+def _flush_folder(folder: Path) -> None:
+    """Flush the entry of a renamed file to the disk, where the system allows it (Windows does not)."""
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
