@@ -1,12 +1,12 @@
 """Writing design files: a checked design as commented TOML, put in place whole or not at all."""
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
+from probedesign.core.files import write_atomically
 from probedesign.core.units import MPA
 from probedesign.design.catalog.materials import Quantity, Resin, resin_named
 from probedesign.design.catalog.sensors import SENSORS
@@ -229,48 +229,38 @@ def _commented(line: str, comment: str | None) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A checked value as TOML: repr of a float reads back exactly, JSON's text is TOML's."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(_toml(v) for v in value)}]"
-    return json.dumps(value) if isinstance(value, str) else repr(value)
+    """Return a checked value as TOML; floats read back exactly, and the text of JSON is text of TOML."""
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case tuple():
+            return f"[{', '.join(_toml(v) for v in value)}]"
+        case str():
+            return json.dumps(value)
+        case _:
+            return repr(value)
 
 
 def write_design(text: str, path: str | Path, force: bool = False) -> None:
-    """Put the text of a design file in place, after it was written whole and read back.
+    """Write the text of a design file, after it was read back and compared.
 
     Args:
         text: of the design file.
-        path: where; folders that are missing are made.
-        force: replace a file that stands there.
+        path: of the file; missing folders are made.
+        force: replace a file that exists.
 
     Raises:
-        InputError: the text is no valid design, a file stands there, or it cannot be written.
+        InputError: the text is not a valid design, the file exists, or it cannot be written.
+        CheckFailedError: the written file does not read back as the same design.
     """
     path = Path(path)
     design = parse_design(text, str(path))
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            draft.write_bytes(text.encode())
-            if load_design(draft) != design:
-                raise CheckFailedError(f"{path}: did not read back as it was written")
-            if not force:
-                _claim(path)
-            os.replace(draft, path)
-        finally:
-            draft.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
+    def check(written: Path) -> None:
+        if load_design(written) != design:
+            raise CheckFailedError(f"{path}: did not read back as it was written")
 
-def _claim(path: Path) -> None:
-    """Take the name, unless a file has it: asking and taking in one step, so that nobody comes between."""
-    try:
-        path.open("x").close()
-    except FileExistsError:
-        message = f"{path}: exists already; --force replaces it, or choose another name"
-        raise InputError(message) from None
+    write_atomically(path, text.encode(), replace=force, check=check)
 
 
 def load_design(path: str | Path) -> Design:

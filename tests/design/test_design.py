@@ -353,6 +353,75 @@ def write_new(path: Path, **changes: object) -> Design:
     return design
 
 
+def optional(**keys: st.SearchStrategy[object]) -> st.SearchStrategy[dict[str, object]]:
+    """Tables that hold any of these keys."""
+    return st.fixed_dictionaries({}, optional=keys)
+
+
+PROVENANCE = st.sampled_from(["assumed", "datasheet", "identified"])
+SMALL, ANGLE = st.floats(0.0, 0.5), st.floats(0.0, 10.0)
+TABLES = optional(
+    material=optional(
+        resin=st.sampled_from(sorted(RESINS)),
+        youngs_modulus_mpa=st.floats(0.01, 1e5),
+        density_kg_m3=st.floats(100, 2e4),
+        stiffness_spread=SMALL,
+        creep_spread=SMALL,
+        provenance=optional(youngs_modulus_mpa=PROVENANCE, shear_modulus_mpa=PROVENANCE),
+    ),
+    sensor=optional(averaging_samples=st.integers(1, 70000)),
+    mount=optional(
+        root_rigid_radii=st.floats(-1.0, 2.0),
+        gravity_base_m_s2=st.lists(st.floats(-9, 9), min_size=3, max_size=3),
+    )
+    | st.fixed_dictionaries(
+        {
+            "robot_flange": st.just("own"),
+            "flange": st.fixed_dictionaries(
+                {
+                    "bolt": st.sampled_from(["M4", "M8"]),
+                    "bolt_azimuths_deg": st.just([10.0, 200.0]),
+                    **{
+                        key: st.floats(0.1, 300.0)
+                        for key in ("bolt_circle_d_mm", "max_bolt_entry_mm", "bolt_length_mm", "face_d_mm")
+                    },
+                },
+                optional={"spigot_mm": st.just([10.0, 2.0])},
+            ),
+        }
+    ),
+    contact=optional(
+        friction=st.floats(0.0, 10.0) | st.just(float("inf")), provenance=optional(friction=PROVENANCE)
+    ),
+    print=optional(scale_xy=st.floats(0.9, 1.1), rigid_scale_z=st.floats(0.9, 1.1)),
+    tolerances=optional(
+        tared=st.booleans(),
+        drift_steps=st.floats(0.0, 100.0),
+        youngs_modulus=SMALL,
+        tilt_deg=ANGLE,
+        gain=SMALL,
+        youngs_modulus_by_diameter=st.floats(-20.0, 20.0),
+        length_mm=st.floats(0.0, 5.0),
+        robot_mm=st.floats(0.0, 5.0),
+    ),
+)
+
+
+@given(TABLES)
+def test_any_valid_design_reads_back(tables):
+    probe = {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0, "assumed": ["tip_d_mm"]}
+    design = check_design({"schema": 1, "name": "any", "probe": probe, **tables})
+    assert parse_design(render_design(design)) == design
+
+
+@pytest.mark.parametrize("tared", [True, False])
+def test_a_boolean_is_written_as_toml(tmp_path, tared):
+    design = parse_design(PLAIN + f"[tolerances]\ntared = {str(tared).lower()}\n")
+    assert design.tolerances.tared is tared
+    write_design(render_design(design), tmp_path / "a.toml")
+    assert load_design(tmp_path / "a.toml") == design
+
+
 @given(
     shape=st.sampled_from(["cone", "cylinder"]),
     length=st.floats(5.0, 400.0),
