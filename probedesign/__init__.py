@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction as Prediction
     from probedesign.prediction.predict import predict as predict
     from probedesign.prediction.predict import predict_touch as predict_touch
-    from probedesign.prediction.press_schedule import PressSchedule as PressSchedule
+    from probedesign.prediction.fused import PressSchedule as PressSchedule
     from probedesign.probe import Probe as Probe
     from probedesign.probe import build_probe as build_probe
     from probedesign.rod.batch import solve_batch as solve_batch
@@ -66,7 +66,7 @@ _LOCATIONS = {
     "InputError": "probedesign.core.errors:InputError",
     "Noise": "probedesign.design.catalog.sensors:Noise",
     "Prediction": "probedesign.prediction.predict:Prediction",
-    "PressSchedule": "probedesign.prediction.press_schedule:PressSchedule",
+    "PressSchedule": "probedesign.prediction.fused:PressSchedule",
     "Priors": "probedesign.estimation.unknowns:Unknowns",
     "Probe": "probedesign.probe:Probe",
     "Resin": "probedesign.design.catalog.materials:Resin",
