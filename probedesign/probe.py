@@ -114,6 +114,7 @@ class Probe:
             friction=d.friction.value,
             friction_provenance=d.friction.provenance,
             friction_source=d.friction.source,
+            resin=d.resin.name,
             stiffness_spread=d.material.stiffness_spread,
             creep_spread=d.material.creep_spread,
         )

@@ -48,6 +48,7 @@ class ProbeModel:
         friction: standard deviation of the tangential over the normal force of a touch, per tangential direction [-]:
             t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
         friction_provenance, friction_source: where the friction comes from.
+        resin: name of the resin, for the sources of the tolerances; empty if unknown.
     """
 
     name: str
@@ -69,6 +70,7 @@ class ProbeModel:
     friction: float = ELASTIC_FRICTION.value
     friction_provenance: Provenance = ELASTIC_FRICTION.provenance
     friction_source: str = ELASTIC_FRICTION.source
+    resin: str = ""
 
     def __post_init__(self) -> None:
         """Raises InputError where the friction is negative or not a number."""

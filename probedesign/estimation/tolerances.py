@@ -7,6 +7,7 @@ from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
+from probedesign.design.catalog.materials import RESINS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.unknowns import Unknowns, stiffness_spread
 
@@ -16,8 +17,8 @@ SOURCES = {
     "youngs_modulus": "assumed: prints of one resin differ so; 0.005 where E is identified",
     "shear_modulus": "assumed, as E",
     "youngs_modulus_by_diameter": "assumed: E is known apart from the diameters",
-    "density": "datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one standard deviation",
-    "diameter_mm": "assumed: no tolerance is published for Elastic 50A; half of ±0.15 mm",
+    "density": "{density}",
+    "diameter_mm": "assumed: no tolerance is published for {product}; half of ±0.15 mm",
     "diameter_share": "assumed: half of ±0.5 %, where that is more",
     "diameter_scatter_mm": "assumed: one pixel of a Form 3",
     "length_mm": "assumed, as the diameters",
@@ -29,11 +30,11 @@ SOURCES = {
     "root_radii": "assumed: half the distance from a bonded face (0.12) to the exported soft flange (about -0.18), "
     "docs/decisions/0006",
     "gain": "assumed: calibration certificates bound the error to 1.0-1.75 % of full scale; a third of it",
-    "creep": "assumed: nothing is published for Elastic 50A",
-    "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for Elastic 50A",
+    "creep": "assumed: nothing is published for {product}",
+    "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for {product}",
     "robot_mm": "assumed: ISO 9283 repeatability of ±0.03 mm of a small arm, taken as three standard deviations",
 }
-"""Where each default comes from."""
+"""Source of each default; `{product}` and `{density}` stand for the resin's product and its own source."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,18 @@ class Tolerances:
             == Tolerances.none()
         )
 
-    def sources(self) -> dict[str, str]:
-        """Return the source of each value, by name."""
-        return {name: text if getattr(self, name) == getattr(Tolerances, name) else "design"
-                for name, text in SOURCES.items()}  # fmt: skip
+    def sources(self, resin: str = "") -> dict[str, str]:
+        """Return the source of each value, by name.
+
+        Args:
+            resin: of the probe, as in its design; empty if unknown.
+        """
+        known = RESINS.get(resin)
+        product = "the resin" if known is None else known.product
+        density = "assumed" if known is None else known.density_tolerance_source
+        return {
+            name: text.format(product=product, density=density)
+            if getattr(self, name) == getattr(Tolerances, name)
+            else "design"
+            for name, text in SOURCES.items()
+        }

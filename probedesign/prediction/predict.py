@@ -154,6 +154,7 @@ class Prediction:
         pressing: how they are made.
         workspace: reachable contact points with a fixed base.
         monte_carlo: of the conditions that are located; empty if none was run.
+        resin: name of the resin; empty if unknown.
     """
 
     name: str
@@ -173,10 +174,11 @@ class Prediction:
     pressing: PressSchedule = PRESSING
     workspace: Workspace = NO_WORKSPACE
     monte_carlo: tuple[MonteCarloResult, ...] = ()
+    resin: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; every key ends in its unit."""
-        return {"schema": 1, **asdict(self), "tolerance_sources": self.tolerances.sources()}
+        return {"schema": 1, **asdict(self), "tolerance_sources": self.tolerances.sources(self.resin)}
 
 
 def predict(
@@ -252,6 +254,7 @@ def predict(
         fused_reach=fused_reach(fused),
         workspace=workspace,
         pressing=pressing,
+        resin=model.resin,
     )  # fmt: skip
 
 

@@ -44,9 +44,6 @@ def scale_note(design: Design, part: str) -> str:
     return "" if scale == AS_DRAWN else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
 
 
-CURE = {"elastic-50a": "wash 20 min, cure 20 min at 60 °C (Formlabs, Elastic 50A)"}
-
-
 @dataclass(frozen=True)
 class PrintCheck:
     """The findings of all rules on a design.
@@ -138,10 +135,9 @@ def _rigid_sizes(design: Design, a: SensorAdapter, plate: FlangeAdapter) -> list
 
 
 def _advice(design: Design) -> tuple[str, ...]:
-    cure = CURE.get(design.resin.name, "wash and cure as the resin's data sheet says")
     return (
         f"print it upright on its flange, {LAYER:g} mm layers, supports below the flange only",
-        cure,
+        design.resin.cure,
         "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
         "measure its diameters after curing: they determine its stiffness",
     )

@@ -160,7 +160,7 @@ def _force(values: Sequence[float | None]) -> str:
 
 
 def _tolerances(prediction: Prediction) -> HtmlTable:
-    sources = prediction.tolerances.sources()
+    sources = prediction.tolerances.sources(prediction.resin)
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
     return HtmlTable(["[tolerances]", "value", "source"], rows)
 

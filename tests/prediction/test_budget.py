@@ -10,6 +10,7 @@ from scipy import stats
 
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
+from probedesign.design.catalog.materials import RESINS
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
@@ -272,7 +273,21 @@ def test_tolerances_come_from_the_design(large):
     said = build_probe(check_design(data)).tolerances
     assert (said.diameter_mm, said.tared, said.youngs_modulus) == (0.02, False, 0.07)
     assert said.sources()["diameter_mm"] == "design" and said.sources()["length_mm"].startswith("assumed")
+    assert set(said.sources()) == set(SOURCES)
     assert set(SOURCES) == {f.name for f in fields(Tolerances)} - {"tared"}
+
+
+@pytest.mark.parametrize("resin", sorted(RESINS))
+def test_the_sources_of_tolerances_cite_the_resin_of_the_design(large, resin):
+    data = large.design.model_dump(by_alias=True, exclude_none=True)
+    probe = build_probe(check_design({**data, "material": {"resin": resin}}))
+    sources = probe.tolerances.sources(probe.model.resin)
+    product = RESINS[resin].product
+    for name in ("density", "diameter_mm", "creep", "stiffness_scatter"):
+        assert product in sources[name], name
+    for other in {one.product for one in RESINS.values()} - {product}:
+        assert all(other not in text or text.startswith("assumed: 1 %, as of") for text in sources.values())
+    assert not any("{" in text for text in Tolerances().sources().values())
 
 
 @pytest.mark.parametrize("bad", [{"diameter_mm": -0.1}, {"creep": float("nan")}, {"diametre_mm": 0.1}])

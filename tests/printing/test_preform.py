@@ -28,7 +28,7 @@ from probedesign.printing.preform.client import (
     connection_to,
 )
 from probedesign.printing.preform.job import PrintOrder, load_job, path_mapping, prepare_job
-from probedesign.printing.preform.settings import PREFERRED, MaterialList, select_settings
+from probedesign.printing.preform.settings import MaterialList, select_settings
 from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
 
@@ -270,7 +270,7 @@ def test_errors_name_what_preform_has(product, resin, material, message):
 
 
 def test_every_resin_has_a_name_in_preform():
-    assert {*RESINS, "rigid"} <= set(PREFERRED)
+    assert all(resin.preform_labels for resin in RESINS.values())
 
 
 def test_a_resin_unknown_to_preform_needs_its_material_named():

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from probedesign.core.errors import InputError
+from probedesign.design.catalog.materials import RESINS, RIGID_PREFORM_LABELS
 from probedesign.design.diagnostics import one_line, quoted
 from probedesign.printing.rules import LAYER
 
@@ -146,13 +147,8 @@ class MaterialList(Reply):
     printer_types: tuple[PrinterType, ...]
 
 
-PREFERRED = {
-    "elastic-50a": ("Elastic 50A V1", "Elastic 50A V2"),
-    "flexible-80a": ("Flexible 80A V1",),
-    "silicone-40a": ("Silicone 40A V1",),
-    "rigid": ("Grey V4", "Grey V5"),
-}
-"""PreForm's labels by resin; the first is the version from which the resin's properties were taken."""
+RIGID = "rigid"
+"""Name of the material of the rigid parts, beside those of the resins."""
 
 
 @dataclass(frozen=True)
@@ -211,8 +207,9 @@ def _asked(printer: PrinterType, name: str) -> PrintMaterial:
 
 def _preferred(printer: PrinterType, resin: str) -> PrintMaterial:
     by_label = {material.label: material for material in printer.materials}
-    wanted = PREFERRED.get(resin)
-    if wanted is None:
+    known = RESINS.get(resin)
+    wanted = RIGID_PREFORM_LABELS if resin == RIGID else known.preform_labels if known else ()
+    if not wanted:
         raise InputError(
             f"{resin}: its name in PreForm is unknown; --material names one of the {printer.label}; {_has(by_label)}"
         )
