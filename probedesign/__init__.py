@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from probedesign.identification.identify import data_of as data_of
     from probedesign.identification.identify import identify as identify
     from probedesign.identification.result import Identification as Identification
+    from probedesign.prediction.fused import PressSchedule as PressSchedule
     from probedesign.prediction.predict import Prediction as Prediction
     from probedesign.prediction.predict import predict as predict
     from probedesign.prediction.predict import predict_touch as predict_touch
-    from probedesign.prediction.fused import PressSchedule as PressSchedule
     from probedesign.probe import Probe as Probe
     from probedesign.probe import build_probe as build_probe
     from probedesign.rod.batch import solve_batch as solve_batch

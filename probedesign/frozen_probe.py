@@ -1,4 +1,7 @@
-"""The frozen probe: everything that `estimate` and `live` read, in one JSON file that a person can read too."""
+"""The frozen probe: all that `estimate` and `live` need of a probe, in one JSON file that people can read.
+
+`freeze` writes the model of a probe as plain data, `load_model` and `load_estimator` check a file and read it back.
+"""
 
 import hashlib
 import json
@@ -26,22 +29,22 @@ from probedesign.rod.rod import Rod
 KIND = "probedesign frozen probe"
 SCHEMA = 3
 FRICTIONLESS_SCHEMA = 2
-"""Still read: it has no `contact` and fewer tolerances (`NEW_TOLERANCES`)."""
+"""Older schema that is still read: without `contact` and with fewer tolerances (`NEW_TOLERANCES`)."""
 ROUND_SCHEMA = 1
-"""Still read: as schema 2, with full round sections only and one second moment for all directions."""
+"""Older schema that is still read: as schema 2, with full round sections and one second moment for all directions."""
 NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
-"""Tolerances that files of the older schemas do not have: they take their defaults and are listed as assumed."""
+"""Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed."""
 SECTION_STATIONS = 17
-"""How many stations the section table shows between the knots' own; for people and for the check on load."""
+"""Number of equidistant stations of the section table, beside the knots; for people and for the check on load."""
 _UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
 _MAX_BYTES = 10_000_000
 
 
 def freeze(model: ProbeModel) -> dict[str, Any]:
-    """The frozen probe as plain data, its checksum included.
+    """Return the frozen probe as plain data with its checksum.
 
     Args:
-        model: from a design's `Probe.model`.
+        model: of the probe, `Probe.model`.
     """
     rod = model.rod
     data: dict[str, Any] = {
@@ -98,18 +101,18 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
 
 
 def write_frozen(model: ProbeModel, path: Path) -> None:
-    """Write the frozen probe; a file that stands there is replaced only by a whole new one."""
+    """Write the frozen probe atomically; an existing file is replaced."""
     write_atomically(path, (json.dumps(freeze(model), indent=2) + "\n").encode())
 
 
 def load_estimator(path: str | Path, manifest: str | Path | None = None, *, exact: bool = False) -> Estimator:
-    """Return the estimator that a frozen probe holds.
+    """Return the estimator of a frozen probe.
 
     Args:
         path: `NAME.probe.json`.
-        manifest: of the printed parts, to check against; a `manifest.json` beside the file is checked anyhow.
+        manifest: of the printed parts, to check against; if None, a `manifest.json` beside the file is checked.
         exact: take probe, mount, bench and bias as exactly known, so that the sensor's noise and the prior on friction
-            alone remain; otherwise every error source of the probe's tolerances counts.
+            alone remain; otherwise all error sources of the tolerances of the probe are included.
 
     Raises:
         InputError: the file is unreadable, altered, of another schema, or not of the printed parts.
@@ -118,19 +121,19 @@ def load_estimator(path: str | Path, manifest: str | Path | None = None, *, exac
 
 
 def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeModel:
-    """The probe that a frozen file holds; see `load_estimator`."""
+    """Return the model of a frozen probe; see `load_estimator` for arguments and errors."""
     path = Path(path)
     data = _read_json(path, "frozen probe")
     _check_identity(data, path)
     try:
         data = _upgraded(data)
-        model = _thaw(data)
+        model = _model_of(data)
         _check_sections(data, model.rod)
     except InputError as error:
         raise InputError(f"{path}: {error}; deploy it again") from None
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise InputError(
-            f"{path}: not a whole frozen probe ({type(error).__name__}: {error}); deploy it again"
+            f"{path}: not a complete frozen probe ({type(error).__name__}: {error}); deploy it again"
         ) from None
     beside = path.parent / "manifest.json"
     for found in [Path(manifest)] if manifest is not None else [beside] if beside.exists() else []:
@@ -139,7 +142,7 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
 
 
 def check_manifest(fingerprint: str, manifest: Path) -> None:
-    """Refuse a geometry that is not that of the exported parts.
+    """Check that a geometry is that of the exported parts.
 
     Raises:
         InputError: the manifest is unreadable or of another geometry.
@@ -153,10 +156,10 @@ def check_manifest(fingerprint: str, manifest: Path) -> None:
 
 
 def check_replaceable(path: Path) -> None:
-    """Refuse to write a frozen probe over a file that is none.
+    """Check that a path is free or holds a frozen probe, which may be replaced.
 
     Raises:
-        InputError: something else stands there.
+        InputError: another file or a folder has that name.
     """
     if path.exists() and (path.is_dir() or _read_json(path, "frozen probe").get("kind") != KIND):
         raise InputError(f"{path}: is not a frozen probe, so it is not replaced; name another file")
@@ -174,9 +177,9 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
 
 
 def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a file of any schema as this schema has it.
+    """Return the content of a file of any schema in the current schema.
 
-    What an older schema lacks takes its default; a number among it is added to the assumptions.
+    Values that an older schema lacks take their defaults; numbers among them are added to the assumptions.
     """
     if data["schema"] == SCHEMA:
         return data
@@ -203,7 +206,8 @@ def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _thaw(data: dict[str, Any]) -> ProbeModel:
+def _model_of(data: dict[str, Any]) -> ProbeModel:
+    """Return the model that the content of a file describes; the inverse of `freeze`."""
     material = {name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()}
     rod, hanging, sensor = data["rod"], data["hanging"], data["sensor"]
     section = _section(rod["section"])
@@ -249,7 +253,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
             f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})"
         )
     if not (0.0 <= float(model.payload.mass) < 10.0 and model.averaging_samples >= 1):
-        raise InputError("hanging.mass_kg or sensor.averaging_samples makes no sense")
+        raise InputError("hanging.mass_kg or sensor.averaging_samples is out of range")
     if not is_pose(model.T_sensor_base):
         raise InputError("T_sensor_base is not a rigid pose")
     if not (
@@ -262,7 +266,7 @@ def _thaw(data: dict[str, Any]) -> ProbeModel:
 
 
 def _contact(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the friction and where it comes from; JSON holds no infinity, so that is the text "inf"."""
+    """Return the friction with its provenance; JSON has no infinity, which is the text "inf"."""
     value, provenance = data["friction"], data["provenance"]
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if value != "inf" and not (number and 0.0 <= value < math.inf):
@@ -286,7 +290,7 @@ def _spread(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _tolerances(data: dict[str, Any] | None, schema: int) -> Tolerances | None:
-    """Return how well the probe is known; None for a file written before that was frozen."""
+    """Return the tolerances; None for a file of a time before they were frozen."""
     if data is None and schema != SCHEMA:
         return None
     known = {entry.name for entry in fields(Tolerances)}
@@ -308,7 +312,7 @@ def _numbers(values: Any, *shape: int) -> Array:
 
 
 def _sections(rod: Rod) -> dict[str, list[float]]:
-    """Section properties along s, as a person would check them by hand; xx bends about x, yy about y."""
+    """Return section properties along s for people and for the check on load; xx bends about x, yy about y."""
     s = np.unique(np.concatenate([rod.s, np.linspace(0.0, rod.length, SECTION_STATIONS)]))
     r = rod.radius_at(s)
     of_area, of_xx, of_yy, of_torsion = rod.factors
@@ -335,7 +339,7 @@ _ROUND_NAMES = {
     "EI_xx_Nm2": "EI_Nm2",
     "EI_yy_Nm2": "EI_Nm2",
 }
-"""What a file of the round schema calls them."""
+"""Names of these columns in files of the round schema."""
 
 
 def _check_sections(data: dict[str, Any], rod: Rod) -> None:
@@ -356,7 +360,7 @@ def _read_json(path: Path, what: str) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not a {what}: not valid JSON") from None
     if not whole:
-        raise InputError(f"{path}: is far too large for a {what}")
+        raise InputError(f"{path}: is too large for a {what}")
     if not isinstance(data, dict):
         raise InputError(f"{path}: is not a {what}")
     return data

@@ -322,14 +322,14 @@ def write_identified(
     """
     from datetime import date
 
-    from probedesign.design.edit import edited
+    from probedesign.design.edit import edit_text
     from probedesign.design.io import write_design
     from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()
     changes = design_changes(found, design, day)
-    result = edited(text, changes, day, str(design_path))
+    result = edit_text(text, changes, day, str(design_path))
     if not write and out is None:
         return changes, None, None
     if out is None:

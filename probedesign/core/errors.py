@@ -1,7 +1,7 @@
-"""What can go wrong at the public door, as types.
+"""Exceptions of the package.
 
-Inside, a solve or an estimate returns a result code and never raises. At the door (files, options,
-arguments) a wrong value raises an `InputError` whose text is one line: what, where, the remedy.
+A solve or an estimate returns a result code and raises nothing. Files, options and arguments that cannot be used raise
+an `InputError` with a message of one line: the value, its place and the remedy.
 """
 
 import difflib
@@ -9,15 +9,15 @@ from collections.abc import Iterable
 
 
 class ProbeDesignError(Exception):
-    """Any error this package raises on purpose."""
+    """Base of all errors that the package raises on purpose."""
 
 
 class InputError(ProbeDesignError, ValueError):
-    """A file, option or argument that cannot be used; the text is one line fit for a user."""
+    """A file, option or argument cannot be used; the message is one line for the user."""
 
 
 class MissingDependencyError(ProbeDesignError, ImportError):
-    """An optional package that this step needs is not installed; the text names the extra."""
+    """An optional dependency is not installed; the message names the extra to install."""
 
     @classmethod
     def of_extra(cls, feature: str, package: str, extra: str) -> "MissingDependencyError":
@@ -32,17 +32,17 @@ class MissingDependencyError(ProbeDesignError, ImportError):
 
 
 class CheckFailedError(ProbeDesignError):
-    """A self-check of something this package made itself (a mesh, a solid) did not hold."""
+    """A check of something that the package made itself, such as a mesh or a file, failed."""
 
 
 def unknown_name(key: str, name: str, known: Iterable[str], of: str = "") -> InputError:
-    """The error for a name that no table knows: one line with the nearest, if one is near, and all of them.
+    """Return the error for an unknown name: one line with the nearest known name, if one is near, and all names.
 
     Args:
         key: of the design file, as `table.key`.
-        name: as it was given.
-        known: names that would do.
-        of: what they belong to, such as a sensor.
+        name: the unknown name.
+        known: the known names.
+        of: what the names belong to, such as a sensor.
     """
     names = sorted(known)
     plain = "-".join(name.lower().replace("_", " ").split())

@@ -7,7 +7,7 @@ Array = NDArray[np.float64]
 
 
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
-    """Homogeneous transform from a rotation and an origin.
+    """Return the homogeneous transform of a rotation and an origin.
 
     Args:
         R: rotation matrix (3, 3); identity if None.
@@ -25,19 +25,19 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
 
 
 def rotation_z(angle: float) -> Array:
-    """Rotation about z by `angle` [rad], (3, 3)."""
+    """Return the rotation about z by `angle` [rad], (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def inverse(T_a_b: Array) -> Array:
-    """T_b_a of a rigid transform T_a_b (4, 4)."""
+    """Return T_b_a of a rigid transform T_a_b (4, 4)."""
     R = T_a_b[:3, :3]
     return pose(R.T, -R.T @ T_a_b[:3, 3])
 
 
 def wrench_map(T_a_b: Array) -> Array:
-    """Matrix X (6, 6) with wrench_a = X @ wrench_b: the same load, about a's origin in a's axes.
+    """Return the matrix X (6, 6) with wrench_a = X @ wrench_b: the same load, about a's origin in a's axes.
 
     force_a = R force_b, moment_a = R moment_b + p × R force_b, with R, p from T_a_b.
     """
@@ -49,13 +49,13 @@ def wrench_map(T_a_b: Array) -> Array:
 
 
 def skew(a: ArrayLike) -> Array:
-    """Matrix (3, 3) with skew(a) @ b = a × b."""
+    """Return the matrix (3, 3) with skew(a) @ b = a × b."""
     x, y, z = np.asarray(a, dtype=float)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def is_pose(T: ArrayLike, tolerance: float = 1e-6) -> bool:
-    """Whether T (4, 4) is finite with an orthonormal right-handed rotation and a last row 0 0 0 1.
+    """Return whether T (4, 4) is finite with an orthonormal right-handed rotation and a last row 0 0 0 1.
 
     The tolerance allows for poses written with seven digits.
     """

@@ -14,5 +14,5 @@ RIVAL_CHI2 = 9.0
 
 @cache
 def max_chi2(dof: int, chance: float) -> float:
-    """Value that χ² with so many degrees of freedom exceeds with the given chance."""
+    """Return the value that χ² with so many degrees of freedom exceeds with the given chance."""
     return float(chdtri(dof, chance))

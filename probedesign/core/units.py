@@ -1,4 +1,4 @@
-"""Factors between the units people write and SI. `value_mm * MM` is metres; `value_m / MM` is millimetres."""
+"""Factors to SI units: `value_mm * MM` is in metres, `value_m / MM` in millimetres."""
 
 MM = 1e-3
 """One millimetre [m]."""

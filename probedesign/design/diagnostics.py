@@ -1,4 +1,4 @@
-"""What is wrong with a design file, or another in TOML, told in one line: key, value, remedy, line of the file."""
+"""Checks of TOML files against a pydantic model, with errors of one line: key, value, remedy, line of the file."""
 
 import difflib
 import re
@@ -13,7 +13,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def parse_toml(text: str, model: type[Model], where: str) -> Model:
-    """Check the text of a TOML file; `where` names it in errors.
+    """Parse the text of a TOML file and check it; `where` names it in errors.
 
     Raises:
         InputError: one line naming the key, the value, the remedy and the line.
@@ -24,16 +24,16 @@ def parse_toml(text: str, model: type[Model], where: str) -> Model:
         raise InputError(f"{where}: not valid TOML: {one_line(str(error))}") from None
     if not data:
         needed = [f.alias or name for name, f in model.model_fields.items() if f.is_required()]
-        raise InputError(f"{where}: says nothing; it needs {', '.join(needed)}")
+        raise InputError(f"{where}: is empty; it needs {', '.join(needed)}")
     return check_toml(data, model, text, where)
 
 
 def check_toml(data: dict[str, Any], model: type[Model], text: str = "", where: str = "") -> Model:
-    """Check what a TOML file says, or would say.
+    """Check the tables of a TOML file.
 
     Args:
         data: its tables, with the keys and units of the file.
-        model: they must agree with.
+        model: the schema.
         text: the file's text, to name the line of a wrong value; empty if there is no file.
         where: names the file in errors; empty if there is none.
 
@@ -49,7 +49,7 @@ def check_toml(data: dict[str, Any], model: type[Model], text: str = "", where: 
 
 
 class Inconsistent(ValueError):
-    """A value that is well-formed by itself and wrong beside the others; carries its key."""
+    """A value that contradicts another one; has the key of the value."""
 
     def __init__(self, key: str, text: str) -> None:
         super().__init__(f"{key} {text}" if not text.startswith("unknown") else f"{key}: {text}")
@@ -58,7 +58,7 @@ class Inconsistent(ValueError):
 
 
 def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> tuple[int | None, str]:
-    """The file's line and the text of the first error; unknown keys first, they explain missing ones."""
+    """Return the line and the message of the first error; unknown keys first, since they explain missing ones."""
     details = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     detail = details[0]
     key = ".".join(part for part in detail["loc"] if isinstance(part, str))
@@ -75,14 +75,14 @@ def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> 
 
 
 def _others(details: list[Any]) -> str:
-    """The keys of what else is wrong: of all but the first."""
+    """Return the keys of all errors but the first."""
     keys = dict.fromkeys(".".join(map(str, detail["loc"])) for detail in details[1:])
-    told = one_line(", ".join(keys))
-    return f" (wrong besides: {told})" if keys else ""
+    listed = one_line(", ".join(keys))
+    return f" (also wrong: {listed})" if keys else ""
 
 
 def _explain(key: str, item: str, detail: Any, model: type[BaseModel]) -> str:
-    """Pydantic's finding in our words: key, value, what is allowed."""
+    """Return the message for an error of pydantic: key, value, allowed values."""
     ctx, wrong = detail.get("ctx", {}), f"{key}{item} = {quoted(detail['input'])}"
     match detail["type"]:
         case "extra_forbidden":
@@ -112,7 +112,7 @@ _WANTED = {
 
 
 def quoted(value: Any) -> str:
-    """A user's value as it may stand in a message: text in quotes, odd characters escaped, never long."""
+    """Return a value of the user for a message: text in quotes, special characters escaped, at most 60 characters."""
     try:
         text = repr(value)
     except (RecursionError, ValueError):  # nested thousands deep; an integer of thousands of digits
@@ -121,13 +121,13 @@ def quoted(value: Any) -> str:
 
 
 def one_line(text: str) -> str:
-    """The text on one line of bearable length that cannot upset a terminal."""
+    """Return the text on one line of at most 500 characters, without control characters."""
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
     return text if len(text) <= 500 else text[:497] + "..."
 
 
 def _fields(model: type[BaseModel], table: str) -> dict[str, Any]:
-    """Fields of a dotted table by the name that stands in the file."""
+    """Return the fields of a dotted table by their names in the file."""
     inner: Any = model
     for part in filter(None, table.split(".")):
         fields = {f.alias or n: f for n, f in inner.model_fields.items()}
@@ -138,7 +138,7 @@ def _fields(model: type[BaseModel], table: str) -> dict[str, Any]:
 
 
 def _table_of(annotation: Any) -> Any:
-    """The table in `Table | None`; anything else as it is."""
+    """Return the table in `Table | None`; anything else unchanged."""
     return next((a for a in get_args(annotation) if _is_table(a)), annotation)
 
 
@@ -147,7 +147,7 @@ def _is_table(annotation: Any) -> bool:
 
 
 def known_keys(model: type[BaseModel], table: str = "") -> list[str]:
-    """Every key that a file checked by `model` may hold, as `table.key`."""
+    """Return every key that a file of that model may have, as `table.key`."""
     keys = []
     for name, field in _fields(model, table).items():
         dotted = f"{table}.{name}" if table else name
@@ -156,7 +156,7 @@ def known_keys(model: type[BaseModel], table: str = "") -> list[str]:
 
 
 def _did_you_mean(key: str, model: type[BaseModel]) -> str:
-    """The nearest key of the same table, or of any."""
+    """Return a hint with the nearest key of the same table, or of any."""
     keys = known_keys(model)
     table, _, last = key.rpartition(".")
     siblings = [k for k in keys if k.rpartition(".")[0] == table]
@@ -168,7 +168,7 @@ def _did_you_mean(key: str, model: type[BaseModel]) -> str:
 
 
 def _range_of(key: str, model: type[BaseModel]) -> str:
-    """Lowest and highest value of a bounded key."""
+    """Return the text of the range of a bounded key."""
     table, _, last = key.rpartition(".")
     field = _fields(model, table).get(last)
     metadata: list[Any] = [] if field is None else list(field.metadata)
@@ -178,14 +178,14 @@ def _range_of(key: str, model: type[BaseModel]) -> str:
     low = next((m.ge for m in flat if hasattr(m, "ge")), None)
     above = next((m.gt for m in flat if hasattr(m, "gt")), None)
     high = next((m.le for m in flat if hasattr(m, "le")), None)
-    most = "inf" if high is None else f"{high:g}"
+    upper = "inf" if high is None else f"{high:g}"
     if above is not None:
-        return f"above {above:g}, up to {most}"
-    return f"{'-inf' if low is None else f'{low:g}'} ... {most}"
+        return f"above {above:g}, up to {upper}"
+    return f"{'-inf' if low is None else f'{low:g}'} ... {upper}"
 
 
 def _line_of(key: str, text: str) -> int | None:
-    """Line of a dotted key in a TOML text, or of its table, or None."""
+    """Return the line of a dotted key in a TOML text, or of its table; None if there is neither."""
     table, _, last = key.rpartition(".")
     assignment = re.compile(rf"""\s*["']?{re.escape(last)}["']?\s*=""")
     current, table_line = "", None

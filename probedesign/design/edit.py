@@ -1,4 +1,4 @@
-"""Changing numbers in a design file that a person wrote: comments and layout stay, old values are kept beside."""
+"""Changes of values in a design file that keep its comments and layout, and the former values as comments."""
 
 import re
 import tomllib
@@ -14,13 +14,13 @@ _HEADER = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
 
 @dataclass(frozen=True)
 class Change:
-    """One key's new value.
+    """A new value of one key.
 
     Attributes:
-        table: as `material`.
-        key: in it.
-        text: of the value, as TOML.
-        note: beside it.
+        table: such as `material`.
+        key: in the table.
+        text: the value as TOML.
+        note: comment beside the value.
     """
 
     table: str
@@ -30,43 +30,42 @@ class Change:
 
     @property
     def line(self) -> str:
-        """As it stands in the file."""
+        """Return the line of the file."""
         line = f"{self.key} = {self.text}"
         return f"{line:<{COMMENT_COLUMN - 1}} # {self.note}" if self.note else line
 
 
-def edited(text: str, changes: Sequence[Change], when: str, where: str) -> str:
-    """The text of a design file with some values changed.
+def edit_text(text: str, changes: Sequence[Change], when: str, where: str) -> str:
+    """Return the text of a design file with some values changed.
 
-    A value that is replaced stays above the new one as a comment with its day; a table that is missing is added at the
-    end, or behind its parent.
+    A replaced value remains above the new one as a comment with the day; a missing table is added after its parent, or
+    at the end.
 
     Args:
         text: of the file.
-        changes: one a key.
-        when: the day, as it is told in the comment.
+        changes: at most one for each key.
+        when: the day, for the comment.
         where: names the file in errors.
 
     Raises:
-        InputError: the file is written in a way that lines cannot change, such as inline tables; nothing else of the
-            design would have been as before.
+        InputError: the file has inline tables or the like, which cannot be changed line by line.
     """
     ending = "\r\n" if "\r\n" in text else "\n"
     lines = text.splitlines()
     for change in changes:
         lines = _changed(lines, change, when)
     result = ending.join(lines) + ending
-    if _plain(result, where) != _wanted(text, changes, where):
+    if _parsed(result, where) != _expected(text, changes, where):
         keys = ", ".join(f"{one.table}.{one.key} = {one.text}" for one in changes)
         raise InputError(f"{where}: its tables are not written line by line; set by hand: {keys}")
     return result
 
 
 def _changed(lines: list[str], change: Change, when: str) -> list[str]:
-    start = next((i for i, line in enumerate(lines) if _named(line) == change.table), None)
+    start = next((i for i, line in enumerate(lines) if _table_of(line) == change.table), None)
     if start is None:
         return _with_table(lines, change)
-    end = next((i for i in range(start + 1, len(lines)) if _named(lines[i])), len(lines))
+    end = next((i for i in range(start + 1, len(lines)) if _table_of(lines[i])), len(lines))
     assignment = re.compile(rf"""\s*["']?{re.escape(change.key)}["']?\s*=""")
     for i in range(start + 1, end):
         if assignment.match(lines[i]):
@@ -80,33 +79,33 @@ def _changed(lines: list[str], change: Change, when: str) -> list[str]:
 
 
 def _with_table(lines: list[str], change: Change) -> list[str]:
-    """A new table: behind its parent, else at the end."""
+    """Return the lines with a new table, after its parent or at the end."""
     parent = change.table.rpartition(".")[0]
-    at = next((i for i, line in enumerate(lines) if parent and _named(line) == parent), None)
+    at = next((i for i, line in enumerate(lines) if parent and _table_of(line) == parent), None)
     if at is None:
         end = len(lines)
     else:
-        end = next((i for i in range(at + 1, len(lines)) if _named(lines[i])), len(lines))
+        end = next((i for i in range(at + 1, len(lines)) if _table_of(lines[i])), len(lines))
     while end and not lines[end - 1].strip():
         end -= 1
     return [*lines[:end], "", f"[{change.table}]", change.line, *lines[end:]]
 
 
-def _named(line: str) -> str:
-    """The table that a line begins; empty if it begins none."""
+def _table_of(line: str) -> str:
+    """Return the table whose header a line is; empty if it is none."""
     found = _HEADER.match(line)
     return "" if found is None else ".".join(part.strip().strip("\"'") for part in found.group(1).split("."))
 
 
-def _plain(text: str, where: str) -> Design | None:
+def _parsed(text: str, where: str) -> Design | None:
     try:
         return parse_design(text, where)
     except InputError:
         return None
 
 
-def _wanted(text: str, changes: Sequence[Change], where: str) -> Design:
-    """The design as it should read."""
+def _expected(text: str, changes: Sequence[Change], where: str) -> Design:
+    """Return the design that the changed text must give."""
     data = tomllib.loads(text)
     for change in changes:
         table: dict[str, object] = data

@@ -1,4 +1,4 @@
-"""Writing design files: a checked design as commented TOML, put in place whole or not at all."""
+"""Reading, drafting, rendering and writing of design files: checked designs as commented TOML."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -15,8 +15,8 @@ from probedesign.design.schema import Design
 
 COMMENT_COLUMN = 36
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
-"""Default tip: a sixth of the base, as the paper's large probe. Elastic 50A wants features of 1.5 mm; 2 mm
-keeps a margin for a print that comes out thin (assumed)."""
+"""Default tip: a sixth of the base, as of the large probe of the paper. Elastic 50A requires features of 1.5 mm; 2 mm
+leaves a margin for thin prints (assumed)."""
 
 COMMENTS = {
     "probe.shape": "cone | cylinder | profile",
@@ -39,7 +39,7 @@ COMMENTS = {
     "print.rigid_scale_xy": "likewise of the rigid parts",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
-"""What stands beside a key, unless the design's own notes say something better."""
+"""Comment beside a key, unless the notes of the design replace it."""
 
 HEADER = """\
 # A soft probe. Edit by hand: every load checks the file and names the line of what is wrong.
@@ -48,7 +48,7 @@ HEADER = """\
 
 
 def default_tip_d_mm(base_d_mm: float) -> float:
-    """Tip diameter [mm] for a cone of that base diameter [mm] when nobody asks for one.
+    """Return the default tip diameter [mm] of a cone of that base diameter [mm].
 
     A sixth of the base, at least 2 mm, rounded to 0.1 mm, never wider than the base.
     """
@@ -63,7 +63,7 @@ def default_name(
     section: str = "round",
     ratio: float | None = None,
 ) -> str:
-    """A name that carries the parameters [mm], such as `cone-150x12x2` or `cylinder-80x6-hollow-0.5`."""
+    """Return a name that contains the parameters [mm], such as `cone-150x12x2` or `cylinder-80x6-hollow-0.5`."""
     sizes = (length_mm, base_d_mm) if tip_d_mm is None else (length_mm, base_d_mm, tip_d_mm)
     name = f"{shape}-{'x'.join(f'{size:g}' for size in sizes)}"
     if section != "round":
@@ -72,10 +72,10 @@ def default_name(
 
 
 def sensor_keys(choice: str) -> dict[str, str]:
-    """`[sensor]` for the name of a sensor, which means its finest calibration, or of a calibration.
+    """Return `[sensor]` for the name of a sensor, with its finest calibration, or for the name of a calibration.
 
     Raises:
-        InputError: neither; the message lists the known ones.
+        InputError: the name is neither; the message lists the known ones.
     """
     known = []
     for model in SENSORS.values():
@@ -87,7 +87,7 @@ def sensor_keys(choice: str) -> dict[str, str]:
 
 
 def material_keys(resin: Resin) -> dict[str, Any]:
-    """`[material]` with the resin's numbers written out, so that the file stands by itself."""
+    """Return `[material]` with the numbers of the resin written out, so that the file is complete by itself."""
     quantities = _quantities(resin)
     numbers = {key: float(f"{q.value / unit:.9g}") for key, (q, unit) in quantities.items()}
     provenance = {key: q.provenance for key, (q, _) in quantities.items()}
@@ -95,7 +95,7 @@ def material_keys(resin: Resin) -> dict[str, Any]:
 
 
 def _quantities(resin: Resin) -> dict[str, tuple[Quantity, float]]:
-    """The resin's numbers and units by the key of the design file."""
+    """Return the properties of the resin with their units, by key of the design file."""
     return {
         "youngs_modulus_mpa": (resin.youngs_modulus, MPA),
         "shear_modulus_mpa": (resin.shear_modulus, MPA),
@@ -119,10 +119,10 @@ def draft_design(
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
 ) -> tuple[Design, dict[str, str]]:
-    """A new design from the few numbers that matter; everything else by default.
+    """Return a new design from its main dimensions, with defaults for everything else.
 
     Args:
-        name: of the design; None for one that carries the parameters.
+        name: of the design; None for one that contains the parameters.
         shape: cone or cylinder.
         length_mm: of the flexible part [mm].
         base_d_mm: diameter at the base [mm].
@@ -137,10 +137,10 @@ def draft_design(
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
 
     Returns:
-        The checked design, and notes for `render_design` that say where its numbers come from.
+        The checked design, and notes for `render_design` with the sources of its numbers.
 
     Raises:
-        InputError: a value that no design may have.
+        InputError: a value is out of range or contradicts another.
     """
     material = resin_named(resin)
     notes = {
@@ -178,11 +178,11 @@ def draft_design(
 
 
 def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str:
-    """The text of a design file that loads as exactly this design.
+    """Return the text of a design file that loads as exactly this design.
 
     Args:
-        design: what to write.
-        notes: comments by `table.key`, beside the number they speak of; "" is one for the whole file.
+        design: the design.
+        notes: comments by `table.key`, beside the value; the one of "" is for the whole file.
 
     Returns:
         TOML, ending in a newline.
@@ -202,7 +202,7 @@ def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str
 
 
 def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The design file's tables in order, without what the design leaves open."""
+    """Yield the tables of the design file in order, without the keys that the design does not set."""
     document = design.model_dump(by_alias=True)
     top = {key: value for key, value in document.items() if not isinstance(value, dict)}
     yield "", top
@@ -212,9 +212,9 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
         provenance, flange = values.pop("provenance", {}), values.pop("flange", None) or {}
         given = {key: value for key, value in values.items() if value is not None and value != ()}
         yield table, given
-        told = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
-        if told:
-            yield f"{table}.provenance", told
+        known = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
+        if known:
+            yield f"{table}.provenance", known
         if flange:
             yield f"{table}.flange", {key: value for key, value in flange.items() if value is not None}
 
@@ -273,7 +273,7 @@ def load_design(path: str | Path) -> Design:
         The design.
 
     Raises:
-        InputError: the file cannot be read, is not TOML, or says something wrong; one line.
+        InputError: the file cannot be read, is not TOML, or has a wrong value; one line.
     """
     path = Path(path)
     try:
@@ -288,7 +288,7 @@ def load_design(path: str | Path) -> Design:
 
 
 def parse_design(text: str, where: str = "design") -> Design:
-    """Check the text of a design file; `where` names it in errors.
+    """Parse and check the text of a design file; `where` names it in errors.
 
     Raises:
         InputError: one line naming the key, the value, the remedy and the line.
@@ -297,7 +297,7 @@ def parse_design(text: str, where: str = "design") -> Design:
 
 
 def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Design:
-    """Check what a design file says, or would say.
+    """Check the tables of a design file and return the design.
 
     Args:
         data: its tables, with the keys and units of the file.

@@ -1,4 +1,8 @@
-"""The tables of a design file, each checked by itself: what may stand in `[probe]`, `[material]` and so on."""
+"""The schema of a design file: its tables with their checks, and the design that they make up.
+
+The tables check types, ranges and their own consistency; `Design` checks the tables against each other and gives the
+quantities in SI units with their provenance.
+"""
 
 import math
 import re
@@ -10,52 +14,52 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog.materials import Provenance, Quantity, Resin, resin_named
 from probedesign.design.catalog.printers import Printer, printer_named
-from probedesign.design.catalog.robot_flanges import OWN, RobotFlange, own_flange, robot_flange_named
+from probedesign.design.catalog.robot_flanges import CUSTOM, RobotFlange, custom_flange, robot_flange_named
 from probedesign.design.catalog.sensors import Calibration, SensorModel, sensor_named
 from probedesign.design.diagnostics import Inconsistent, quoted
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.probe_geometry import rounded, rounding_height_mm
 
-Shape = Literal["cone", "cylinder", "profile"]
-Section = Literal["round", "hollow", "elliptic"]
-Tip = Literal["blunt", "rounded"]
+ProbeShape = Literal["cone", "cylinder", "profile"]
+SectionKind = Literal["round", "hollow", "elliptic"]
+TipKind = Literal["blunt", "rounded"]
 MAX_GRAVITY = 30.0
-"""More than this in m/s² [m/s²] is a slip of units: nothing but a centrifuge pulls harder."""
+"""Largest accepted gravity [m/s²]; a larger one is given in another unit."""
 MAX_PROFILE_POINTS = 64
 
 MIN_DIAMETER_MM, MAX_DIAMETER_MM = 0.3, 60.0
 
 Length = Annotated[float, Field(ge=5.0, le=400.0)]
 Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
-Share = Annotated[float, Field(ge=0.0, le=0.5)]
+RelativeStd = Annotated[float, Field(ge=0.0, le=0.5)]
 BoreRatio = Annotated[float, Field(ge=0.05, le=0.9)]
 Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
 Scale = Annotated[float, Field(ge=0.9, le=1.1)]
-"""Beyond a tenth it is a slip: resins shrink by a percent or two (assumed)."""
+"""Printed over drawn size. Resins shrink by a percent or two, so more than a tenth is a mistake (assumed)."""
 
 SECTION_KEYS = {
     "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
     "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
 }
-"""Keys that belong to one section, with it and with what to say when they are missing."""
+"""Section to which a key belongs, and the message when the key is missing, by key."""
 
 
 class Table(BaseModel):
-    """What every table of a design file has in common: no unknown keys, no guessed types, no NaN."""
+    """Base of all tables: no unknown keys, no type conversion, no NaN."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class ProbeTable(Table):
-    """`[probe]`: the flexible part. All lengths in millimetres; of an elliptic section, diameters along x."""
+    """`[probe]`: the flexible part. Lengths are in millimetres; diameters of an elliptic section are along x."""
 
-    shape: Shape = "cone"
+    shape: ProbeShape = "cone"
     length_mm: Length
     base_d_mm: Diameter
     tip_d_mm: Diameter | None = None
     profile_mm: tuple[tuple[float, float], ...] | None = None
-    tip: Tip = "blunt"
-    section: Section = "round"
+    tip: TipKind = "blunt"
+    section: SectionKind = "round"
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
     assumed: tuple[str, ...] = ()
@@ -149,17 +153,17 @@ class ProbeTable(Table):
 
     @property
     def knots_mm(self) -> tuple[tuple[float, float], ...]:
-        """(s, diameter) where the taper may change [mm]."""
+        """Return (s, diameter) of the knots between which the diameter is linear [mm], rounding included."""
         return self.blunt_mm if self.tip == "blunt" else rounded(self.blunt_mm)
 
     @property
     def flank_end_mm(self) -> float:
-        """Where the flank ends and a rounded tip begins [mm]; the length of a blunt one."""
+        """Return the arclength at which the flank ends and a rounded tip begins [mm]; the length for a blunt tip."""
         return self.knots_mm[len(self.blunt_mm) - 1][0]
 
     @property
     def blunt_mm(self) -> tuple[tuple[float, float], ...]:
-        """The same of a body with a flat end."""
+        """Return (s, diameter) of the knots of the body with a blunt tip [mm]."""
         if self.profile_mm is not None:
             return self.profile_mm
         tip = self.base_d_mm if self.tip_d_mm is None else self.tip_d_mm
@@ -167,12 +171,12 @@ class ProbeTable(Table):
 
     @property
     def cross_section(self) -> CrossSection:
-        """Its proportions."""
+        """Return the proportions of the cross section."""
         return CrossSection(self.bore_ratio or 0.0, self.flatness or 1.0)
 
 
 class ProvenanceTable(Table):
-    """`[material.provenance]`: where each number of `[material]` comes from."""
+    """`[material.provenance]`: provenance of each number of `[material]`."""
 
     youngs_modulus_mpa: Provenance = "assumed"
     shear_modulus_mpa: Provenance = "assumed"
@@ -180,7 +184,7 @@ class ProvenanceTable(Table):
 
 
 class MaterialTable(Table):
-    """`[material]`: a resin by name; numbers given here go before the resin's."""
+    """`[material]`: a resin by name; numbers given here replace those of the resin."""
 
     resin: str = "elastic-50a"
     youngs_modulus_mpa: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
@@ -193,7 +197,7 @@ class MaterialTable(Table):
 
 
 class SensorTable(Table):
-    """`[sensor]`: which sensor, which calibration, how many samples make one reading."""
+    """`[sensor]`: the sensor, its calibration and the number of samples averaged to one reading."""
 
     model: str = "nano17"
     calibration: str = "si-12-0.12"
@@ -204,7 +208,7 @@ Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
 
 
 class FlangeTable(Table):
-    """`[mount.flange]`: a robot flange that is not known by name. Azimuths count from its dowel."""
+    """`[mount.flange]`: a robot flange that is not in the catalog. Azimuths are measured from its dowel."""
 
     bolt: Literal["M4", "M5", "M6", "M8"]
     bolt_circle_d_mm: Millimetres
@@ -228,7 +232,7 @@ class FlangeTable(Table):
 
 
 class MountTable(Table):
-    """`[mount]`: how the probe hangs on the robot."""
+    """`[mount]`: the robot flange, the orientation of gravity and the compliance of the root."""
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
@@ -245,28 +249,28 @@ class MountTable(Table):
         if math.hypot(*self.gravity_base_m_s2) > MAX_GRAVITY:
             given = f"= {list(self.gravity_base_m_s2)} is longer than {MAX_GRAVITY:g} m/s²"
             raise Inconsistent("gravity_base_m_s2", f"{given}; give it in m/s², e.g. [9.81, 0.0, 0.0]")
-        if (self.flange is not None) != (self.robot_flange == OWN):
-            missing = f"is missing beside robot_flange = {OWN!r}"
-            unused = f"is only for robot_flange = {OWN!r}; remove it or change robot_flange"
+        if (self.flange is not None) != (self.robot_flange == CUSTOM):
+            missing = f"is missing beside robot_flange = {CUSTOM!r}"
+            unused = f"is only for robot_flange = {CUSTOM!r}; remove it or change robot_flange"
             raise Inconsistent("flange", missing if self.flange is None else unused)
         return self
 
 
 class ContactProvenanceTable(Table):
-    """`[contact.provenance]`: where each number of `[contact]` comes from."""
+    """`[contact.provenance]`: provenance of each number of `[contact]`."""
 
     friction: Provenance = "assumed"
 
 
 class ContactTable(Table):
-    """`[contact]`: the touch itself. `friction = inf` leaves the direction of the force free, 0 is frictionless."""
+    """`[contact]`: friction of a touch. `inf` leaves the direction of the force free, 0 is frictionless."""
 
     friction: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] | None = None
     provenance: ContactProvenanceTable = ContactProvenanceTable()
 
 
 class PrintTable(Table):
-    """`[print]`: on what the parts are printed, and how much larger than drawn, so that they come out as drawn."""
+    """`[print]`: the printer, and the printed over the drawn size that compensates shrinkage."""
 
     printer: str = "form-3"
     scale_xy: Scale = 1.0
@@ -276,43 +280,43 @@ class PrintTable(Table):
 
     @property
     def scale(self) -> tuple[float, float, float]:
-        """Printed over drawn along x, y and z, of the flexible part."""
+        """Return the printed over the drawn size of the flexible part along x, y and z."""
         return (self.scale_xy, self.scale_xy, self.scale_z)
 
     @property
     def rigid_scale(self) -> tuple[float, float, float]:
-        """The same of the rigid parts."""
+        """Return the printed over the drawn size of the rigid parts along x, y and z."""
         return (self.rigid_scale_xy, self.rigid_scale_xy, self.rigid_scale_z)
 
 
 class TolerancesTable(Table):
-    """`[tolerances]`: standard deviations of the priors; what is not given is assumed."""
+    """`[tolerances]`: standard deviations of the model parameters; missing ones take their defaults."""
 
     drift_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
     walk_steps: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
-    youngs_modulus: Share | None = None
+    youngs_modulus: RelativeStd | None = None
     youngs_modulus_by_diameter: Annotated[float, Field(ge=-20.0, le=20.0)] | None = None
-    shear_modulus: Share | None = None
-    density: Share | None = None
+    shear_modulus: RelativeStd | None = None
+    density: RelativeStd | None = None
     diameter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
-    diameter_share: Share | None = None
+    diameter_share: RelativeStd | None = None
     diameter_scatter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     length_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
-    length_share: Share | None = None
+    length_share: RelativeStd | None = None
     base_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tilt_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     clocking_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     gravity_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     root_radii: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
-    gain: Share | None = None
-    creep: Share | None = None
-    stiffness_scatter: Share | None = None
+    gain: RelativeStd | None = None
+    creep: RelativeStd | None = None
+    stiffness_scatter: RelativeStd | None = None
     robot_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tared: bool | None = None
 
 
 def as_tuple(value: Any) -> Any:
-    """A TOML array, and the arrays in it, as tuples; anything else unchanged, for pydantic to refuse."""
+    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
     if not isinstance(value, list):
         return value
     return tuple(tuple(v) if isinstance(v, list) else v for v in value)
@@ -322,7 +326,7 @@ NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
 class Design(Table):
-    """One probe, as its design file says it."""
+    """A probe as its design file describes it: the checked tables, and their quantities in SI units."""
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str
@@ -342,13 +346,13 @@ class Design(Table):
 
     @model_validator(mode="after")
     def _root_fits(self) -> Self:
-        """The rigid root must end on the probe."""
+        """Check that the rigid root is shorter than the probe."""
         rigid = self.mount.root_rigid_radii * self.probe.base_d_mm / 2.0
         if rigid >= self.probe.length_mm:
-            most = 2.0 * self.probe.length_mm / self.probe.base_d_mm
+            limit = 2.0 * self.probe.length_mm / self.probe.base_d_mm
             raise Inconsistent(
                 "mount.root_rigid_radii",
-                f"= {self.mount.root_rigid_radii:g} makes {rigid:g} mm rigid, the whole probe; stay below {most:g}",
+                f"= {self.mount.root_rigid_radii:g} makes {rigid:g} mm rigid, the whole probe; stay below {limit:g}",
             )
         return self
 
@@ -363,57 +367,57 @@ class Design(Table):
 
     @property
     def resin(self) -> Resin:
-        """The named resin."""
+        """Return the resin of `[material]`."""
         return resin_named(self.material.resin)
 
     @property
     def sensor_model(self) -> SensorModel:
-        """The named sensor."""
+        """Return the sensor of `[sensor]`."""
         return sensor_named(self.sensor.model)
 
     @property
     def calibration(self) -> Calibration:
-        """The named calibration of that sensor."""
+        """Return the calibration of `[sensor]`."""
         return self.sensor_model.calibration(self.sensor.calibration)
 
     @property
     def robot_flange(self) -> RobotFlange:
-        """The named robot flange, or that of `[mount.flange]`."""
-        own = self.mount.flange
-        if own is None:
+        """Return the robot flange of the catalog, or that of `[mount.flange]`."""
+        custom = self.mount.flange
+        if custom is None:
             return robot_flange_named(self.mount.robot_flange)
         slot, spigot = (
             None if pair is None else (pair[0] * MM, pair[1] * MM)
-            for pair in (own.pin_slot_mm, own.spigot_mm)
+            for pair in (custom.pin_slot_mm, custom.spigot_mm)
         )
-        return own_flange(
-            own.bolt, own.bolt_circle_d_mm * MM, own.bolt_azimuths_deg, own.max_bolt_entry_mm * MM,
-            own.bolt_length_mm * MM, own.face_d_mm * MM, slot, spigot,
+        return custom_flange(
+            custom.bolt, custom.bolt_circle_d_mm * MM, custom.bolt_azimuths_deg, custom.max_bolt_entry_mm * MM,
+            custom.bolt_length_mm * MM, custom.face_d_mm * MM, slot, spigot,
         )  # fmt: skip
 
     @property
     def printer(self) -> Printer:
-        """The named printer."""
+        """Return the printer of `[print]`."""
         return printer_named(self.print_.printer)
 
     @property
     def youngs_modulus(self) -> Quantity:
-        """E [Pa] with its provenance."""
+        """Return E [Pa] with its provenance."""
         return self._quantity("youngs_modulus_mpa", MPA, self.resin.youngs_modulus)
 
     @property
     def shear_modulus(self) -> Quantity:
-        """G [Pa] with its provenance."""
+        """Return G [Pa] with its provenance."""
         return self._quantity("shear_modulus_mpa", MPA, self.resin.shear_modulus)
 
     @property
     def density(self) -> Quantity:
-        """Density [kg/m³] with its provenance."""
+        """Return the density [kg/m³] with its provenance."""
         return self._quantity("density_kg_m3", 1.0, self.resin.density)
 
     @property
     def friction(self) -> Quantity:
-        """Friction of a touch, tangential over normal force [-], with its provenance."""
+        """Return the friction of a touch, tangential over normal force [-], with its provenance."""
         given = self.contact.friction
         if given is None:
             return self.resin.friction
@@ -427,7 +431,7 @@ class Design(Table):
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """What of this design is assumed, each as `table.key`, for every report that shows numbers."""
+        """Return the keys whose values are assumed, each as `table.key`, for all reports."""
         dimensions = [f"probe.{key}" for key in self.probe.assumed]
         quantities = {
             "material.youngs_modulus_mpa": self.youngs_modulus,

@@ -1,4 +1,4 @@
-"""What a section looks like: full and round, hollow or flattened. The same along the whole probe, but for its size."""
+"""Cross sections: full and round, hollow or elliptic, similar to themselves along the whole probe."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from probedesign.core.errors import InputError
 
 
 class Factors(NamedTuple):
-    """What a section has over what a full round one has of the same width along x.
+    """Ratios of the properties of a section to those of a full round section of the same width along x.
 
     Attributes:
         area: of A.
@@ -26,7 +26,7 @@ class Factors(NamedTuple):
 
 @dataclass(frozen=True)
 class CrossSection:
-    """A section by its proportions; what is called its radius is its half-width along x.
+    """A section by its proportions; its radius is its half-width along x.
 
     Attributes:
         bore_ratio: inner over outer diameter; 0 is full.
@@ -38,32 +38,36 @@ class CrossSection:
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.bore_ratio < 1.0 and 0.0 < self.flatness <= 1.0):
-            raise InputError(f"section: {self} is none; 0 <= bore_ratio < 1 and 0 < flatness <= 1")
+            raise InputError(
+                f"section: {self} is not a section: needs 0 <= bore_ratio < 1 and 0 < flatness <= 1"
+            )
         if self.hollow and self.flat:
-            raise InputError(f"section: {self} is both hollow and flattened; nothing here draws that")
+            raise InputError(
+                f"section: {self} is both hollow and elliptic, which is not supported; choose one"
+            )
 
     @property
     def hollow(self) -> bool:
-        """Whether there is a bore."""
+        """Return whether there is a bore."""
         return self.bore_ratio > 0.0
 
     @property
     def flat(self) -> bool:
-        """Whether it bends more easily about x than about y."""
+        """Return whether the section is elliptic, so that it bends more easily about x than about y."""
         return self.flatness < 1.0
 
     @property
     def full_round(self) -> bool:
-        """Whether it is neither."""
+        """Return whether the section is neither hollow nor elliptic."""
         return not (self.hollow or self.flat)
 
     def reach(self, side: float) -> float:
-        """From the axis to the surface over the half-width along x, in the direction `side` from x to y [rad]."""
+        """Return the distance from axis to surface over the half-width along x, at an angle from x to y [rad]."""
         return 1.0 / math.hypot(math.cos(side), math.sin(side) / self.flatness)
 
     @cached_property
     def factors(self) -> Factors:
-        """A, I_xx, I_yy and J over π r², π r⁴/4, π r⁴/4 and π r⁴/2.
+        """Return A, I_xx, I_yy and J over π r², π r⁴/4, π r⁴/4 and π r⁴/2.
 
         With β the bore ratio and φ = b/a the flatness of semi-axes a = r and b: a bore takes β² of A and β⁴ of
         the moments; an ellipse has A = π a b, I_xx = π a b³/4, I_yy = π a³ b/4, J = π a³ b³/(a² + b²).

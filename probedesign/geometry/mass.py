@@ -1,4 +1,4 @@
-"""Volume, mass, centre and inertia of rigid and undeformed bodies, in closed form."""
+"""Volume, mass, centre of mass and inertia of rigid and undeformed bodies, in closed form."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,17 +27,17 @@ class MassProperties:
     inertia: Array
 
     def moved(self, T_a_b: Array) -> "MassProperties":
-        """The same body, given in frame b, told in frame a."""
+        """Return the properties in frame a of a body whose properties here are in frame b."""
         R = T_a_b[:3, :3]
         return MassProperties(self.volume, self.mass, R @ self.p_com + T_a_b[:3, 3], R @ self.inertia @ R.T)
 
     def inertia_about(self, p: Array) -> Array:
-        """Inertia about point p [kg·m²], (3, 3), by the parallel-axis theorem."""
+        """Return the inertia about point p [kg·m²], (3, 3), by the parallel-axis theorem."""
         d = skew(self.p_com - p)
         return self.inertia - self.mass * d @ d
 
     def wrench(self, gravity: Array) -> Array:
-        """[m g; p_com × m g] about the frame's origin for gravity [m/s²] in the frame's axes, (6,)."""
+        """Return the wrench [m g; p_com × m g] about the origin of the frame for gravity [m/s²] in its axes, (6,)."""
         weight = self.mass * np.asarray(gravity, dtype=float)
         return np.concatenate([weight, np.cross(self.p_com, weight)])
 
@@ -46,7 +46,7 @@ NOTHING = MassProperties(0.0, 0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 def combined(bodies: Iterable[MassProperties]) -> MassProperties:
-    """Several bodies, all told in one frame, as one."""
+    """Return the properties of several bodies, all in one frame, as one body."""
     bodies = [b for b in bodies if b.mass > 0.0]
     if not bodies:
         return NOTHING
@@ -59,12 +59,12 @@ def combined(bodies: Iterable[MassProperties]) -> MassProperties:
 def frustum(
     r1: float, r2: float, height: float, z: float, density: float, section: CrossSection = FULL_ROUND
 ) -> MassProperties:
-    """A cone frustum on the z axis, radius r1 at z and r2 at z + height [m], density [kg/m³].
+    """Return the properties of a cone frustum on the z axis, radius r1 at z and r2 at z + height [m], density [kg/m³].
 
     Full and round: V = π h (r1² + r1 r2 + r2²)/3; z̄ = h (r1² + 2 r1 r2 + 3 r2²)/(4 (r1² + r1 r2 + r2²));
     ∫r⁴ = h (r1⁴ + r1³r2 + r1²r2² + r1r2³ + r2⁴)/5; ∫z² dV = π h³ (r1² + 3 r1 r2 + 6 r2²)/30.
 
-    Of another section, which is everywhere similar to itself, each integral over a slice is its factor of that.
+    For another section, which is similar to itself along z, each integral over a slice is multiplied by its factor.
 
     Source: integration of a linear radius; agrees with any table of solids for r1 = r2 and r2 = 0.
     """
@@ -82,7 +82,7 @@ def frustum(
 
 
 def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
-    """The body from s = 0 to the tip, undeformed, in the base frame; density [kg/m³]."""
+    """Return the properties of the undeformed body from s = 0 to the tip in the base frame; density [kg/m³]."""
     s, r, section = geometry.s, geometry.radius, geometry.cross_section
     return combined(
         frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density, section) for i in range(len(s) - 1)
@@ -90,6 +90,6 @@ def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
 
 
 def flange_part(geometry: ProbeGeometry, density: float) -> MassProperties:
-    """The flange disc below the base with the bore of a hollow probe, in the base frame; density [kg/m³]."""
+    """Return the properties of the flange with the bore of a hollow probe in the base frame; density [kg/m³]."""
     r, t = geometry.flange.diameter / 2.0, geometry.flange.thickness
     return frustum(r, r, t, -t, density, CrossSection(bore_ratio=geometry.bore_radius / r))

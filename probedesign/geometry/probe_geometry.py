@@ -1,4 +1,4 @@
-"""The one geometry that CAD and mechanics both read: a straight body, radius piecewise linear in s."""
+"""The geometry that CAD and mechanics share: a straight body whose radius is piecewise linear in s, and its flange."""
 
 import hashlib
 import math
@@ -12,7 +12,7 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
-if TYPE_CHECKING:  # the computer that runs `live` loads no design
+if TYPE_CHECKING:  # `live` runs without the design package
     from probedesign.design import Design
 
 
@@ -22,7 +22,7 @@ class Flange:
 
     Attributes:
         diameter: [m].
-        thickness: it fills z in [-thickness, 0] of the base frame [m].
+        thickness: of the disc, which fills z in [-thickness, 0] of the base frame [m].
     """
 
     diameter: float
@@ -39,10 +39,10 @@ class ProbeGeometry:
     Attributes:
         s: knots along the axis, 0 ... length [m], (K,), increasing.
         radius: at the knots [m], (K,), positive; of a flattened probe along x.
-        flange: the disc that the adapter holds.
+        flange: the disc that is clamped in the adapter.
         cross_section: full and round, hollow or flattened.
-        rounded_from: where the rounding of the tip begins [m], a knot; None for a blunt tip. It says nothing that
-            the knots do not, so the fingerprint leaves it out.
+        rounded_from: where the rounding of the tip begins [m], a knot; None for a blunt tip. It follows from
+            the knots, so the fingerprint does not include it.
     """
 
     s: Array
@@ -53,37 +53,37 @@ class ProbeGeometry:
 
     @property
     def length(self) -> float:
-        """Of the flexible part [m]."""
+        """Return the length of the flexible part [m]."""
         return float(self.s[-1])
 
     @property
     def base_radius(self) -> float:
-        """At s = 0 [m]."""
+        """Return the radius at s = 0 [m]."""
         return float(self.radius[0])
 
     @property
     def tip_radius(self) -> float:
-        """At s = length [m]."""
+        """Return the radius at s = length [m]."""
         return float(self.radius[-1])
 
     @property
     def flank_end(self) -> float:
-        """Where the flank ends [m]: the length, or where a rounded tip begins."""
+        """Return the arclength at which the flank ends [m]: the length, or the begin of a rounded tip."""
         return self.length if self.rounded_from is None else self.rounded_from
 
     @property
     def bore_radius(self) -> float:
-        """Of the hole through the flange, and of a hollow probe at s = 0 [m]; 0 without a bore."""
+        """Return the radius of the bore through the flange and at s = 0 [m]; 0 without a bore."""
         return self.cross_section.bore_ratio * self.base_radius
 
     @property
     def thinnest(self) -> float:
-        """The least thickness that must print: a wall of a hollow probe, else a diameter of the flank [m]."""
+        """Return the smallest printed thickness: the wall of a hollow probe, else the diameter of the flank [m]."""
         section, radius = self.cross_section, float(self.radius[self.s <= self.flank_end].min())
         return (1.0 - section.bore_ratio) * radius if section.hollow else 2.0 * section.flatness * radius
 
     def radius_at(self, s: ArrayLike) -> Array:
-        """Radius [m] at arclength s [m], any shape."""
+        """Return the radius [m] at arclength s [m], an array of any shape."""
         radius: Array = np.interp(np.asarray(s, dtype=float), self.s, self.radius)
         return radius
 
@@ -106,9 +106,9 @@ class ProbeGeometry:
 
     @property
     def fingerprint(self) -> str:
-        """Twelve hex digits that stand for this geometry: SHA-256 of its dimensions rounded to a nanometre.
+        """Return twelve hex digits that identify the geometry: SHA-256 of its dimensions, rounded to a nanometre.
 
-        The proportions of the section count where it is not full and round, rounded to 1e-9.
+        The proportions of a section that is not full and round are included, rounded to 1e-9.
         """
         dimensions = [*self.s, *self.radius, self.flange.diameter, self.flange.thickness]
         section = self.cross_section
@@ -118,20 +118,20 @@ class ProbeGeometry:
 
 
 FLANGE_THICKNESS = 3.0 * MM
-"""Thick enough to be gripped in Elastic 50A; twice the 1.5 mm that the resin asks of a feature (assumed)."""
+"""Thickness of the flange [m]: twice the 1.5 mm that Elastic 50A requires of a feature, to be clamped (assumed)."""
 FLANGE_LIP = 3.5 * MM
-"""Radial width that the clamp ring presses on (assumed)."""
+"""Radial width under the clamp ring [m] (assumed)."""
 FLANGE_MIN_D = 17.0 * MM
-"""Never narrower than the sensor's body, so that one adapter serves every thin probe."""
+"""Smallest diameter of the flange [m]: the body of the Nano17, so that one adapter serves all thin probes."""
 
 
 def flange_for(base_d: float) -> Flange:
-    """The flange of a probe of that base diameter [m]."""
+    """Return the flange of a probe of that base diameter [m]."""
     return Flange(max(base_d + 2 * FLANGE_LIP, FLANGE_MIN_D), FLANGE_THICKNESS)
 
 
 def build_geometry(design: "Design") -> ProbeGeometry:
-    """The geometry that a design describes, in SI."""
+    """Return the geometry of a design, in SI units."""
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0
     return ProbeGeometry(
@@ -147,15 +147,15 @@ Knot = tuple[float, float]
 
 
 DEVIATION_MM = 0.025
-"""How far the frusta may stand off the sphere [mm]: one pixel of a Form 3 in XY, which prints no finer; its layers
-of Elastic 50A are 0.1 mm."""
+"""Largest deviation of the frusta from the sphere of a rounded tip [mm]: one pixel of a Form 3 in XY, the finest that
+it prints; its layers of Elastic 50A are 0.1 mm."""
 
 
-_MOST_FACETS = 64
+_MAX_FACETS = 64
 
 
 def rounding_height_mm(before: Knot, tip: Knot) -> float:
-    """How much of the length the rounding takes [mm]: r cos α, with r the tip's radius and α the taper's half-angle.
+    """Return the length of the rounding [mm]: r cos α, with r the tip's radius and α the taper's half-angle.
 
     Args:
         before, tip: the last two (s, diameter) of the blunt body [mm].
@@ -164,11 +164,11 @@ def rounding_height_mm(before: Knot, tip: Knot) -> float:
 
 
 def rounded(knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
-    """The knots (s, diameter) [mm] of the same body with a round end; its length stays.
+    """Return the knots (s, diameter) [mm] of a body with a round end of the same length.
 
     The sphere touches the last frustum all around and the end plane: R = r cos α/(1 - sin α). The frusta are those
     of a regular polygon about it: every facet touches the sphere, the first is the flank itself, the last the flat
-    end; no corner stands off by more than `DEVIATION_MM`.
+    end; no corner deviates by more than `DEVIATION_MM`.
 
     Args:
         knots: of the blunt body; its last frustum is at least `rounding_height_mm` long.
@@ -178,7 +178,7 @@ def rounded(knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
     R = d / 2.0 * math.cos(alpha) / (1.0 - math.sin(alpha))
     turn = math.pi / 2.0 - alpha  # of the normal, from the flank's to the end's
     widest = 2.0 * math.acos(1.0 / (1.0 + DEVIATION_MM / R))
-    count = min(max(math.ceil(turn / widest), 2), _MOST_FACETS)
+    count = min(max(math.ceil(turn / widest), 2), _MAX_FACETS)
     step = turn / count
     corner = R / math.cos(step / 2.0)
     angles = [(k + 0.5) * step for k in reversed(range(1, count))]
@@ -187,5 +187,5 @@ def rounded(knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
 
 
 def _half_angle(before: Knot, tip: Knot) -> float:
-    """α of the last frustum [rad]; negative where it widens."""
+    """Return the half-angle α of the last frustum [rad]; negative where it widens."""
     return math.atan((before[1] - tip[1]) / 2.0 / (tip[0] - before[0]))

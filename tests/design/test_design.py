@@ -575,8 +575,8 @@ def test_a_sensor_by_model_or_calibration():
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("# only words\n", "x.toml: says nothing; it needs schema, name, probe"),
-        ("schema = 1\n", "x.toml: name is missing (wrong besides: probe)"),
+        ("# only words\n", "x.toml: is empty; it needs schema, name, probe"),
+        ("schema = 1\n", "x.toml: name is missing (also wrong: probe)"),
     ],
 )
 def test_a_file_that_says_too_little_is_told_what_it_lacks(text, told):

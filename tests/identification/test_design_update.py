@@ -6,7 +6,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
-from probedesign.design.edit import Change, edited
+from probedesign.design.edit import Change, edit_text
 from probedesign.identification.design_update import check_overwritable
 from tests.identification.conftest import LARGE
 
@@ -17,7 +17,7 @@ SMALL = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = 8.0\nti
 def test_old_value_and_its_comment_stay_above_the_new() -> None:
     text = LARGE.read_text()
     change = Change("material", "youngs_modulus_mpa", "2.41", "identified")
-    lines = edited(text, [change], DAY, "large.toml").splitlines()
+    lines = edit_text(text, [change], DAY, "large.toml").splitlines()
     at = next(i for i, line in enumerate(lines) if line.startswith("youngs_modulus_mpa = 2.41 "))
     before = next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))
     assert lines[at].endswith("# identified")
@@ -34,7 +34,7 @@ def test_tables_that_are_missing_are_added() -> None:
         Change("tolerances", "youngs_modulus", "0.004"),
         Change("tolerances", "shear_modulus", "0.03"),
     ]
-    design = parse_design(edited(SMALL, changes, DAY, "x.toml"))
+    design = parse_design(edit_text(SMALL, changes, DAY, "x.toml"))
     assert design.youngs_modulus.value == pytest.approx(2.41e6)
     assert design.material.provenance.youngs_modulus_mpa == "identified"
     assert (design.tolerances.youngs_modulus, design.tolerances.shear_modulus) == (0.004, 0.03)
@@ -43,15 +43,19 @@ def test_tables_that_are_missing_are_added() -> None:
 def test_an_unchanged_value_is_left_alone() -> None:
     text = LARGE.read_text()
     change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
-    assert edited(text, [change], DAY, "large.toml") == text
-    once = edited(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
-    again = edited(once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    assert edit_text(text, [change], DAY, "large.toml") == text
+    once = edit_text(
+        text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml"
+    )
+    again = edit_text(
+        once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml"
+    )
     assert again == once  # the same line is no old one
 
 
 def test_windows_line_ends_are_kept() -> None:
     text = SMALL.replace("\n", "\r\n")
-    result = edited(text, [Change("probe", "tip_d_mm", "2.5")], DAY, "x.toml")
+    result = edit_text(text, [Change("probe", "tip_d_mm", "2.5")], DAY, "x.toml")
     assert result.count("\r\n") == result.count("\n") == text.count("\n") + 1
 
 
@@ -64,12 +68,12 @@ def test_tables_that_are_no_lines_are_refused(material: str) -> None:
     with pytest.raises(
         InputError, match=r"not written line by line; set by hand: material.youngs_modulus_mpa = 2"
     ):
-        edited(text, [Change("material", "youngs_modulus_mpa", "2.41")], DAY, "x.toml")
+        edit_text(text, [Change("material", "youngs_modulus_mpa", "2.41")], DAY, "x.toml")
 
 
 def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="out of range"):
-        edited(SMALL, [Change("tolerances", "youngs_modulus", "0.7")], DAY, "x.toml")
+        edit_text(SMALL, [Change("tolerances", "youngs_modulus", "0.7")], DAY, "x.toml")
 
 
 @pytest.mark.parametrize(
@@ -105,4 +109,4 @@ def test_assumed_values_are_replaced_without_force() -> None:
         Change("tolerances", "youngs_modulus", "0.02"),
     )
     check_overwritable(parse_design(text), text, changes, "x.toml", False)
-    assert "# until 2026-01-02: stiffness_spread = 0.1" in edited(text, changes, DAY, "x.toml")
+    assert "# until 2026-01-02: stiffness_spread = 0.1" in edit_text(text, changes, DAY, "x.toml")

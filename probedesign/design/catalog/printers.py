@@ -1,4 +1,4 @@
-"""Printers as data: what fits into them. Source: PreForm's build volumes."""
+"""Printers and their build volumes. Source: PreForm."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from probedesign.core.units import MM
 
 @dataclass(frozen=True)
 class Printer:
-    """One printer.
+    """A printer.
 
     Attributes:
         name: as written in a design file.
@@ -39,7 +39,7 @@ PRINTERS = {
 
 
 def printer_named(name: str) -> Printer:
-    """The printer of that name.
+    """Return the printer of that name.
 
     Raises:
         InputError: no such printer.

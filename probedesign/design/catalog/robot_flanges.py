@@ -1,4 +1,4 @@
-"""Robot flanges as data: ISO 9409-1 patterns that the flange adapter bolts to."""
+"""Robot flanges: the ISO 9409-1 patterns to which the flange adapter is bolted."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from probedesign.core.units import MM
 
 @dataclass(frozen=True)
 class RobotFlange:
-    """One flange pattern. Azimuths count from the dowel hole. All lengths [m].
+    """A flange pattern. Azimuths are measured from the dowel hole; lengths are in metres.
 
     Attributes:
         bolt_circle_d: of the tapped holes and of the dowel.
@@ -16,12 +16,12 @@ class RobotFlange:
         bolt: thread name.
         bolt_clearance_d: through hole in the adapter.
         bolt_head_d: of a socket head screw (ISO 4762).
-        max_bolt_entry: deepest that a screw may enter the robot.
-        bolt_length: the stock screw that the adapter's thickness is made for.
-        pin_slot: width and radial length of the slot that takes the dowel pin; zeros for none.
+        max_bolt_entry: largest depth to which a screw may enter the robot.
+        bolt_length: length of the stock screw for which the adapter is dimensioned.
+        pin_slot: width and radial length of the slot for the dowel pin; zeros for none.
         spigot: diameter and height of the centring boss; zeros for none.
         face_d: diameter of the flange's face.
-        source: where the numbers come from.
+        source: of the numbers.
     """
 
     name: str
@@ -39,7 +39,7 @@ class RobotFlange:
 
     @property
     def pin_d(self) -> float:
-        """Diameter of the dowel pin that the slot takes with 0.2 mm of play [m]; 0 without one."""
+        """Return the diameter of the dowel pin that fits the slot with 0.2 mm of play [m]; 0 without a slot."""
         return max(self.pin_slot[0] - 0.2 * MM, 0.0)
 
 
@@ -78,8 +78,8 @@ ROBOT_FLANGES = {
 }
 
 
-OWN = "own"
-"""What `mount.robot_flange` says where the pattern stands in the design file itself, in `[mount.flange]`."""
+CUSTOM = "own"
+"""Value of `mount.robot_flange` where the pattern is in the design file itself, in `[mount.flange]`."""
 BOLTS = {
     "M4": (4.5 * MM, 7.0 * MM),
     "M5": (5.5 * MM, 8.5 * MM),
@@ -89,7 +89,7 @@ BOLTS = {
 """Clearance hole (ISO 273, medium) and head (ISO 4762) by thread."""
 
 
-def own_flange(
+def custom_flange(
     bolt: str,
     circle_d: float,
     azimuths_deg: tuple[float, ...],
@@ -99,16 +99,16 @@ def own_flange(
     pin_slot: tuple[float, float] | None,
     spigot: tuple[float, float] | None,
 ) -> RobotFlange:
-    """A pattern that only its user knows; arguments as the attributes of `RobotFlange` [m]."""
+    """Return a pattern that is not in the catalog; arguments as the attributes of `RobotFlange` [m]."""
     none = (0.0, 0.0)
     return RobotFlange(
-        OWN, circle_d, azimuths_deg, bolt, *BOLTS[bolt], max_entry, length, pin_slot or none, spigot or none, face_d,
+        CUSTOM, circle_d, azimuths_deg, bolt, *BOLTS[bolt], max_entry, length, pin_slot or none, spigot or none, face_d,
         "design file, mount.flange",
     )  # fmt: skip
 
 
 def robot_flange_named(name: str) -> RobotFlange:
-    """The flange of that name.
+    """Return the flange of that name.
 
     Raises:
         InputError: no such flange.
@@ -116,4 +116,4 @@ def robot_flange_named(name: str) -> RobotFlange:
     try:
         return ROBOT_FLANGES[name]
     except KeyError:
-        raise unknown_name("mount.robot_flange", name, [*ROBOT_FLANGES, OWN]) from None
+        raise unknown_name("mount.robot_flange", name, [*ROBOT_FLANGES, CUSTOM]) from None

@@ -1,7 +1,7 @@
-"""The force/moment sensor as data: holes, frame, ranges, resolution.
+"""Force/moment sensors: mechanical interface, frame, ranges and resolution.
 
-Source of all numbers unless said otherwise: ATI's published Nano17 drawing and specifications;
-a value of weaker standing is marked assumed where it stands.
+Source of all numbers unless noted otherwise: the drawing and specifications of the Nano17 published by ATI; other
+values are marked as assumed.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from probedesign.core.units import MM, N_MM
 
 @dataclass(frozen=True)
 class Calibration:
-    """One calibration of a sensor: range and resolution of each channel."""
+    """A calibration of a sensor: range and resolution of each channel."""
 
     name: str
     force_range: tuple[float, float, float]  # |Fx|, |Fy|, |Fz| [N]
@@ -26,7 +26,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class ScrewPattern:
-    """Equal screw holes on a bolt circle; azimuths in the sensor frame [deg]."""
+    """Equal screw holes on a bolt circle, with azimuths in the sensor frame [deg]."""
 
     bolt_circle_d: float  # [m]
     azimuths_deg: tuple[float, ...]
@@ -36,8 +36,11 @@ class ScrewPattern:
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Mechanics of one sensor body. Frame: +X through the tool-side dowel hole at 0°, +Z out of the
-    tool face, origin at the centre of the tool face, right-handed."""
+    """A sensor: its body, its interfaces and its calibrations.
+
+    Its frame is right-handed, with the origin at the centre of the tool face, +X through the tool-side dowel hole at 0°
+    and +Z out of the tool face.
+    """
 
     name: str
     body_d: float  # [m]
@@ -54,7 +57,7 @@ class SensorModel:
     calibrations: tuple[Calibration, ...]
 
     def calibration(self, name: str) -> Calibration:
-        """The calibration of that name.
+        """Return the calibration of that name.
 
         Raises:
             InputError: no such calibration.
@@ -93,7 +96,7 @@ SENSORS = {NANO17.name: NANO17}
 
 
 def sensor_named(name: str) -> SensorModel:
-    """The sensor of that name.
+    """Return the sensor of that name.
 
     Raises:
         InputError: no such sensor.
@@ -106,7 +109,7 @@ def sensor_named(name: str) -> SensorModel:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of one reading's channels, independent of each other.
+    """Standard deviations of the channels of one reading, which are independent of each other.
 
     Attributes:
         force: of each force channel [N].
@@ -117,15 +120,14 @@ class Noise:
     moment: float
 
     def covariance(self) -> Array:
-        """Covariance of [force; moment], (6, 6)."""
+        """Return the covariance of [force; moment], (6, 6)."""
         return np.diag([self.force**2] * 3 + [self.moment**2] * 3)
 
 
 def averaged_noise(calibration: Calibration, samples: int) -> Noise:
-    """Noise of the mean of `samples` independent readings, each with σ of one resolution step.
+    """Return the noise of the mean of `samples` independent samples, each with a σ of one resolution step.
 
-    One step a sample is assumed: one Net Box was measured at 0.35 steps unfiltered, so this errs on
-    the safe side.
+    One step per sample is assumed and conservative: a Net Box was measured at 0.35 steps without filter.
     """
     root = float(np.sqrt(samples))
     return Noise(calibration.force_resolution / root, calibration.moment_resolution / root)
