@@ -44,7 +44,7 @@ def write_atomically(
     Raises:
         InputError: the file exists and must not be replaced, or it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -2,6 +2,7 @@
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -75,9 +76,12 @@ def test_backups_are_numbered(tmp_path):
     assert (tmp_path / "a.old2").read_bytes() == b"2"
 
 
-def test_a_file_below_a_file_is_not_writable(tmp_path):
+def test_a_folder_or_a_file_below_a_file_is_not_writable(tmp_path):
     (tmp_path / "a").touch()
     check_writable(tmp_path / "b" / "c")
     for refused in (check_writable, lambda path: write_atomically(path, b"")):
         with pytest.raises(InputError, match="cannot be written"):
             refused(tmp_path / "a" / "b")
+    for folder in (Path("/"), tmp_path):
+        with pytest.raises(InputError, match="cannot be written"):
+            write_atomically(folder, b"")
