@@ -106,7 +106,7 @@ def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, tol
 
 def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
     monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingDependencyError, match=r"install probedesign\[view\]"):
+    with pytest.raises(MissingDependencyError, match=r"probedesign\[view\]"):
         BrowserView(estimator, tmp_path, CommandQueue(), print)
 
 

@@ -287,7 +287,9 @@ def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):
     # The last was sent 5 ms and a little ago, and its stamp is taken back by 10 ms: within what a busy machine sleeps.
     assert sent - 1.0 < poses.track.end + 0.010 <= sent
     steps = np.diff(poses.track.times)
-    assert len(poses.track) == 10 and (steps >= 0.004).all()
+    # The zero of the robot's clock is that of the record that came quickest: where a busy machine delayed the first
+    # ones, a step is shorter by as much as that.
+    assert len(poses.track) == 10 and (steps > 0.0).all() and np.median(steps) >= 0.004
     assert poses.at(poses.track.end) is not None and poses.at(poses.track.end + 1e-6) is None
     assert poses.may_arrive(poses.track.end + 0.001, poses.track.end + 0.002)
     assert not poses.may_arrive(poses.track.end + 0.001, poses.track.end + 1.0)
