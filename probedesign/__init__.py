@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator as Estimator
     from probedesign.estimation.fused import FusedEstimate as FusedEstimate
     from probedesign.estimation.tolerances import Tolerances as Tolerances
+    from probedesign.estimation.tolerances import Unknowns as Priors
     from probedesign.estimation.tracker import Tracker as Tracker
-    from probedesign.estimation.unknowns import Unknowns as Priors
     from probedesign.frozen_probe import load_estimator as load_estimator
     from probedesign.geometry import CrossSection as CrossSection
     from probedesign.identification.identify import data_of as data_of
@@ -67,7 +67,7 @@ _LOCATIONS = {
     "Noise": "probedesign.design.catalog.sensors:Noise",
     "Prediction": "probedesign.prediction.predict:Prediction",
     "PressSchedule": "probedesign.prediction.fused:PressSchedule",
-    "Priors": "probedesign.estimation.unknowns:Unknowns",
+    "Priors": "probedesign.estimation.tolerances:Unknowns",
     "Probe": "probedesign.probe:Probe",
     "Resin": "probedesign.design.catalog.materials:Resin",
     "Rod": "probedesign.rod.rod:Rod",

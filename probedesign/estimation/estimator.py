@@ -20,8 +20,7 @@ from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import Observation, covariance
 from probedesign.estimation.problem import Problem
-from probedesign.estimation.tolerances import Tolerances
-from probedesign.estimation.unknowns import Unknowns
+from probedesign.estimation.tolerances import Tolerances, Unknowns
 from probedesign.rod.equilibrium import Equilibrium
 
 Method = Literal["ml", "force_moment", "paper"]
@@ -214,9 +213,7 @@ class Estimator:
         Raises:
             InputError: an argument has the wrong shape.
         """
-        from probedesign.estimation.fuse import (
-            fuse,
-        )  # imported here: its kernels compile for those who fuse alone
+        from probedesign.estimation.fusion import fuse  # its kernels compile for those who fuse alone
 
         if priors is None:
             priors = self.priors if unknowns is None else Tolerances.from_unknowns(unknowns)

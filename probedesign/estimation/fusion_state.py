@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.special import chdtrc
 
 from probedesign.core.frames import Array
+from probedesign.core.statistics import MISFIT_CHANCE
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel as kernel
 from probedesign.estimation import multistart
@@ -60,6 +62,9 @@ class Forces(NamedTuple):
     force_tangential: Array
 
 
+OBJECT_STEP = 1e-3
+"""Standard deviation of an object's step on each axis [m], if it moves between two touches. Assumed: a light object
+that is pushed over its support."""
 GROUPS = ("stiffness", "bias", "robot")
 """Groups of error sources whose absence `rms_without` reports."""
 
@@ -120,9 +125,10 @@ class FusionState:
                 return False
         return True
 
-    def _reduce(self, priors: Tolerances, D: Array, friction: float | None) -> None:
+    def _reduce(self, priors: Tolerances, D: Array, friction: float | None, common: float | None) -> None:
         fusion = self.fusion
         ratio = fusion.model.friction if friction is None else friction
+        common = fusion.common_friction if common is None else common
         scatter, creep = fusion.own_columns
         for k, reading in enumerate(fusion.readings):
             whiten = fusion.whitening[k]
@@ -134,7 +140,7 @@ class FusionState:
                 continue
             kernel.reduce_keyframe(
                 self.touches[k], self.lin[k], D[k], reading.wrench, reading.T_world_base, fusion.channels, whiten,
-                fusion.bias, ratio, fusion.common_friction, priors.robot_mm * MM, scatter, creep,
+                fusion.bias, ratio, common, priors.robot_mm * MM, scatter, creep,
                 float(fusion.ramps[k]), self._block, self.local[k], self.reduced[k],
             )  # fmt: skip
 
@@ -143,6 +149,7 @@ class FusionState:
         priors: Tolerances,
         D: Array | None = None,
         friction: float | None = None,
+        common_friction: float | None = None,
     ) -> tuple[float, Array, Array]:
         """Least misfit, common unknowns and covariance of the touched point, of the touches as linearised.
 
@@ -150,8 +157,9 @@ class FusionState:
             priors: standard deviations that the columns do not hold: bias and base at each pose.
             D: error columns, (k, 12, J); those of the touches if None.
             friction: prior standard deviation of the friction ratio; that of the model if None.
+            common_friction: share of its variance that all touches have in common; that of the fusion if None.
         """
-        self._reduce(priors, self.D if D is None else D, friction)
+        self._reduce(priors, self.D if D is None else D, friction, common_friction)
         self._walk[:] = priors.walk_steps**2
         self._walk[: 1 + len(self._order) - len(self.fusion.readings)] = 0.0
         chi2 = kernel.solve_reduced(
@@ -192,6 +200,47 @@ class FusionState:
         A = root @ root.T
         reduced = A[:o, :o] - A[:o, o:] @ np.linalg.solve(A[o:, o:], A[o:, :o])
         return reduced, reduced @ self._x[:o]
+
+    def has_moved(self) -> bool:
+        """Return whether the object has moved between the readings.
+
+        The alternative, for each touch after the first, is a step d ~ N(0, `OBJECT_STEP`²) of the touched point before
+        it. The step is one more common unknown, with which the misfit falls by Δ = Σ wᵢ ξᵢ². The wᵢ are the
+        eigenvalues of I - V, where V is the posterior covariance of d/`OBJECT_STEP`; the ξᵢ are standard normal if
+        nothing moved. Δ is compared with the multiple of χ² that has its mean and variance (Satterthwaite), at
+        `MISFIT_CHANCE` over the number of alternatives (Bonferroni). Friction counts as drawn at each touch for itself:
+        a step must not be what friction that changes from touch to touch explains as well.
+        """
+        fixed = self.solved(self.fusion.priors, common_friction=0.0)[0]
+        later = np.flatnonzero(self.fusion.touched)[1:]
+        for first in later:
+            chi2, weights = self.with_step(int(first))
+            mean, square = weights.sum(), (weights**2).sum()
+            fall = max(fixed - chi2, 0.0)
+            if chdtrc(mean**2 / square, fall * mean / square) < MISFIT_CHANCE / len(later):
+                return True
+        return False
+
+    def with_step(self, first: int) -> tuple[float, Array]:
+        """Return the least misfit if the object moves just before a reading, and the weights wᵢ of `has_moved`, (3,).
+
+        Args:
+            first: the first reading after the step. The readings are reduced as `solved` left them.
+        """
+        k, m, width = self.reduced.shape
+        wide, later = np.zeros((k, m, width + 3)), slice(first, len(self.fusion.readings))
+        wide[:, :, :3], wide[:, :, 6:] = self.reduced[:, :, :3], self.reduced[:, :, 3:]
+        wide[later, :, 3:6] = OBJECT_STEP * self.reduced[later, :, :3]
+        chain = np.empty((len(self._order), kernel.BIAS, width + 3))
+        work, n = np.empty(kernel.solve_work(self.causes + 3)), width + 2
+        chi2 = kernel.solve_reduced(
+            wide, self._order, self._walk, self.fusion.priors.drift_steps, self.causes + 3, chain, work, np.empty(n),
+            np.empty((3, 3)),
+        )  # fmt: skip
+        L, scale = np.tril(work[: n * n].reshape(n, n)), work[n * n : n * n + n]
+        half = solve_triangular(L, np.diag(1.0 / scale)[:, 3:6], lower=True)
+        # All are zero where the readings know nothing of the step.
+        return float(chi2), np.maximum(1.0 - np.linalg.eigvalsh(half.T @ half), 1e-12)
 
     def std_of(self, j: int) -> float:
         """Standard deviation of a common unknown, after `solved`."""

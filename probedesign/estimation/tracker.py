@@ -32,6 +32,7 @@ from probedesign.estimation.fusion import (
     channels_of,
     pulls,
 )
+from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -177,7 +178,8 @@ class Tracker:
         self._kept.clear()
         self._x: Array | None = None
         self._turn, self._idle, self._wait = 0, 0, 1
-        self._evaluated, self._curvature = -math.inf, (0.0, np.zeros((3, 3)), np.zeros((3, 3)))
+        self._evaluated, self._moved = -math.inf, False
+        self._curvature = 0.0, np.zeros((3, 3)), np.zeros((3, 3))
         self._last = FusedEstimate("unobservable")
 
     @property
@@ -424,13 +426,16 @@ class Tracker:
         )
 
     def _evaluate_curvature(self, size: float) -> None:
-        """What the curve of the likely points adds, by the batch of the keyframes."""
+        """What the curve of the likely points adds, and whether the object has moved, by the batch of the keyframes."""
         fusion, start = self._batch()
         best, last = fusion.refine(start), self._kept[-1]
         self._evaluated, last.due = self._time, 4.0 * max(last.count, FIRST_CURVATURE)
         surface = contact = np.zeros((3, 3))
+        self._moved = False
         if best is not None:
             surface, contact = (_positive_part(of) for of in fusion.curvature(best))
+            state = FusionState(fusion, best.touches)
+            self._moved = state.linearise() and state.has_moved()
         self._curvature = size, surface, contact
 
     def _curved(self, result: FusedEstimate) -> FusedEstimate:
@@ -442,6 +447,9 @@ class Tracker:
         size = float(np.trace(result.cov_surface_world))
         if self._is_due(size):
             self._evaluate_curvature(size)
+        if self._moved:
+            return FusedEstimate("inconsistent", stiffness=result.stiffness, std_stiffness=result.std_stiffness,
+                                 chi2=result.chi2, dof=result.dof, rms=result.rms, iterations=1)  # fmt: skip
         before, added, added_contact = self._curvature
         share = min(size / before, 1.0) ** 2 if before > 0.0 else 0.0
         cov = result.cov_surface_world + share * added

@@ -9,10 +9,11 @@ from scipy import stats
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose, rotation_z
+from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.estimation.fusion_state import FusionState
+from probedesign.estimation.fusion_state import OBJECT_STEP, FusionState
 from probedesign.estimation.surface_contact_kernel import AROUND, BY_PARAMETER, POINT
 from probedesign.estimation.tolerances import Tolerances
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
@@ -41,7 +42,7 @@ def noisy(model, wrenches, rng):
 # The solver
 
 
-def oracle_of(state):
+def oracle_of(state, step=None, common_friction=None):
     """Dense least squares of a fusion as it is linearised."""
     fusion = state.fusion
     poses = []
@@ -58,10 +59,11 @@ def oracle_of(state):
     scatter, creep = fusion.own_columns
     of = fusion.priors
     priors = dense.Priors(
-        fusion.channels, fusion.bias, fusion.model.friction, fusion.common_friction, of.robot_mm * MM,
+        fusion.channels, fusion.bias, fusion.model.friction,
+        fusion.common_friction if common_friction is None else common_friction, of.robot_mm * MM,
         max(of.drift_steps, 1e-6), of.walk_steps, scatter, creep,
     )  # fmt: skip
-    return dense.solve(poses, priors)
+    return dense.solve(poses, priors, step)
 
 
 def linearised(large, gravity, pressed, priors, moments, friction):
@@ -105,6 +107,22 @@ def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gra
     np.testing.assert_allclose(cov_x, wanted.cov, rtol=0, atol=1e-6 * np.trace(wanted.cov))
     # A robot that is exact counts as one of 1e-8 m, whose squares cancel to ten digits.
     assert chi2 == pytest.approx(wanted.chi2, rel=1e-4)
+
+
+@pytest.mark.parametrize("moments", [None, "sensor"])
+@pytest.mark.parametrize("priors", PRIORS)
+def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(
+    priors, moments, large, gravity, pressed
+):
+    state = linearised(large, gravity, pressed, priors, moments, 0.6)
+    fixed, _x, _cov = state.solved(state.fusion.priors, common_friction=0.0)
+    for first in (2, 3, 6):
+        chi2, weights = state.with_step(first)
+        wanted = oracle_of(state, (first, OBJECT_STEP), common_friction=0.0)
+        assert chi2 == pytest.approx(wanted.chi2, rel=1e-4)  # as for a point that does not move
+        assert weights.min() > 0.0
+        assert weights.max() < 1.0
+        assert chi2 < fixed
 
 
 @pytest.mark.parametrize(("moments", "friction"), CASES)
@@ -342,11 +360,21 @@ def test_alike_poses_are_one_window(large, gravity, exact, pressed):
 
 
 @pytest.mark.parametrize("priors", [EXACT, Tolerances()], ids=["exact", "all"])
-def test_an_object_that_moves_is_inconsistent(priors, large, gravity, exact_sources):
+@pytest.mark.parametrize("step", [(0.0, 4e-3, 0.0), (1e-3, 0.0, 0.0)])
+def test_an_object_that_moves_is_inconsistent(step, priors, large, gravity, exact_sources):
     touches, Ts = presses(exact_sources, 0.7 * large.length, -1.57, 4.0 * FORCES, (0.2, -0.3))
     Ts = Ts.copy()
-    Ts[3:, :3, 3] += [0.0, 4e-3, 0.0]
+    Ts[3:, :3, 3] += step
     assert Estimator(large.model, priors).fuse(wrenches_of(touches), Ts, gravity).result == "inconsistent"
+
+
+def test_a_small_step_of_the_object_shows_though_the_misfit_is_below_its_limit(large, gravity, exact_sources):
+    touches, Ts = presses(exact_sources, 0.7 * large.length, -1.57, 4.0 * FORCES, (0.2, -0.3))
+    Ts = Ts.copy()
+    Ts[3:, :3, 3] += [1e-3, 0.0, 0.0]
+    c = large.estimator().fuse(wrenches_of(touches), Ts, gravity)
+    assert c.chi2 < max_chi2(c.dof, MISFIT_CHANCE)
+    assert c.result == "inconsistent"
 
 
 def test_a_touch_that_slips_stays_ok(large, gravity, exact_sources):

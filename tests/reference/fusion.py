@@ -94,11 +94,18 @@ def common(D: Array, pose: LinearPose, priors: Priors) -> Array:
     return shared
 
 
-def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
-    """The least-squares solution by a QR factorisation of the scaled matrix."""
+def solve(poses: list[LinearPose], priors: Priors, step: tuple[int, float] | None = None) -> DenseSolution:
+    """The least-squares solution by a QR factorisation of the scaled matrix.
+
+    Args:
+        poses, priors: of the readings.
+        step: the first pose at which the object is elsewhere, and the standard deviation of its step on each axis
+            [m]; None: it does not move.
+    """
     k, J = len(poses), poses[0].D.shape[1]
     first_friction, first_bias = 3 + J, 3 + J + 2
-    first_own, n = first_bias + 6 * k, first_bias + 12 * k
+    first_own, first_step = first_bias + 6 * k, first_bias + 12 * k
+    n = first_step + (0 if step is None else 3)
     rows: list[Array] = []
     right: list[float] = []
 
@@ -107,6 +114,8 @@ def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
         right.extend(np.atleast_1d(b))
 
     add(np.eye(n)[3:first_own], np.zeros(first_own - 3))
+    if step is not None:
+        add(np.eye(n)[first_step:], np.zeros(3))
     stds = np.array([priors.start] + [priors.walk] * (k - 1))
     for i, pose in enumerate(poses):
         own = slice(first_own + 6 * i, first_own + 6 * i + 6)
@@ -137,6 +146,8 @@ def solve(poses: list[LinearPose], priors: Priors) -> DenseSolution:
         per = 1.0 / max(priors.robot, 1e-8)
         R = pose.T[:3, :3]
         A[:, :3] = -np.eye(3)
+        if step is not None and i >= step[0]:
+            A[:, first_step:] = -step[1] * np.eye(3)
         A[:, 3:first_friction] = R @ common(pose.D[POINT], pose, priors)
         A[:, own] = R @ _own(pose, POINT, priors)
         add(per * A, -per * (pose.T[:3, 3] + R @ pose.lin[POINT, 0]))
