@@ -13,9 +13,10 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.estimation.observation import Observation
-from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.kernels.solve import scratch_buffers
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.newton import COLD
+from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import Rod
 
 STATIONS = 33
@@ -56,19 +57,16 @@ def scan(rod: Rod, gravity: Array, force: Array, moment: Array) -> tuple[Array, 
     stations = np.linspace(0.0, rod.flank_end, count)
     loads = np.tile(rod.load(gravity, force, 0.0), (count, 1))
     loads[:, -1] = stations
-    found = np.empty((count, kernels.ROW_LENGTH))
-    reached = kernels.solve_cases(
-        0, count, rod.stacked, np.zeros(count, dtype=np.int64), loads, rod.directed, kernels.COLD, True,
+    found = np.empty(count, dtype=SOLUTION)
+    reached = solve_cases(
+        0, count, rod.stacked, np.zeros(count, dtype=np.int64), loads, rod.directed, COLD, True,
         SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *scratch_buffers(0, 0), found, np.empty((count, 15, 1)),
     )  # fmt: skip
-    if found[reached - 1, kernels.ROW_STATUS] != kernels.OK:
+    if found["status"][reached - 1] != OK:
         reached -= 1
-    tips = found[:reached, kernels.ROW_TIP : kernels.ROW_TIP + 6]
-    there = found[:reached, kernels.ROW_CONTACT : kernels.ROW_CONTACT + 3]
-    reached = _pushed(force, tips[:1, :3], there)
-    moments = found[:reached, kernels.ROW_MOMENT : kernels.ROW_MOMENT + 3]
-    misfit = ((moments - moment) ** 2).sum(axis=1)
-    return stations[:reached], misfit, tips[:reached]
+    reached = _pushed(force, found["tip"][:1, :3], found["tangent"][:reached])
+    misfit = ((found["moment"][:reached] - moment) ** 2).sum(axis=1)
+    return stations[:reached], misfit, found["tip"][:reached]
 
 
 def _stations(rod: Rod, force: Array) -> int:

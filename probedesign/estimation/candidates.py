@@ -19,7 +19,7 @@ from probedesign.estimation.surface_contact_kernel import (
     offset_along,
     radius_and_slope,
 )
-from probedesign.rod.kernels.compiled import inner
+from probedesign.rod.kernels import inner
 from probedesign.rod.kernels.equations import (
     CONE,
     DENSITY,
@@ -179,7 +179,7 @@ def _droop(body, s, gravity, knot_moments, state):
         turn = _hang(body, s, t, d, gravity, knot_moments)
         half_t, half_d = add(t, 0.5 * h, cross(turn, t)), add(d, 0.5 * h, cross(turn, d))
         turn = _hang(body, s + 0.5 * h, half_t, half_d, gravity, knot_moments)
-        put_section(state, TIP, add(t, h, cross(turn, half_t)), add(d, h, cross(turn, half_d)))
+        put_section(state[TIP:], add(t, h, cross(turn, half_t)), add(d, h, cross(turn, half_d)))
         s += h
 
 

@@ -26,7 +26,7 @@ from probedesign.estimation.surface_contact_kernel import (
     linearise,
     plan_move,
 )
-from probedesign.rod.kernels.compiled import inner
+from probedesign.rod.kernels import inner
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import scale_and_factor, solve_scaled
 

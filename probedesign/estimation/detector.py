@@ -22,7 +22,7 @@ from scipy.stats import f as fisher
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 
 LENGTHS = (1, 4, 16, 64, 256, 1024)
 """Samples of each mean."""

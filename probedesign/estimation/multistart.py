@@ -60,7 +60,7 @@ from probedesign.estimation.uncertainty_kernel import (
     posterior,
     whitening,
 )
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import minus, take, times
 

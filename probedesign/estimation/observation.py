@@ -7,7 +7,7 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.rod.kernels.compiled import kernel
+from probedesign.rod.kernels import kernel
 
 NUMERICAL = 1e-6
 """Relative error of the fast solver's base moment, the lower bound of a reading's standard deviation."""

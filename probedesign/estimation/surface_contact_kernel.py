@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import (
     ALL_COLUMNS,
     BEND_X,
@@ -413,7 +413,7 @@ def advance(touch, before, share, step, move):
         touch[j] = before[j] + (share * step[j] if j < UNKNOWNS else 0.0)
     for q in range(6):
         touch[DEAD + q] += move[q] + share * move[9 + q]
-    turn_tip(touch, TIP, add(take(move, 6), share, take(move, 15)))
+    turn_tip(touch[TIP:], add(take(move, 6), share, take(move, 15)))
 
 
 @kernel

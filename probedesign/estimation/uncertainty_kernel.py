@@ -38,7 +38,7 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
 )
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
 from probedesign.rod.kernels.linalg import (
     add,

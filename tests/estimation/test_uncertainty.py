@@ -25,7 +25,7 @@ from probedesign.estimation.uncertainty_kernel import (
     posterior,
     whitening,
 )
-from probedesign.rod.kernels.compiled import kernel
+from probedesign.rod.kernels import kernel
 from tests.estimation.true_touches import EXACT, settle, sources_of
 from tests.reference.surface_contact import SurfaceTouch, solve_touch
 from tests.reference.uncertainty import information, inverse, point_covariance, reading_covariance

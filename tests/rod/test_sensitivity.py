@@ -19,7 +19,7 @@ from rods import (
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
-from probedesign.rod.kernels import PARAMETERS
+from probedesign.rod.kernels.equations import PARAMETERS
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 STEPS = {"force": 1e-4, "s_contact": 1e-5, "couple": 1e-4, "gravity": 1e-3, "log": 1e-4}

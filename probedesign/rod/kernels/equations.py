@@ -23,7 +23,7 @@ with δω, δp' from the section's own change (E, G, radius, f).
 from typing import NamedTuple
 
 from probedesign.core.frames import Array
-from probedesign.rod.kernels.compiled import inlined
+from probedesign.rod.kernels import inlined
 from probedesign.rod.kernels.linalg import add, cross, dot, minus, take, times
 
 

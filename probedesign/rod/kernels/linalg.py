@@ -5,7 +5,7 @@ Vectors of three are tuples, so that the compiler keeps them in registers; matri
 
 import math
 
-from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels import inlined, inner
 
 
 @inlined

@@ -6,7 +6,7 @@
 
 import math
 
-from probedesign.rod.kernels.compiled import inlined, inner, kernel
+from probedesign.rod.kernels import inlined, inner, kernel
 from probedesign.rod.kernels.equations import (
     FORCE,
     GENERAL,

@@ -2,7 +2,7 @@
 
 import math
 
-from probedesign.rod.kernels.compiled import inline_always, inlined, inner
+from probedesign.rod.kernels import inline_always, inlined, inner
 from probedesign.rod.kernels.equations import (
     BEND_X,
     CONE,
@@ -42,8 +42,10 @@ from probedesign.rod.kernels.steps import (
     S0,
     S1,
     S2,
+    STAGES,
     STATE,
     WIDE,
+    C,
     D,
     M,
     P,
@@ -52,7 +54,6 @@ from probedesign.rod.kernels.steps import (
     free_columns_step,
     full_step,
 )
-from probedesign.rod.kernels.verner import STAGES, C
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
 L_S_CONTACT, L_FORCE, L_COUPLE, L_GRAVITY = 3, 4, 7, 10
