@@ -7,8 +7,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, is_pose
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation import covariance
+from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
 
 

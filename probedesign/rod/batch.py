@@ -163,11 +163,8 @@ def _cases(
     one: bool,
 ) -> tuple[Array, Array]:
     """Return validated loads (n, 13) and the rod of each case, (n,), from the rods' lengths and the arguments."""
-    given = {
-        "gravity": np.array(gravity, float),
-        "force": np.array(force, float),
-        "couple": np.array(couple, float),
-    }
+    vectors = {"gravity": gravity, "force": force, "couple": couple}
+    given = {name: np.array(vector, dtype=float) for name, vector in vectors.items()}
     s = np.array(s_contact, dtype=float)
     sizes = [len(v) for v in given.values() if v.ndim == 2] + ([len(s)] if s.ndim else [])
     of = np.arange(len(lengths)) if which is None else np.array(which)
@@ -183,12 +180,8 @@ def _cases(
     if of.shape != (n,) or of.dtype.kind != "i" or ((of < 0) | (of >= len(lengths))).any():
         raise InputError(f"which must be {n} indices of the {len(lengths)} rods, one a case")
     loads = np.zeros((n, LOAD))
-    loads[:, 0:3], loads[:, 3:6], loads[:, 9:12], loads[:, 12] = (
-        given["force"],
-        given["gravity"],
-        given["couple"],
-        s,
-    )
+    loads[:, 0:3], loads[:, 3:6], loads[:, 9:12] = given["force"], given["gravity"], given["couple"]
+    loads[:, 12] = s
     length = lengths[of]
     good = np.isfinite(loads).all(axis=1) & (loads[:, 12] >= 0.0) & (loads[:, 12] <= length * (1 + 1e-12))
     if not good.all():

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, skew
 from probedesign.rod.kernels.equations import ALL_COLUMNS, CONE, DENSITY, PARAMETERS, Body
-from probedesign.rod.kernels.sensitivities import states_at
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK
-from probedesign.rod.kernels.sweep import lane_of
+from probedesign.rod.kernels.sweep import lane_of, states_at
 
 
 @dataclass(frozen=True)

@@ -32,12 +32,7 @@ Columns = Literal["none", "load", "contact", "all"]
 TOLERANCES: dict[str, tuple[float, float]] = {"fast": (5e-7, 2e-8), "reference": (1e-13, 1e-12)}
 """Error allowed per step [rad], residual allowed at the base [rad]. "fast" keeps the centreline within 1 µm and
 the base moment within 1e-6 of the reference (tests/rod/test_accuracy.py)."""
-RESULTS = {
-    OK: "ok",
-    NOT_CONVERGED: "not_converged",
-    UNSTABLE: "unstable",
-    STEP_LIMIT: "not_converged",
-}
+RESULTS = {OK: "ok", NOT_CONVERGED: "not_converged", UNSTABLE: "unstable", STEP_LIMIT: "not_converged"}
 _NODES = {"fast": 64, "reference": 512}
 """Nodes allocated for the shape at first; eight times as many where a rod needs more steps."""
 
@@ -283,12 +278,8 @@ class Rod:
         except (TypeError, ValueError):
             load[0] = math.nan
         if not np.isfinite(load[:12]).all():
-            for name, value in (
-                ("force", force),
-                ("gravity", gravity),
-                ("tip_moment", tip_moment),
-                ("couple", couple),
-            ):
+            given = {"force": force, "gravity": gravity, "tip_moment": tip_moment, "couple": couple}
+            for name, value in given.items():
                 finite_vector(name, value)
         try:
             s = self.length if s_contact is None else float(s_contact)

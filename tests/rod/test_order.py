@@ -6,7 +6,7 @@ import pytest
 from probedesign.rod.kernels import steps
 
 
-def test_stages_stand_where_their_sums_say():
+def test_stages_are_at_the_sums_of_their_coefficients():
     np.testing.assert_allclose(steps.A.sum(axis=1), steps.C, atol=2e-15)  # rounding of eight fractions
 
 

@@ -117,7 +117,7 @@ def differences(at, h):
 def assert_close(found, wanted, force, length, rtol):
     """Each group (force, moment, tangent, axes, position, centreline) within rtol of its own largest.
 
-    A group that hardly answers (G moves only what shear bends) is held to a hundredth of its natural size.
+    A group that hardly answers (G moves only what shear bends) is compared to a hundredth of its natural size.
     """
     natural = [(0, 3, np.linalg.norm(force)), (3, 6, np.linalg.norm(force) * length),
                (6, 12, 1.0), (12, 15, length), (15, 18, 1.0), (18, len(wanted), length)]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Sweep in a lane: integrate from the tip over contact, knots and root to the base."""
+"""Sweep in lanes: step control, and integration from the tip over contact, knots and root to the base."""
 
 import math
 
@@ -23,8 +23,6 @@ from probedesign.rod.kernels.equations import (
 from probedesign.rod.kernels.lanes import (
     GOING,
     HUGE,
-    MAX_TRIES,
-    MIN_STEP,
     STOPPED,
     STUCK,
     full_lanes_step,
@@ -36,10 +34,7 @@ from probedesign.rod.kernels.lanes import (
     row3,
 )
 from probedesign.rod.kernels.linalg import add, cross, dot, plus, take
-from probedesign.rod.kernels.steps import STATE, WIDE, D, M, P, T
-
-MAX_STEPS = 1000
-"""Of one sweep at an error of 1e-7 a step; more where it is less: a hang is not an answer."""
+from probedesign.rod.kernels.steps import MAX_STEPS, MAX_TRIES, MIN_STEP, STATE, WIDE, D, M, P, T
 
 SOLVER_STATE = np.dtype([
     ("tip", "f8", 6), ("load", "f8", LOAD), ("passed", "f8"), ("frustum", "f8"), ("contact", "f8", STATE),
@@ -76,7 +71,7 @@ def choose(lanes):
     for lane in range(WIDE):
         left = lanes[WIDE * rows.STOP + lane] - lanes[WIDE * rows.S + lane]
         h = lanes[WIDE * rows.H + lane]
-        # Rather a slightly longer step than a sliver after it.
+        # A step up to 10 % longer avoids a tiny step after it.
         lanes[WIDE * rows.TRIED + lane] = left if 1.1 * h <= left else h
 
 
@@ -101,8 +96,8 @@ def _root(x):
 def _state_error(lanes, lane, bend):
     """Return the largest error over the error allowed; HUGE where a number is not finite.
 
-    Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all, so that a
-    bend of a micrometre keeps its digits; points to the body's own length.
+    Errors of tangents [rad] and of moments, by the bend they cause, are relative to how far the rod turns at all, so
+    that a bend of a micrometre keeps its digits; those of points are relative to the length.
     """
     et, em, ep = row3(lanes, rows.ERRORS, lane)
     tol, size, length = (
@@ -116,7 +111,7 @@ def _state_error(lanes, lane, bend):
 
 @inlined
 def _tips_error(lanes, lane, c, bend):
-    """Return the same for column c of the tip, with a thousand times the tolerance.
+    """Return the same for column c of the tip, with a thousand times the tolerance, at most 1e-2.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
@@ -187,8 +182,10 @@ def judge(lanes, tips):
             lanes[WIDE * rows.TIPS_ERROR + lane] if tips else 0.0,
         )
         good, last = error <= 1.0, tried == stop - s
+        # Order 6: the error goes with h⁶. 0.9 keeps most next steps acceptable; growth and reduction are limited
+        # because the error is known to first order only.
         factor = _smaller(5.0, _larger(0.1, 0.9 / _root(_larger(error, 1e-6))))
-        # A step cut short by a stop says little of the step to take after it.
+        # A step cut short by a stop gives no estimate of the next one.
         keeps = good and last and factor > 1.0 and tried > h
         h = h if keeps else tried * factor
         tries = 0.0 if good else lanes[WIDE * rows.TRIES + lane] + 1.0
@@ -356,6 +353,7 @@ def launch(lanes, lane, state, body, general):
     put_row3(lanes, rows.E2, lane, e)
     put_row(lanes, rows.WANTS_TIPS, lane, state.with_tips)
     put_row(lanes, rows.MARGIN, lane, 1.0)
+    # A straight rod has a size of 1e-9, so that errors relative to it stay finite.
     put_row(lanes, rows.BEND, lane, max(1e-9, math.sqrt(t[0] * t[0] + t[1] * t[1] + (t[2] - 1.0) ** 2)))
     put_row(lanes, rows.TOL, lane, tol)
     put_row(lanes, rows.SIZE, lane, size)
@@ -376,7 +374,7 @@ def tick(lanes, directed, tips):
     """Take one step in every lane.
 
     Args:
-        directed: None for round straight rods, so that nobody compiles for others what he does not use; else 0.
+        directed: None for round straight rods, so that the code for others is compiled only where it is used; else 0.
         tips: whether a lane wants the tip's columns.
     """
     choose(lanes)

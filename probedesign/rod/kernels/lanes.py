@@ -2,7 +2,8 @@
 
 All data are in one flat array, row by row: row r of lane l at r · WIDE + l. So the compiler sees that the lanes of a
 row are contiguous, and one instruction operates on all of them. Lanes are independent: the result of one is identical
-to the bit whatever the others compute.
+to the bit whatever the others compute. Rows of one plain array, not fields of a record: only so does the compiler
+vectorise over the lanes.
 """
 
 import numpy as np
@@ -52,36 +53,34 @@ from probedesign.rod.kernels.steps import (
 )
 
 NEXT = np.int64(STATE)
-"""Row where the state [t, m, p, d], which stands in the first ones, steps to."""
+"""Row of the next state; the state [t, m, p, d] itself is in the first rows."""
 TURN = 6
 """[θ, v] of a column."""
 TIPS, TIPS_NEXT = np.array([2 * STATE, 2 * STATE + 3 * TURN])
-"""How all moves with turns of the tip about its section's x and y axes and its tangent; where that steps to."""
+"""Columns by turns of the tip about its section's x and y axes and its tangent, and the next columns."""
 COLUMN1, COLUMN2, COLUMN3 = np.arange(0, 3 * TURN, TURN)
 """Their rows among those."""
 S, H, TRIED, STOP, EVENT, STEPS, TRIES = np.arange(TIPS_NEXT + 3 * TURN, TIPS_NEXT + 3 * TURN + 7)
-"""Arclength, the step to take, the one just tried, where to stop, what came of it, steps of the sweep, tries of one."""
+"""Arclength, the step to take, the one just tried, the arclength to stop at, the event, steps of the sweep, tries of
+one step."""
 ERRORS, TIPS_ERRORS, WANTS_TIPS = TRIES + 1, TRIES + 4, TRIES + 10
-"""Of t, m and p; of θ and v of each column; 1 where the tip's columns are wanted."""
+"""Errors of t, m and p, and of θ and v of each column; 1 where the tip's columns are wanted."""
 MARGIN, BEND, E1, E2 = WANTS_TIPS + 1, WANTS_TIPS + 2, WANTS_TIPS + 3, WANTS_TIPS + 6
-"""Of stability so far; how far the rod turned; two normals of the tangent that do not turn about it."""
+"""Margin of stability so far; how far the rod turned; two normals of the tangent that do not turn about it."""
 TOL, SIZE, LENGTH, STEP_BUDGET, TIPS_ERROR, GOOD, FIRST_STEP = np.arange(E2 + 3, E2 + 10)
 """Error allowed a step, relative to the size; length of the body; most steps; the columns' error over what is allowed;
 1 where the step just tried is taken; the first step of the sweep that was good."""
 FORCE, GRAVITY, FRUSTUM, REST = FIRST_STEP + 1, FIRST_STEP + 4, FIRST_STEP + 7, FIRST_STEP + 22
 """The contact's force below it, else zero; gravity; `frustum_of`; `rest_of` without its first."""
 NOTED, NOTE, ROUND_NOTE = REST + 6, 22, 18
-"""Noted at each stage: [t, m, p', n, the properties that bend a round rod (6)]; then [e_y, the difference of the
+"""Stored of each stage: [t, m, p', n, the properties that bend a round rod (6)]; then [e_y, the difference of the
 bending compliances] for any rod."""
 ROWS = NOTED + STAGES * NOTE
 
 GOING, STOPPED, STUCK, READY = 0.0, 1.0, 2.0, 3.0
 """Events: none, the stop was reached, no step is accepted, a sweep is to start."""
-MAX_TRIES = 60
 HUGE = 1e12
-"""An error so large that nothing more is said by it."""
-MIN_STEP = 1e-10
-"""Over the length."""
+"""Error of a step whose result is not finite: the step becomes a tenth."""
 
 
 @inlined
@@ -134,7 +133,7 @@ def _keep(lanes, lane, j, t, m, p1, med):
 
 @inlined
 def _keep_direction(lanes, lane, j, e, med):
-    """Store what they need besides for an anisotropic or curved rod."""
+    """Store what the columns of an anisotropic or curved rod need in addition."""
     row = NOTED + NOTE * j + ROUND_NOTE
     put_row3(lanes, row, lane, e)
     lanes[WIDE * (row + 3) + lane] = med[1]

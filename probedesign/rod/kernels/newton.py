@@ -28,16 +28,19 @@ from probedesign.rod.kernels.linalg import add, cross, dot, put, take, times
 from probedesign.rod.kernels.steps import WIDE, D, T
 
 MAX_NEWTON = 12
+"""Sweeps of Newton's method at one load: it converges quadratically in a few, or has left the branch."""
 MAX_TURN = 0.35
 """Largest turn of the tip [rad] between prediction and solution of a load step: keeps the branch."""
 MIN_LOAD_STEP = 1e-4
+"""Smallest step along the load path, over the whole load: where even that fails, the branch ends."""
 BAD_GUESS, GOOD_GUESS = 0.8, 0.2
-"""Misfit at the base [rad] of a predicted tip: not worth a second sweep; what load steps aim at."""
+"""Residual at the base [rad] of a predicted tip: above the first no second sweep is tried; load steps aim at the
+other."""
 MAX_WORK = 40_000
-"""Steps that a path may take: a tenth of a second, a thousand times the usual; a hopeless load ends there."""
+"""Integration steps that a path may take: a tenth of a second, a thousand times the usual; then the search ends."""
 
 AGAIN, FOUND, LOST = 0, 1, 2
-"""What comes of a look: sweep once more, it is there, it is not to be had."""
+"""Outcomes of evaluating a sweep: sweep once more, converged, given up."""
 
 
 @inlined
@@ -66,7 +69,7 @@ def put_section(tip, t, d):
 def prepare(tip, t, d, thetas, general, inverse):
     """Compute, from the tip's columns at the base, the matrix that maps the base's residual to the tip's rotation.
 
-    The misfit is what the base's tangent t and x axis d lack: (t_x, t_y, d_y), the last only of a rod that is not
+    The residual is that of the base's tangent t and x axis d: (t_x, t_y, d_y), the last only of a rod that is not
     round and straight. Fills `inverse` with the turn in base axes, row by row, (9,).
 
     Args:
@@ -74,7 +77,7 @@ def prepare(tip, t, d, thetas, general, inverse):
         thetas: turns of the base by the tip's turns about its axes, three of (3,).
 
     Returns:
-        Whether there is one.
+        Whether there is one: its determinant is not zero.
     """
     a, b, c = thetas
     axes = (tip[1], cross(tip[0], tip[1]), tip[0])
@@ -160,7 +163,7 @@ def newton(lanes, lane, state, general):
         if state.first_residual > BAD_GUESS and reach > 0.0:
             state.away = state.first_residual
             return LOST
-    # The tip alone does not tell: what it lacks by a hair, a soft hanging rod lacks by turns at its base.
+    # The tip alone does not decide: in a soft hanging rod a tiny error there is a large one at the base.
     clamped = is_clamped(t, d, general, 10.0 * until)
     thetas = (
         row3(lanes, rows.TIPS, lane),
@@ -174,6 +177,7 @@ def newton(lanes, lane, state, general):
     angle = math.sqrt(dot(turn, turn))
     if not math.isfinite(angle):
         return LOST
+    # At most 1 rad: beyond, the linearisation does not hold for the direction either.
     turn_tip(state.tip, times(min(1.0, 1.0 / max(angle, 1e-300)), turn))
     if first_turn and reach < 0.0:
         for q in range(6):
@@ -190,8 +194,9 @@ def newton(lanes, lane, state, general):
         state.status = OK if good else UNSTABLE
         return FOUND if good else LOST
     state.turns += 1.0
+    # A thousandth of the tolerance: Newton's method is then at a solution, whichever way round it is clamped.
     if (angle < 1e-3 * until and t[2] <= 0.0) or state.turns >= MAX_NEWTON:
-        return LOST  # at rest, but clamped the other way round; or never at rest
+        return LOST  # converged, but clamped the other way round; or not converged
     return AGAIN
 
 
@@ -234,7 +239,7 @@ def _next_share(state, until):
     state.goal = min(1.0, state.fraction + state.increment)
     set_load_fraction(state, state.goal)
     _extrapolate(state)
-    close = until if state.goal >= 1.0 else 3e-3
+    close = until if state.goal >= 1.0 else NEAR
     begin_newton(state, close, MAX_TURN if state.fraction > 0.0 else -MAX_TURN)
 
 
@@ -250,19 +255,23 @@ def begin_path(state, until):
 
 @inner
 def follow(state, outcome, until):
-    """Evaluate Newton's method at a fraction of the load: lengthen the step along the path, or shorten it."""
+    """Evaluate Newton's method at a fraction of the load: lengthen the step along the path, or shorten it.
+
+    The residual of a parabola's prediction grows with the cube of the step.
+    """
     at, goal = state.fraction, state.goal
     if outcome == FOUND:
         for q in range(12):
             state.path_tips[17 - q] = state.path_tips[11 - q]
         for q in range(6):
             state.path_tips[q] = state.tip[q]
-        first = max(state.first_residual, 1e-9)
+        first = max(state.first_residual, 1e-9)  # no division by zero; the factor is limited to 4 in any case
         state.increment = (goal - at) * min(4.0, max(0.5, (GOOD_GUESS / first) ** (1.0 / 3.0)))
         state.fraction_2, state.fraction_1, state.fraction = state.fraction_1, at, goal
         if goal >= 1.0:
             return FOUND
     else:
+        # So that the tip would come to 0.8 of the allowed turn, but at most half and at least a fifth of this step.
         state.increment = (goal - at) * max(0.2, min(0.5, 0.8 * MAX_TURN / max(state.away, 1e-9)))
         if state.increment < MIN_LOAD_STEP or state.steps > MAX_WORK:
             return LOST
@@ -273,22 +282,23 @@ def follow(state, outcome, until):
 COLD, WARM, WARM_ONLY = 0, 1, 2
 """Start from no load; from a guess, else from no load; from a guess or not at all."""
 PATH_TOLERANCE = 1e-4
-"""Of sweeps on the way to the whole load [rad]; only where they end is reported."""
+"""Error of a sweep's step on the way to the whole load [rad]; only the end of the way is reported."""
 CAREFUL_TOLERANCE = 1e-9
-"""Of a second try along the path."""
+"""The same in a second try along the path."""
 SAFE_MARGIN = 0.3
-"""Of stability on the path, from which its sweeps need no second judgement: they know it to a hundredth."""
+"""Margin of stability on the path from which it is not computed again: those sweeps have it to a hundredth."""
 NEAR = 3e-3
-"""How close [rad] the path has to come to the whole load's equilibrium before it is polished."""
+"""Turn of the tip [rad] from which the equilibrium of the whole load is polished."""
 ROUNDING = 1e-14
-"""Of the tip's turn [rad]; what grows of it on the way is no misfit."""
+"""Rounding error of the tip's turn [rad]; what it grows to at the base is accepted as residual."""
 MAX_GROWTH = 1e4
-"""Beyond which smaller steps help no more."""
+"""Growth of a turn of the tip beyond which smaller steps do not help, as rounding dominates."""
 MAX_POLISH = 12
+"""Sweeps of polishing: with a fixed matrix each halves the residual at least, usually a thousandfold."""
 
 UNLOADED, GUESSED, PATH, POLISH, RETAKE, JUDGE = range(6)
-"""What a sweep is for: the shape without load, Newton from a guess, Newton along the path, its last digits, Newton's
-matrix anew for those, the margin of stability to the last digit."""
+"""Purposes of a sweep: the shape without load, Newton from a guess, Newton along the path, its last digits, a
+new matrix for those, the margin of stability to the last digit."""
 
 
 @inlined
@@ -319,7 +329,7 @@ def _begin_path(state, body, tol):
     general = body.constants[GENERAL] != 0.0
     judged = is_judged(state.whole_load)
     careful = state.careful > 0.0
-    # A very soft rod magnifies the errors of the steps themselves; under a moment, the way matters.
+    # A very soft rod magnifies the errors of the steps themselves; under a moment, the path matters.
     state.tolerance = CAREFUL_TOLERANCE if careful and judged else max(tol, PATH_TOLERANCE)
     state.moment_first = 1.0 if careful and not judged else 0.0
     put(state.tip, 0, (0.0, 0.0, 1.0))
@@ -327,7 +337,7 @@ def _begin_path(state, body, tol):
     if general:
         set_load_fraction(state, 0.0)
         state.phase = UNLOADED
-        intend(state, 1e-9, 1.0, 0.0)
+        intend(state, 1e-9, 1.0, 0.0)  # the shape at rest is the start of every path: it costs one sweep
     else:
         begin_path(state, NEAR)
         state.phase = PATH
@@ -361,7 +371,7 @@ def seek(lanes, lane, state, body, tol):
     """Evaluate a finished sweep on the way to the whole load, and set the next one.
 
     Returns:
-        Whether the tip is NEAR or lost, as state[STATUS] says.
+        Whether the tip is NEAR or lost, by `state.status`.
     """
     general = body.constants[GENERAL] != 0.0
     phase = state.phase
@@ -405,11 +415,11 @@ def polish(lanes, lane, state, body, until, near_enough):
     """Evaluate a finished sweep near the equilibrium, and set the next one.
 
     Args:
-        until: residual allowed at the base [rad]; near_enough: misfit [rad] from which one more turn leads home, none
+        until: residual allowed at the base [rad]; near_enough: residual [rad] from which one more turn converges, 0
             where state and contact are wanted; both relative to how far the rod turns.
 
     Returns:
-        Whether the search is over, as state[STATUS] says.
+        Whether the search is over, with the result in `state.status`.
     """
     general, phase = body.constants[GENERAL] != 0.0, state.phase
     if phase == RETAKE:
@@ -438,8 +448,8 @@ def polish(lanes, lane, state, body, until, near_enough):
     state.polishes += 1.0
     if state.polishes >= MAX_POLISH:
         return _done(state, NOT_CONVERGED)
-    if not residual < 0.5 * before:  # the path's matrix does not lead on: take it anew
-        begin_newton(state, 1e-6, 0.1)
+    if not residual < 0.5 * before:  # the path's matrix does not converge: compute it anew
+        begin_newton(state, 1e-6, 0.1)  # the tip is NEAR: a tenth of a radian from there is another branch
         state.phase = RETAKE
         return _again(state, 1.0, 1.0)
     turn_tip(state.tip, wanted_turn(t, d, general, state.inverse))

@@ -30,9 +30,8 @@ from probedesign.rod.kernels.newton import (
     turn_tip,
     wanted_turn,
 )
-from probedesign.rod.kernels.sensitivities import sensitivities
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK, D, M, P, T
-from probedesign.rod.kernels.sweep import sweep
+from probedesign.rod.kernels.sweep import sensitivities, sweep
 
 SEEKING, POLISHING = 0, 1
 
@@ -43,7 +42,8 @@ SOLUTION = np.dtype([
 """Result of one case: status, margin of stability, residual at the base [rad], number of nodes filled, section of the
 tip, base moment [N·m], and tangent and position from the base [m] of the contact."""
 NEAR_ENOUGH = 200.0
-"""Times the tolerance: Newton's matrix, taken NEAR the answer, leaves a thousandth of a residual."""
+"""Times the tolerance, the residual from which one more turn of the tip is enough: Newton's matrix, computed NEAR the
+equilibrium, leaves a thousandth of it."""
 
 
 @inlined
@@ -125,7 +125,9 @@ def report(state, work, body, load, tol, until, nodes, blocks, y, contact):
     general, growth, size = body.constants[GENERAL] != 0.0, state.growth, state.turned
     tol = tol / min(growth, MAX_GROWTH)
     margin, residual, tip = state.margin, math.inf, state.tip[:]
-    for _ in range(6):
+    for _ in range(
+        6
+    ):  # the sweep with all outputs takes other steps than the search: one or two turns correct that
         status, count, found, size, _steps = sweep(
             tip, y, work, blocks, body, load, tol, size, nodes, contact
         )

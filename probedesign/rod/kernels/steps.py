@@ -1,7 +1,11 @@
-"""One step of the state and, over the same stages, of its columns.
+"""One step of the state and, over the same stages, of its columns, by Verner's 6(5) Runge-Kutta pair.
 
-The state's step notes at each stage what the columns' equations need. Columns step WIDE at a time, one to a lane
-of a vector register: their arrays are laid out so that the compiler sees it (one array, constant offsets).
+The state's step stores at each stage what the columns' equations need. Columns step WIDE at a time, one per lane of a
+vector register: their arrays are laid out so that the compiler sees it (one array, constant offsets, no record types,
+whose fields it would not prove to be contiguous).
+
+Source: J. H. Verner, SIAM J. Numer. Anal. 15 (1978) 772-790; the pair known as DVERK. Its order conditions are checked
+in tests/rod/test_order.py. Written out because many coefficients are zero and the vectors are short.
 """
 
 import numpy as np
@@ -55,7 +59,7 @@ def stage1(y, h, k0):
 
 @inlined
 def stage2(y, h, k0, k1):
-    """Return the state of stage 2; likewise below."""
+    """Return the state of stage 2."""
     return (
         y[0] + h * (A20 * k0[0] + A21 * k1[0]),
         y[1] + h * (A20 * k0[1] + A21 * k1[1]),
@@ -65,6 +69,7 @@ def stage2(y, h, k0, k1):
 
 @inlined
 def stage3(y, h, k0, k1, k2):
+    """Return the state of stage 3."""
     return (
         y[0] + h * (A30 * k0[0] + A31 * k1[0] + A32 * k2[0]),
         y[1] + h * (A30 * k0[1] + A31 * k1[1] + A32 * k2[1]),
@@ -74,6 +79,7 @@ def stage3(y, h, k0, k1, k2):
 
 @inlined
 def stage4(y, h, k0, k1, k2, k3):
+    """Return the state of stage 4."""
     return (
         y[0] + h * (A40 * k0[0] + A41 * k1[0] + A42 * k2[0] + A43 * k3[0]),
         y[1] + h * (A40 * k0[1] + A41 * k1[1] + A42 * k2[1] + A43 * k3[1]),
@@ -83,6 +89,7 @@ def stage4(y, h, k0, k1, k2, k3):
 
 @inlined
 def stage5(y, h, k0, k1, k2, k3, k4):
+    """Return the state of stage 5."""
     return (
         y[0] + h * (A50 * k0[0] + A51 * k1[0] + A52 * k2[0] + A53 * k3[0] + A54 * k4[0]),
         y[1] + h * (A50 * k0[1] + A51 * k1[1] + A52 * k2[1] + A53 * k3[1] + A54 * k4[1]),
@@ -92,6 +99,7 @@ def stage5(y, h, k0, k1, k2, k3, k4):
 
 @inlined
 def stage6(y, h, k0, k1, k2, k3, k4):
+    """Return the state of stage 6."""
     return (
         y[0] + h * (A60 * k0[0] + A61 * k1[0] + A62 * k2[0] + A63 * k3[0] + A64 * k4[0]),
         y[1] + h * (A60 * k0[1] + A61 * k1[1] + A62 * k2[1] + A63 * k3[1] + A64 * k4[1]),
@@ -101,6 +109,7 @@ def stage6(y, h, k0, k1, k2, k3, k4):
 
 @inlined
 def stage7(y, h, k0, k1, k2, k3, k4, k6):
+    """Return the state of stage 7."""
     return (
         y[0] + h * (A70 * k0[0] + A71 * k1[0] + A72 * k2[0] + A73 * k3[0] + A74 * k4[0] + A76 * k6[0]),
         y[1] + h * (A70 * k0[1] + A71 * k1[1] + A72 * k2[1] + A73 * k3[1] + A74 * k4[1] + A76 * k6[1]),
@@ -131,20 +140,27 @@ def step_error(h, k0, k2, k3, k4, k5, k6, k7):
 STATE = 12
 """[t, m, p, d]: tangent, moment, point, the section's x axis."""
 T, M, P, D = np.arange(0, STATE, 3)
-"""Where in a state its parts stand. As numpy's integers, like all such indices here: numba would compile what it is
-given 0, 3, 6 ... for once for each."""
+"""Offsets of the parts of a state. They are numpy integers, like all such indices here: for the literals 0, 3, 6 ...
+numba would compile each function once per value."""
 ROW = 25
-"""Noted of a stage: [t, m, p', n, e, the rest of `section_properties`, on]."""
+"""Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, on]."""
 NOTED = 2 * STATE
 WORK = NOTED + STAGES * ROW
-"""What a step works in: the state, where it steps to, and what was noted."""
+"""Numbers that a step works in: the state, the next state, and what is stored of the stages."""
 WIDE = 4
-"""Columns that step together."""
+"""Columns that step together: the lanes of a vector register of 256 bits."""
+MAX_STEPS = 1000
+"""Most steps of one sweep at an error of 1e-7 a step, more where it is smaller: usual sweeps take tens of steps, so
+a load that needs more ends as STEP_LIMIT instead of blocking its caller."""
+MAX_TRIES = 60
+"""Tries of one step: each refusal shortens it to 0.1 to 0.9 of itself, so that so many in a row are no progress."""
+MIN_STEP = 1e-10
+"""Shortest step over the length: below it, rounding of the arclength exceeds the errors that the step control sees."""
 COLUMN = 9
 """[θ, v, q] of a column."""
 NEXT, ERRORS, BY_LOAD, LOGS, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 36, 44
-"""Rows of a block of WIDE columns after the columns themselves: where they step to, errors of θ and v, how they
-move force and gravity, log E and log G, and at each stage log radius, log f and the weight factor."""
+"""Rows of a block of WIDE columns after the columns themselves: the next columns, errors of θ and v, their derivatives
+of force and gravity, of log E and log G, and at each stage of log radius, log f and the weight factor."""
 BLOCK = (BY_WEIGHT + STAGES) * WIDE
 
 THETA, V, Q = np.arange(0, COLUMN, 3)
@@ -184,7 +200,7 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
     """Step [t, m, p, d] of any rod from s by h (negative: towards the base).
 
     Args:
-        work: state, where it steps to, and the stages' notes, (WORK,).
+        work: state, next state, and what is stored of the stages, (WORK,).
         frustum: from `frustum_of`; rest: from `rest_of`.
         force: the contact's on its base's side, else zero, (3,) tuple; gravity (3,) tuple.
         on: 1 on the contact's base's side, else 0.
@@ -237,17 +253,8 @@ def _stage(work, j):
     """Return what was stored of stage j: t, m, p', e and the section properties."""
     o = NOTED + ROW * j
     med = (
-        work[o + 15],
-        work[o + 16],
-        work[o + 17],
-        work[o + 18],
-        work[o + 19],
-        work[o + 20],
-        work[o + 21],
-        work[o + 22],
-        work[o + 23],
-        take(work, o + 9),
-    )
+        *take(work, o + 15), *take(work, o + 18), *take(work, o + 21), take(work, o + 9),
+    )  # fmt: skip
     return take(work, o), take(work, o + 3), take(work, o + 6), take(work, o + 12), med
 
 
