@@ -14,9 +14,11 @@ from benchmarks.inside import SOUGHT, Asked, counted, solver
 from benchmarks.plots import Cost, draw_cost, slope
 from benchmarks.timing import interleaved, print_table, shown
 from probedesign.core.frames import Array
-from probedesign.rod import kernels
 from probedesign.rod.batch import CHUNK, solve_batch
-from probedesign.rod.kernels.solve import scratch_buffers
+from probedesign.rod.kernels.equations import OK, Body
+from probedesign.rod.kernels.newton import COLD
+from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.steps import WIDE
 from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
 
 CASES = 100_000
@@ -68,15 +70,15 @@ class Kernel:
 
     def __init__(self, cases: Cases) -> None:
         stacks = (np.stack(arrays) for arrays in zip(*(rod.body for rod in cases.rods), strict=True))
-        self.bodies = kernels.Body(*(np.ascontiguousarray(stack) for stack in stacks))
+        self.bodies = Body(*(np.ascontiguousarray(stack) for stack in stacks))
         self.loads, self.which = cases.loads, cases.which
-        self.found = np.empty((len(self.loads), kernels.ROW_LENGTH))
+        self.found = np.empty(len(self.loads), dtype=SOLUTION)
         self.derivatives = np.empty((len(self.loads), 15, 1))
 
     def solve(self, first: int, last: int) -> None:
         """The cases first ... last - 1."""
-        kernels.solve_cases(
-            first, last, self.bodies, self.which, self.loads, None, kernels.COLD, False, *TOLERANCES["fast"],
+        solve_cases(
+            first, last, self.bodies, self.which, self.loads, None, COLD, False, *TOLERANCES["fast"],
             *scratch_buffers(0, 0, CHUNK), self.found, self.derivatives,
         )  # fmt: skip
 
@@ -93,11 +95,11 @@ class Kernel:
         """Seconds of each of the first n cases, the call itself taken off: the better of two."""
         best = np.full(n, np.inf)
         work = scratch_buffers(0, 0)
-        fixed = (self.bodies, self.which, self.loads, None, kernels.COLD, False, *TOLERANCES["fast"], *work)
+        fixed = (self.bodies, self.which, self.loads, None, COLD, False, *TOLERANCES["fast"], *work)
 
         def once(first: int, last: int) -> float:
             start = time.perf_counter()
-            kernels.solve_cases(first, last, *fixed, self.found, self.derivatives)
+            solve_cases(first, last, *fixed, self.found, self.derivatives)
             return time.perf_counter() - start
 
         empty = min(once(0, 0) for _ in range(100))
@@ -117,10 +119,10 @@ def measure(cases: Cases, n: int = CASES) -> Batch:
     for count in threads:
         seconds[count] = min(kernel.seconds(n, count) for _ in range(ROUNDS))
         answers.append(kernel.found.copy())
-    status = answers[0][:, kernels.ROW_STATUS]
-    good = status == kernels.OK
+    status = answers[0]["status"]
+    good = status == OK
     same = all(
-        np.array_equal(found[:, kernels.ROW_STATUS], status) and np.array_equal(found[good], answers[0][good])
+        np.array_equal(found["status"], status) and np.array_equal(found[good], answers[0][good])
         for found in answers
     )
     start = time.perf_counter()
@@ -165,7 +167,7 @@ def print_batches(found: dict[str, Batch]) -> None:
         ["time of the slowest hundredth, of all", *(f"{_slowest(b.alone):.0%}" for b in batches)],
         ["left out: rods and loads into arrays", *(shown(b.stacking) for b in batches)],
         ["solve_batch, all included", *(f"{CASES * b.shares['ok'] / b.whole:,.0f} a second" for b in batches)],
-        [f"gain by {kernels.WIDE} lanes, on one core", *(f"× {b.gain:.2f}" for b in batches)],
+        [f"gain by {WIDE} lanes, on one core", *(f"× {b.gain:.2f}" for b in batches)],
     ]  # fmt: skip
     print_table(
         f"{CASES:,} random cases, each cold, fast mode: tip, base moment, contact. Best of {ROUNDS}",

@@ -9,7 +9,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.design import load_design
 from probedesign.probe import build_probe
-from probedesign.rod import kernels
+from probedesign.rod.kernels.equations import LOAD
 from probedesign.rod.rod import Rod
 
 LARGE = Path(__file__).parents[1] / "designs/large.toml"
@@ -46,7 +46,7 @@ class Cases(NamedTuple):
     @property
     def loads(self) -> Array:
         """As the kernels take them, (n, LOAD)."""
-        loads = np.zeros((len(self.which), kernels.LOAD))
+        loads = np.zeros((len(self.which), LOAD))
         loads[:, 0:3], loads[:, 3:6], loads[:, 12] = self.force, self.gravity, self.s_contact
         return loads
 

@@ -11,8 +11,8 @@ from benchmarks.cases import GRAVITY, Load
 from benchmarks.operations import count, flops
 from benchmarks.timing import interleaved, print_table, shown, spread
 from probedesign.core.frames import Array
-from probedesign.rod import kernels
-from probedesign.rod.kernels.equations import frustum_of, rest_of
+from probedesign.rod.kernels import newton
+from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, frustum_of, rest_of
 from probedesign.rod.kernels.lane_sweep import tick
 from probedesign.rod.kernels.lanes import (
     LENGTH,
@@ -28,8 +28,18 @@ from probedesign.rod.kernels.lanes import (
     put_frustum,
 )
 from probedesign.rod.kernels.linalg import put, take
-from probedesign.rod.kernels.solve import scratch_buffers
-from probedesign.rod.kernels.steps import NEXT, forced_columns_step, free_columns_step, full_step
+from probedesign.rod.kernels.solve import LANES, SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.steps import (
+    BLOCK,
+    COLUMN,
+    NEXT,
+    STATE,
+    WIDE,
+    WORK,
+    forced_columns_step,
+    free_columns_step,
+    full_step,
+)
 from probedesign.rod.rod import TOLERANCES, Rod
 
 COPIES = 100
@@ -58,17 +68,17 @@ class Asked(NamedTuple):
 
 
 COLD = "cold: tip, base moment, contact"
-TOGETHER = f"the same, {kernels.WIDE} cases side by side: of each"
+TOGETHER = f"the same, {WIDE} cases side by side: of each"
 SHAPE = "cold with the shape"
 JACOBIAN = "neighbouring load, with the Jacobian by force and s_contact"
 ASKED = {
     COLD: Asked(),
-    TOGETHER: Asked(group=kernels.WIDE),
+    TOGETHER: Asked(group=WIDE),
     SHAPE: Asked(room=NODES),
-    "cold, with the Jacobian by force and s_contact": Asked(kernels.LOAD_COLUMNS),
+    "cold, with the Jacobian by force and s_contact": Asked(LOAD_COLUMNS),
     "neighbouring load": Asked(warm=True),
-    JACOBIAN: Asked(kernels.LOAD_COLUMNS, warm=True),
-    "neighbouring load, with all 16 derivatives": Asked(kernels.ALL_COLUMNS + 2, warm=True),
+    JACOBIAN: Asked(LOAD_COLUMNS, warm=True),
+    "neighbouring load, with all 16 derivatives": Asked(ALL_COLUMNS + 2, warm=True),
 }
 
 
@@ -90,35 +100,35 @@ class Part(NamedTuple):
 def solver(rod: Rod, load: Load, asked: Asked, copies: int = COPIES) -> Callable[[], int]:
     """Copies of one case, solved in one call of the kernel; from a neighbour, each of them from the same."""
     loads = np.tile(rod.load(GRAVITY, load.force, load.s), (copies, 1))
-    found, derivatives = np.empty((copies, kernels.ROW_LENGTH)), np.empty((copies, 15, asked.columns + 1))
+    found, derivatives = np.empty(copies, dtype=SOLUTION), np.empty((copies, 15, asked.columns + 1))
     which, work = np.zeros(copies, dtype=np.int64), scratch_buffers(asked.columns, asked.room, asked.group)
     beside = rod.solve(GRAVITY, BESIDE * load.force, load.s).tip
-    start = kernels.WARM_ONLY if asked.warm else kernels.COLD
-    tips = found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6]
+    start = newton.WARM_ONLY if asked.warm else newton.COLD
+    tips = found["tip"]
     case = (0, copies, rod.stacked, which, loads, rod.directed, start, False, asked.tol, asked.tol / 10.0)
 
     def solve() -> int:
         tips[:] = beside
-        done: int = kernels.solve_cases(*case, *work, found, derivatives)
+        done: int = solve_cases(*case, *work, found, derivatives)
         return done
 
     solve()
-    if (found[:, kernels.ROW_STATUS] != kernels.OK).any():
+    if (found["status"] != OK).any():
         raise ArithmeticError("a case of the benchmark has no equilibrium")
     return solve
 
 
 def counted(rod: Rod, load: Array, asked: Asked, beside: Array | None = None) -> tuple[int, dict[str, int]]:
     """Operations of one solve as the source says them, and calls of each function; load as the kernels take it."""
-    n = kernels.WIDE  # of the same case, so that no lane works on nothing
-    found, derivatives = np.zeros((n, kernels.ROW_LENGTH)), np.zeros((n, 15, asked.columns + 1))
+    n = WIDE  # of the same case, so that no lane works on nothing
+    found, derivatives = np.zeros(n, dtype=SOLUTION), np.zeros((n, 15, asked.columns + 1))
     if beside is not None:
-        found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6] = beside
-    start = kernels.COLD if beside is None else kernels.WARM_ONLY
+        found["tip"] = beside
+    start = newton.COLD if beside is None else newton.WARM_ONLY
     work = scratch_buffers(asked.columns, asked.room, n)
     for numbers in work:
         numbers[:] = 0.0  # memory as it comes may hold what is no number
-    done, calls = count(kernels.solve_cases, 0, n, rod.stacked, np.zeros(n, dtype=np.int64), np.tile(load, (n, 1)),
+    done, calls = count(solve_cases, 0, n, rod.stacked, np.zeros(n, dtype=np.int64), np.tile(load, (n, 1)),
                         rod.directed, start, False, asked.tol, asked.tol / 10.0, *work, found, derivatives)  # fmt: skip
     return flops(done) // n, {name: times if name in SOUGHT else times // n for name, times in calls.items()}
 
@@ -150,17 +160,17 @@ def _reported(trips: int, kinds: Any, body: Any, load: Any, work: Any, block: An
         if forced:
             forced_columns_step(h, block, work, gravity)
         s += h  # or the compiler would take what depends on it alone out of the loop
-        for q in range(kernels.STATE):
-            work[q] = work[kernels.STATE + q]
-        for q in range(kernels.WIDE * kernels.COLUMN):
-            block[q] = block[kernels.WIDE * NEXT + q]
+        for q in range(STATE):
+            work[q] = work[STATE + q]
+        for q in range(WIDE * COLUMN):
+            block[q] = block[WIDE * NEXT + q]
 
 
 @njit(error_model="numpy")
 def _sought(trips: int, tips: bool, body: Any, lanes: Any) -> None:
     """The same of steps in all lanes, judged and taken."""
     length, frustum = body.knots[-1], frustum_of(body, 0, False)
-    for lane in range(kernels.WIDE):
+    for lane in range(WIDE):
         put_frustum(lanes, lane, frustum)
         for row, value in (
             (S, length),
@@ -170,12 +180,12 @@ def _sought(trips: int, tips: bool, body: Any, lanes: Any) -> None:
             (STEP_BUDGET, 1e9),
             (WANTS_TIPS, 1.0),
         ):
-            lanes[kernels.WIDE * row + lane] = value
+            lanes[WIDE * row + lane] = value
         for row in (T + 2, D, TIPS, TIPS + 7):
-            lanes[kernels.WIDE * row + lane] = 1.0
+            lanes[WIDE * row + lane] = 1.0
     for _ in range(trips):
-        for lane in range(kernels.WIDE):
-            lanes[kernels.WIDE * H + lane] = -1e-6 * length
+        for lane in range(WIDE):
+            lanes[WIDE * H + lane] = -1e-6 * length
         tick(lanes, None, tips)
 
 
@@ -194,12 +204,12 @@ def parts(rod: Rod, load: Load) -> dict[str, Part]:
     longer than again and again by itself: most likely because the code of all does not stay decoded.
     """
     work, block, given = (
-        np.empty(kernels.WORK),
-        np.empty(kernels.BLOCK),
+        np.empty(WORK),
+        np.empty(BLOCK),
         rod.load(GRAVITY, load.force, load.s),
     )
     _begin(work, block)
-    lanes = np.zeros(kernels.FIXED)
+    lanes = np.zeros(LANES)
     case = (rod.body, given, work, block)
     kinds: dict[str, tuple[Any, tuple[object, ...]]] = {
         "full": (_reported, ((False, False), *case)),
@@ -224,7 +234,7 @@ def parts(rod: Rod, load: Load) -> dict[str, Part]:
 
 def _of_lane(part: Part) -> Part:
     """All lanes take as long as one; the operations are one's."""
-    return Part(part.seconds, part.operations // kernels.WIDE)
+    return Part(part.seconds, part.operations // WIDE)
 
 
 def _beyond(both: Part, one: Part) -> Part:
@@ -273,7 +283,7 @@ def print_parts(work: Work, each: dict[str, Part], peaks: dict[str, float], name
         rows,
     )
     print(
-        f"  Sought: with all that is done for a step. A case alone uses one of {kernels.WIDE} lanes of a register; the "
+        f"  Sought: with all that is done for a step. A case alone uses one of {WIDE} lanes of a register; the "
         "reported state goes number by number.\n  Both: at most "
         f"{numbers / 1e9:.3g}·10⁹ a second. Reported columns go four to a register, but of the first four only the "
         "tip's three are needed.\n"

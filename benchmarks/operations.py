@@ -82,10 +82,22 @@ def _counted(value: Any) -> Any:
         for at in np.ndindex(value.shape):
             found[at] = Counted(value[at])
         return found
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        return _Records(value)
     if isinstance(value, tuple):
         parts = [_counted(part) for part in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     return value
+
+
+class _Records(list[SimpleNamespace]):
+    """Records of counting numbers, whose fields are attributes as in compiled code."""
+
+    def __init__(self, array: Any) -> None:
+        self.shape = array.shape
+        super().__init__(
+            SimpleNamespace(**{name: _counted(row[name]) for name in array.dtype.names}) for row in array
+        )
 
 
 def _uncompiled(value: Any, done: dict[Any, Any]) -> Any:

@@ -8,7 +8,7 @@ from benchmarks.cases import bare_large, paper_loads
 from benchmarks.inside import COLD, JACOBIAN, TOGETHER, Work
 from benchmarks.peak import peaks
 from benchmarks.timing import digits, print_table, shown
-from probedesign.rod import kernels
+from probedesign.rod.kernels.steps import WIDE
 
 Compared = Sequence[dict[str, compare.Found | None]]
 
@@ -43,7 +43,7 @@ def print_lanes(batches: dict[str, Batch], work: dict[str, list[Work]]) -> None:
     """What lanes brought, and what stands in the way of more."""
     gains = [alone.seconds / beside.seconds for alone, beside in zip(work[COLD], work[TOGETHER], strict=True)]
     print(
-        f"  lanes: {kernels.WIDE} like cases side by side × {digits(min(gains))} or more, unlike ones "
+        f"  lanes: {WIDE} like cases side by side × {digits(min(gains))} or more, unlike ones "
         + ", ".join(f"× {digits(batch.gain)} ({name})" for name, batch in batches.items())
         + "\n  in the way of more: a core has so many units for whole registers, and the steps keep them busy; "
         "stops, Newton's matrix and the path go lane by lane"

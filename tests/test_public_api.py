@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import probedesign
+from probedesign.rod.contact import solve_surface_force
 
 NOUNS = {"Campaign", "Design", "Detector", "Estimate", "Estimator", "FusedEstimate", "Identification", "Prediction",
          "Priors", "Probe", "Rod", "Sensor", "Tolerances", "Tracker"}  # fmt: skip
@@ -84,3 +85,27 @@ def test_an_estimator_loads_no_design_and_no_drawing():
         & loaded
     )
     assert len(loaded) <= 60
+
+
+def test_one_estimate_runs_python_code_of_at_most_12_modules():
+    """An estimate of a stream is one call of the kernels with little around it; compiled code does not count."""
+    probe = probedesign.build_probe(
+        probedesign.load_design(Path(__file__).parents[1] / "designs" / "large.toml")
+    )
+    estimator, gravity = probe.estimator(), probe.design.mount.gravity_base_m_s2
+    touched = solve_surface_force(probe.rod, gravity, 0.6 * probe.length, 0.3, 0.03, (0.2, -0.1))
+    wrench = touched.equilibrium.wrench_base
+    assert estimator.estimate(wrench).ok  # compiles, and caches what belongs to the gravity
+    package, ran = Path(probedesign.__file__).parent, set()
+
+    def note(frame, event, _argument):
+        if event == "call" and package in Path(frame.f_code.co_filename).parents:
+            ran.add(Path(frame.f_code.co_filename).relative_to(package).as_posix())
+
+    sys.setprofile(note)
+    try:
+        found = estimator.estimate(wrench)
+    finally:
+        sys.setprofile(None)
+    assert found.ok and "estimation/estimator.py" in ran
+    assert len(ran) <= 12, sorted(ran)

@@ -1,9 +1,9 @@
-"""Where a contact may lie, from one integration: the probe drawn from its clamp with the wrench that was read.
+"""Places where a contact may be, from one integration of the probe from its clamp with the measured wrench.
 
-Up to the contact such a rod is the touched probe itself. Beyond it hangs the free part, whose weight alone makes a
-moment; where the moment carried along equals that, the contact may lie. Nothing is iterated, so this costs less than
-one equilibrium. It errs with the reading, the more the thinner the probe gets, and takes the free part for straight:
-good for a start, not for an estimate.
+Up to the contact such a rod is the touched probe itself. Beyond it only the weight of the free part makes a moment;
+where the integrated moment equals that, the contact may be. Nothing is iterated, so this costs less than one
+equilibrium. Its errors grow with those of the reading, the more the thinner the probe gets, and it takes the free part
+for straight: good for a start, not for an estimate.
 """
 
 import math
@@ -19,11 +19,12 @@ from probedesign.estimation.surface_contact_kernel import (
     offset_along,
     radius_and_slope,
 )
-from probedesign.rod.kernels.compiled import inner
+from probedesign.rod.kernels import inner
 from probedesign.rod.kernels.equations import (
     CONE,
     DENSITY,
     ROOT_REACH,
+    frustum_at,
     frustum_of,
     rest_at,
     rest_of,
@@ -36,15 +37,15 @@ from probedesign.rod.kernels.steps import STATE as WIDTH
 from probedesign.rod.kernels.steps import D, M, P, T, full_step
 
 STATIONS = 33
-"""Stations evaluated at equal distances along the probe, as many as `arclength_scan.py` has at most."""
+"""Stations evaluated at equal distances along the probe, as many as the scan of `force_moment` has at most."""
 ROOM = STATIONS * (WIDTH + 3)
 """Numbers that a trace works in, and one more for each knot: states, misfits, first moments at the knots."""
 ROUGH = 1e-3
-"""Error of a step [rad] from which it is halved; and how often."""
+"""Error of a step [rad] from which it is halved, and how often at most."""
 _HALVINGS = 4
 CURLED = 0.5
 """Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact
-the moment that was read curls the thin tip up."""
+the measured moment curls the thin tip up."""
 DROOPS = 8
 """Steps along the free part."""
 USUAL, MAX_SINE = 0.6, 0.9
@@ -56,9 +57,7 @@ MIN_PUSH = 0.2
 @inner
 def _hanging(body, s, knot_moments):
     """Return the first moment of the mass beyond s about s [kg m], taken as straight."""
-    i = 0
-    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
-        i += 1
+    i = frustum_at(body, s)
     height, whole = body.knots[i + 1] - s, body.knots[i + 1] - body.knots[i]
     r1 = body.radii[i + 1]
     r = r1 + (body.radii[i] - r1) * height / whole
@@ -179,7 +178,7 @@ def _droop(body, s, gravity, knot_moments, state):
         turn = _hang(body, s, t, d, gravity, knot_moments)
         half_t, half_d = add(t, 0.5 * h, cross(turn, t)), add(d, 0.5 * h, cross(turn, d))
         turn = _hang(body, s + 0.5 * h, half_t, half_d, gravity, knot_moments)
-        put_section(state, TIP, add(t, h, cross(turn, half_t)), add(d, h, cross(turn, half_d)))
+        put_section(state[TIP:], add(t, h, cross(turn, half_t)), add(d, h, cross(turn, half_d)))
         s += h
 
 
@@ -222,6 +221,7 @@ def place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch):
     across = add(force, -dot(force, t), t)
     size = math.sqrt(dot(force, force))
     wide = math.sqrt(dot(across, across))
+    # A force along the tangent to 1e-6 has no direction around the section.
     phi = math.atan2(-dot(across, y_axis), -dot(across, x_axis)) if wide > 1e-6 * size else 0.0
     around = twist / max(radius_and_slope(body, s)[0], 1e-300)
     known = known_twist / max(radius_and_slope(body, s)[0], 1e-300)
@@ -230,7 +230,7 @@ def place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch):
     phi += math.asin(sine)
     e = add(times(math.cos(phi), x_axis), math.sin(phi), y_axis)
     touch[S], touch[PHI] = s, phi
-    for _ in range(2):
+    for _ in range(2):  # the radius at the touched section differs from that at s by tan² α: twice is enough
         r, tan = radius_and_slope(body, touch[S])
         cos = 1.0 / math.sqrt(1.0 + tan * tan)
         sin = tan * cos

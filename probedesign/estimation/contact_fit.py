@@ -10,6 +10,8 @@ the misfit of the base wrench whitened by its covariance, and the prior on frict
 
 import math
 
+import numpy as np
+
 from probedesign.estimation.surface_contact_kernel import (
     AROUND,
     BY_TOUCH,
@@ -26,13 +28,13 @@ from probedesign.estimation.surface_contact_kernel import (
     linearise,
     plan_move,
 )
-from probedesign.rod.kernels.compiled import inner
+from probedesign.rod.kernels import inner
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import scale_and_factor, solve_scaled
 
 FITTED, AT_END, STALLED, LOST = 0, 1, 2, 3
-"""What became of a fit: a least misfit; one held by an end of the probe; no lower misfit to be found though this is
-no least one, as where no contact explains the reading; no equilibrium."""
+"""Outcomes of a fit: a minimum of the misfit; one at an end of the probe; no lower misfit found although this is no
+minimum, as where no contact explains the reading; no equilibrium."""
 RESIDUALS = 8
 """Six channels and two components of the friction."""
 MIN_FRICTION = 1e-4
@@ -44,21 +46,33 @@ standard deviations of the moment over the moment itself, up to the last."""
 CLOSE = 1e-7
 """Step of arclength over length at which the fit ends."""
 FLAT = 1e-4
-"""What a step would still take off the misfit at which the fit ends too: a hundredth of a standard deviation. That
-last step is taken, to first order."""
+"""Decrease of the misfit by a step at which the fit also ends: a hundredth of a standard deviation. That last step is
+taken, to first order."""
 JITTER = 1e-3
-"""What the sweeps' errors may add to the misfit, beside a ten-thousandth of it."""
+"""Increase of the misfit by the sweeps' errors that is accepted, in addition to a ten-thousandth of it."""
 MAX_ITERATIONS = 30
+"""Sweeps of one fit: it takes 3 to 10 from a good guess; more means that it creeps along a flat valley."""
 MAX_STEP, MAX_TURN, MAX_AROUND = 0.06, 0.5, 0.7
-"""Of arclength over length, of the tip [rad] and around the section [rad], in one iteration."""
+"""Largest changes of arclength over length, of the tip [rad] and around the section [rad] in one iteration: within
+them the linearisation is useful."""
 MIN_PUSH = 0.25
 """Share of the normal force that one iteration leaves at least: a contact pushes."""
 MAX_FAILED = 2
 """Sweeps that end at the limit of their steps before a fit is given up; one costs as much as a hundred others."""
 _SMALLEST = 1e-4
-"""Share of a step below which it is not halved any more."""
-WORK = TOUCH + 113 + MOVE
-"""Numbers that a fit works in beside its sweeps."""
+"""Share of a step below which it is not shortened any more."""
+FIT_SCRATCH = np.dtype([
+    ("before", "f8", TOUCH), ("J", "f8", (RESIDUALS, UNKNOWNS)), ("r", "f8", RESIDUALS),
+    ("H", "f8", (UNKNOWNS, UNKNOWNS)), ("full", "f8", (UNKNOWNS, UNKNOWNS)), ("b", "f8", UNKNOWNS),
+    ("step", "f8", UNKNOWNS), ("scale", "f8", UNKNOWNS), ("move", "f8", MOVE),
+    ("noise_whiten", "f8", (6, 6)), ("cov", "f8", (6, 6)), ("factor", "f8", (6, 6)), ("by_s", "f8", UNKNOWNS),
+    ("identity", "f8", (UNKNOWNS, UNKNOWNS)), ("solved", "f8", (UNKNOWNS, UNKNOWNS)),
+    ("at", "f8", TOUCH), ("change", "f8", UNKNOWNS), ("beside", "f8", (RESIDUALS, UNKNOWNS)), ("axis", "f8", 3),
+    ("along", "f8", UNKNOWNS), ("valley", "f8", (2, UNKNOWNS)), ("offsets", "f8", (2, 6)),
+])  # fmt: skip
+"""Memory that a fit works in beside its sweeps: of Gauss-Newton the touch before a step, residuals, their derivatives,
+normal equations and the step; of the weights the whitening by noise alone and a covariance; of the covariance the
+derivatives of s_contact, and touch, residuals and directions of the valley (see `uncertainty_kernel`)."""
 
 
 @inner
@@ -102,11 +116,17 @@ def residuals(lin, touch, wrench, whiten, friction, J, r):
 @inner
 def normal_equations(J, r, H, b):
     """Fill in H = Jᵀ J (5, 5) and b = -Jᵀ r (5,)."""
+    information(J, H)
     for u in range(UNKNOWNS):
-        total = 0.0
+        b[u] = 0.0
         for i in range(RESIDUALS):
-            total -= J[i, u] * r[i]
-        b[u] = total
+            b[u] -= J[i, u] * r[i]
+
+
+@inner
+def information(J, H):
+    """Fill in H = Jᵀ J (5, 5)."""
+    for u in range(UNKNOWNS):
         for v in range(u + 1):
             total = 0.0
             for i in range(RESIDUALS):
@@ -179,20 +199,16 @@ def fit_touch(
         touch: the guess, then the fit, (TOUCH,).
         sweep_work: scratch, (work_size(0),); lin: at the last linearisation but for the last step,
             (ROWS, 1 + UNKNOWNS).
-        work: scratch, (WORK,).
+        work: scratch, FIT_SCRATCH.
 
     Returns:
         What became of it (FITTED, ...), the misfit squared, iterations.
     """
-    before = work[:TOUCH]
-    a = TOUCH
-    J, r = work[a : a + 40].reshape((RESIDUALS, UNKNOWNS)), work[a + 40 : a + 48]
-    H = work[a + 48 : a + 73].reshape((UNKNOWNS, UNKNOWNS))
-    b, step, scale = work[a + 73 : a + 78], work[a + 78 : a + 83], work[a + 83 : a + 88]
-    length, tol = body.knots[-1], sweep_tolerance(wrench, whiten)
+    before, J, r, H, b = work.before[:], work.J, work.r, work.H, work.b
+    step, move, length, tol = work.step, work.move, body.knots[-1], sweep_tolerance(wrench, whiten)
     least, share, size, failed = math.inf, 1.0, 1.0, 0
-    full, move = work[a + 88 : a + 113].reshape((UNKNOWNS, UNKNOWNS)), work[a + 113 : a + 131]
     for iteration in range(max_iterations):
+        # A size below 1e-6 would ask for steps finer than rounding.
         status, lack, margin, size = linearise(
             body, gravity, mass, tol, max(size, 1e-6), touch, 0, sweep_work, lin
         )
@@ -203,12 +219,12 @@ def fit_touch(
         if not (math.isfinite(merit) and merit <= least * (1.0 + 1e-4) + JITTER):
             if not math.isfinite(least) or share < _SMALLEST or failed > MAX_FAILED:
                 return (STALLED if math.isfinite(least) else LOST), least, iteration
-            share *= 0.25
+            share *= 0.25  # the misfit is far from quadratic here: halving would take many sweeps
             advance(touch, before, share, step, move)
             continue
         least = merit
         normal_equations(J, r, H, b)
-        bounded = bounded_step(H, b, scale, low, end, touch, step, full)
+        bounded = bounded_step(H, b, work.scale, low, end, touch, step, work.full)
         if bounded < 0:
             return LOST, merit, iteration
         gain = 0.0

@@ -22,7 +22,8 @@ from scipy.stats import f as fisher
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
+from probedesign.rod.kernels.linalg import forward
 
 LENGTHS = (1, 4, 16, 64, 256, 1024)
 """Samples of each mean."""
@@ -71,25 +72,6 @@ class DetectorState(NamedTuple):
 
 
 @inner
-def square(z, factor):
-    """Return zᵀ S⁻¹ z by forward substitution with S's Cholesky factor."""
-    y0 = z[0] / factor[0, 0]
-    y1 = (z[1] - factor[1, 0] * y0) / factor[1, 1]
-    y2 = (z[2] - factor[2, 0] * y0 - factor[2, 1] * y1) / factor[2, 2]
-    y3 = (z[3] - factor[3, 0] * y0 - factor[3, 1] * y1 - factor[3, 2] * y2) / factor[3, 3]
-    y4 = (z[4] - factor[4, 0] * y0 - factor[4, 1] * y1 - factor[4, 2] * y2 - factor[4, 3] * y3) / factor[4, 4]
-    y5 = (
-        z[5]
-        - factor[5, 0] * y0
-        - factor[5, 1] * y1
-        - factor[5, 2] * y2
-        - factor[5, 3] * y3
-        - factor[5, 4] * y4
-    ) / factor[5, 5]
-    return y0 * y0 + y1 * y1 + y2 * y2 + y3 * y3 + y4 * y4 + y5 * y5
-
-
-@inner
 def learn(j, z, share, moments, scatter):
     """Update the exponentially weighted covariance of means of length j with one more, and factor it."""
     for a in range(6):
@@ -130,7 +112,7 @@ def advance(
     """
     lengths = thresholds.shape[0]
     white = np.empty(6)
-    z = np.empty(6)
+    z, y = np.empty(6), np.empty(6)
     code = FREE
     for i in range(samples.shape[0]):
         finite = True
@@ -155,7 +137,11 @@ def advance(
             root = np.sqrt(n * (1.0 + n * state[BIAS_VARIANCE]))
             for a in range(6):
                 z[a] = sums[j, a] / root
-            far = square(z, scatter[j])
+            far = 0.0
+            y[:] = z
+            forward(scatter[j], 6, y)
+            for a in range(6):
+                far += y[a] * y[a]
             if in_contact:
                 if j == int(state[DETECTED_BY]) and far < released:
                     state[STATE_NOW], code = FREE, LOST

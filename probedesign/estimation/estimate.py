@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.estimation.multistart import FIT
 from probedesign.rod.equilibrium import Equilibrium
 
 Result = Literal[
@@ -57,7 +56,7 @@ class Candidate:
         lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
         shape: the probe touched there.
         at_end: whether an end of the probe bounds the place.
-        fit: row of the compiled fit, laid out as `multistart.FIT`; None for the force–moment method.
+        fit: of the compiled fit, a record `multistart.FIT`; None for the force–moment method.
     """
 
     s_contact: float
@@ -74,22 +73,22 @@ class Candidate:
     lever: float
     shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
     at_end: bool = False
-    fit: Array | None = field(default=None, repr=False, compare=False)
+    fit: np.void | None = field(default=None, repr=False, compare=False)
 
     @property
     def touch(self) -> Array | None:
         """Return unknowns, dead loads and tip, from which a neighbouring reading can start; None without a fit."""
-        return None if self.fit is None else np.asarray(self._record["touch"])
+        return None if self.fit is None else np.asarray(self.fit["touch"])
 
     @property
     def whiten(self) -> Array:
         """Return the whitening of the reading at this touch, (6, 6); NaN without a fit."""
-        return _nan(6, 6) if self.fit is None else np.asarray(self._record["whiten"])
+        return _nan(6, 6) if self.fit is None else np.asarray(self.fit["whiten"])
 
     @property
     def chi2_friction(self) -> float:
         """Return the part of `chi2` due to the prior on friction; 0 without a fit."""
-        return 0.0 if self.fit is None else float(self._record["posterior"]["chi2_friction"])
+        return 0.0 if self.fit is None else float(self.fit["chi2_friction"])
 
     @property
     def cov_touch(self) -> Array:
@@ -107,12 +106,7 @@ class Candidate:
         return self._covariance("cov_linear_centre", 3)
 
     def _covariance(self, name: str, size: int) -> Array:
-        return _nan(size, size) if self.fit is None else np.asarray(self._record["posterior"][name])
-
-    @property
-    def _record(self) -> Any:
-        assert self.fit is not None
-        return self.fit.view(FIT)[0]
+        return _nan(size, size) if self.fit is None else np.asarray(self.fit[name])
 
     @property
     def rms(self) -> float:

@@ -17,8 +17,7 @@ from probedesign.estimation import force_moment, likelihood
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, Result
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation import Observation, covariance
+from probedesign.estimation.model import Observation, ProbeModel, covariance
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.tolerances import Tolerances, Unknowns
 from probedesign.rod.equilibrium import Equilibrium
@@ -199,7 +198,7 @@ class Estimator:
                 the base the forces may be NaN.
             Ts_world_base: pose of the base at each, (k, 4, 4).
             gravity_world: [m/s²], (3,).
-            moments_only: whether the readings of the forces are left aside.
+            moments_only: whether the readings of the forces are not used.
             moments_about: with moments alone, which: those about the base's origin, in which the sensor's force noise
                 times its lever shows, or those that the sensor reads itself, which need all six numbers to be got
                 back and are then free of it.

@@ -19,19 +19,18 @@ from probedesign.core.frames import Array, is_pose, wrench_map
 from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import Result
+from probedesign.estimation.force_moment import closest_approaches, curve
 from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.fusion_state import GROUPS, FusionState, Pin, without
-from probedesign.estimation.iso_moment_curves import closest_approaches, curve
 from probedesign.estimation.likelihood import locate
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation import Observation, covariance
+from probedesign.estimation.model import Observation, ProbeModel, covariance
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import (
     NORMAL,
     TOUCH,
 )
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.estimation.uncertainty_kernel import ASIDE, TAIL
+from probedesign.estimation.uncertainty_kernel import NODE, TAIL
 
 NEAR = 1e-9
 """Poses whose numbers differ by no more, in metres too, are one."""
@@ -350,7 +349,7 @@ class Fusion:
             a = best.cov @ axis / std
             aside = [
                 (side, place.x[:3] - best.x[:3] - side * a)
-                for side in (-ASIDE, ASIDE)
+                for side in (-NODE, NODE)
                 if (place := self._aside(best, axis, side * std)) is not None
             ]
             if not aside:
@@ -374,8 +373,8 @@ class Fusion:
             if place is None:
                 break
             found, touches = place, place.touches
-            rise = max(place.chi2 - best.chi2, 0.25 * ASIDE**2)
-            further = ASIDE / math.sqrt(rise)
+            rise = max(place.chi2 - best.chi2, 0.25 * NODE**2)
+            further = NODE / math.sqrt(rise)
             if (
                 further < 1.02
             ):  # below, the step is too small to make the stated error jump between neighbouring places

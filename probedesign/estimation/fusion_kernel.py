@@ -36,7 +36,7 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
 )
 from probedesign.estimation.uncertainty_kernel import error_columns
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import (
     backward,

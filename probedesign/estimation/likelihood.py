@@ -2,30 +2,21 @@
 the prior on friction.
 
 Where it may lie follows from one integration (`candidates.py`); where that leads to no place at all, from the scan of
-the force–moment method (`arclength_scan.py`). The fit itself is compiled (`contact_fit.py`, `multistart.py`).
+the force–moment method (`force_moment.py`). The fit itself is compiled (`contact_fit.py`, `multistart.py`).
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
-from probedesign.estimation import multistart, rounded_tip
-from probedesign.estimation.contact_fit import AT_END, STALLED
-from probedesign.estimation.contact_fit import WORK as FIT_WORK
+from probedesign.estimation import multistart
+from probedesign.estimation.contact_fit import AT_END, FIT_SCRATCH, STALLED
 from probedesign.estimation.estimate import Candidate
-from probedesign.estimation.multistart import (
-    CENTRE_AT,
-    FORCE_AT,
-    MAX_STARTS,
-    POSTERIOR_AT,
-    ROW,
-    S_AT,
-    STATUS,
-    SURFACE_AT,
-    TOUCH_AT,
-)
+from probedesign.estimation.multistart import FIT, MAX_STARTS
 from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -39,8 +30,8 @@ from probedesign.estimation.surface_contact_kernel import (
     S,
     work_size,
 )
-from probedesign.estimation.uncertainty_kernel import CHI2, COV_CENTRE, COV_POINT, LEVER, LINEAR, VAR_S
-from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.equilibrium import Equilibrium, Sensitivity
+from probedesign.rod.rod import Rod
 
 _SAME = 1e-5
 """Places closer than this, over the length, are one."""
@@ -79,7 +70,7 @@ def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
 
 def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate]:
     """Return the touch of a round end if it explains the reading where no touch of the flank close to it does."""
-    end = rounded_tip.locate(problem)
+    end = locate_at_rounded_tip(problem)
     if end is None or not explains(end):
         return []
     near = (
@@ -95,18 +86,18 @@ def explains(place: Candidate) -> bool:
     return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
 
 
-def _fit(problem: Problem, near: Array | None) -> Array:
-    """Return what was fitted from one touch, or from every candidate along the probe: rows of `FIT`, (n, ROW)."""
+def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
+    """Return what was fitted from one touch, or from every candidate along the probe: rows of `FIT`, (n,)."""
     model, seen = problem.sources.model, problem.seen
-    rows = np.empty((MAX_STARTS, ROW))
+    rows = np.empty(MAX_STARTS, dtype=FIT)
     if near is not None:
-        rows[0, TOUCH_AT:POSTERIOR_AT] = near
+        rows["touch"][0] = near
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        *problem.sources.arguments(), near is not None, np.empty(problem.sources.room), rows,
+        *problem.sources.arguments(), near is not None, np.empty(problem.sources.room),
+        np.empty(1, dtype=FIT_SCRATCH), rows,
     )  # fmt: skip
-    found: Array = rows[:count]
-    return found
+    return rows[:count]
 
 
 def _started(problem: Problem, s: float, tip: Array) -> Array:
@@ -120,12 +111,12 @@ def _started(problem: Problem, s: float, tip: Array) -> Array:
     return touch
 
 
-def _places(problem: Problem, rows: Array) -> list[Candidate]:
+def _places(problem: Problem, rows: NDArray[Any]) -> list[Candidate]:
     """Return candidates of the fits that are least misfits, or that end where nothing explains the reading."""
     places = []
     for row in rows:
         place = _candidate(problem, row)
-        if row[STATUS] == STALLED and explains(place):
+        if row["status"] == STALLED and explains(place):
             pushes = place.force_normal > _PULLED * float(np.linalg.norm(place.force_base))
             if pushes:
                 continue
@@ -137,10 +128,9 @@ _PULLED = 1e-3
 """Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling."""
 
 
-def _candidate(problem: Problem, row: Array) -> Candidate:
+def _candidate(problem: Problem, row: np.void) -> Candidate:
     """Return a fit, a row of `FIT`, as a candidate."""
-    model, k = problem.sources.model, POSTERIOR_AT
-    touch = row[TOUCH_AT:k]
+    model, touch = problem.sources.model, row["touch"]
     normal = float(touch[NORMAL])
 
     def shape() -> Equilibrium:
@@ -151,19 +141,19 @@ def _candidate(problem: Problem, row: Array) -> Candidate:
         )  # fmt: skip
 
     return Candidate(
-        s_contact=min(max(float(row[S_AT]), 0.0), model.rod.length),
-        std_s=math.sqrt(max(float(row[k + VAR_S]), 0.0)),
-        p_contact_base=row[CENTRE_AT:S_AT],
-        p_surface_base=row[SURFACE_AT:CENTRE_AT],
-        force_base=row[FORCE_AT:SURFACE_AT],
-        cov_contact_base=row[k + COV_CENTRE : k + LINEAR].reshape(3, 3),
-        cov_surface_base=row[k + COV_POINT : k + COV_CENTRE].reshape(3, 3),
+        s_contact=min(max(float(row["s_contact"]), 0.0), model.rod.length),
+        std_s=math.sqrt(max(float(row["var_s"]), 0.0)),
+        p_contact_base=row["centre"],
+        p_surface_base=row["surface"],
+        force_base=row["force"],
+        cov_contact_base=row["cov_centre"],
+        cov_surface_base=row["cov_surface"],
         force_normal=normal,
         force_tangential=normal * math.hypot(touch[AROUND], touch[ALONG]),
-        chi2=float(row[k + CHI2]),
+        chi2=float(row["chi2"]),
         dof=dof_of(problem.friction),
-        lever=float(row[k + LEVER]),
-        at_end=bool(row[STATUS] == AT_END),
+        lever=float(row["lever"]),
+        at_end=bool(row["status"] == AT_END),
         shape=shape,
         fit=row,
     )
@@ -194,13 +184,13 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
     model, end = problem.sources.model, problem.sources.model.rod.flank_end
     touch, s = place.touch.copy(), float(place.touch[S])
     limit, lin = place.chi2 + max_chi2(1, 0.05), np.empty((ROWS, 1 + UNKNOWNS))
-    sweep_work, work = np.empty(work_size(0)), np.empty(FIT_WORK)
+    sweep_work, scratch = np.empty(work_size(0)), np.empty(1, dtype=FIT_SCRATCH)
 
     def misfit(at: float) -> float:
         """Return the least misfit squared with the touched section at an arclength [m]."""
         return float(multistart.profile_misfit(
             model.rod.body, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten, problem.friction, at,
-            touch, sweep_work, lin, work,
+            touch, sweep_work, lin, scratch,
         ))  # fmt: skip
 
     inside, outside = s, math.nan
@@ -245,3 +235,124 @@ def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
         if not any(same):
             found.append(place)
     return found
+
+
+ROUNDED_TIP_DOF = 3
+"""Six channels, three unknowns: the force."""
+_FORCE_ITERATIONS = 12
+_FORCE_CLOSE = 1e-3
+"""Step of the whitened misfit, in standard deviations, at which the search ends."""
+_LEANING = 3.0
+"""Standard deviations of the force by which it may seem to lean less than the flank's normal."""
+MAX_FRICTION = 1.0
+"""Ratio of friction that is counted where the direction of the force is free: the touched point lies within R."""
+
+
+class _ForceFit(NamedTuple):
+    """Equilibrium under the fitted force, with the derivatives of the whitened misfit.
+
+    Attributes:
+        eq, sensitivity: equilibrium and its derivatives by the load; force: on the centre of the sphere [N], (3,).
+        r, J: whitened misfit (6,) and its derivatives by the force (6, 3).
+    """
+
+    eq: Equilibrium
+    sensitivity: Sensitivity
+    force: Array
+    r: Array
+    J: Array
+
+
+def locate_at_rounded_tip(problem: Problem) -> Candidate | None:
+    """Locate the touch of the round end that explains a reading best.
+
+    The normals of a sphere all meet at its centre. So a push on the round end acts on the axis there but for its
+    friction, which turns it by up to atan μ about the touched point: it then passes the centre at μ R. Instead of the
+    arclength its lean is unknown, from the flank's own to straight along the axis.
+
+    Args:
+        problem: of a rod with a rounded tip.
+
+    Returns:
+        The place; None if the probe cannot be pushed so, or the force would not point into the round end.
+    """
+    rod, gravity = problem.sources.model.rod, problem.seen.gravity
+    s, R = _sphere(rod)
+    lean = R * min(problem.friction, MAX_FRICTION)
+    fit = _fit_force(problem, s, lean)
+    if fit is None:
+        return None
+    eq, force = fit.eq, fit.force
+    cov_force, size = np.linalg.inv(fit.J.T @ fit.J), float(np.linalg.norm(force))
+    t = eq.R_at(s)[:, 2]
+    tilt = float(force @ t) + size * math.sin(math.atan(rod.taper_at(rod.flank_end)))
+    if size == 0.0 or tilt > _LEANING * math.sqrt(float(t @ cov_force @ t)) + lean / R * size:
+        return None
+    by_force = fit.sensitivity.d_position[:, :3]
+    # Facets are no sphere, and no print is: their normals miss its centre by so much.
+    std_s = math.hypot(rod.flank_end - s, lean)
+    out = -force / size
+    cov_contact = by_force @ cov_force @ by_force.T + std_s**2 * np.outer(t, t)
+    return Candidate(
+        s_contact=s,
+        std_s=std_s,
+        p_contact_base=eq.p_contact_base,
+        p_surface_base=eq.p_contact_base + R * out,
+        force_base=force,
+        cov_contact_base=cov_contact,
+        cov_surface_base=cov_contact + lean**2 * (np.eye(3) - np.outer(out, out)),
+        force_normal=size,
+        force_tangential=0.0,
+        chi2=float(fit.r @ fit.r),
+        dof=ROUNDED_TIP_DOF,
+        lever=float(np.linalg.norm(fit.sensitivity.d_moment[:, 3])) / size,
+        shape=lambda: rod.solve(gravity, force, s, guess=eq.tip),
+    )
+
+
+def _fit_force(problem: Problem, s: float, lean: float) -> _ForceFit | None:
+    """Fit the force at arclength s [m] by Gauss-Newton; None where there is no equilibrium or no convergence.
+
+    Args:
+        lean: how far friction moves the line of action from the sphere's centre [m].
+    """
+    rod, seen = problem.sources.model.rod, problem.seen
+    force, tip, moved, whiten = seen.force, None, math.inf, None
+    for _ in range(_FORCE_ITERATIONS):
+        eq = rod.solve(seen.gravity, force, s, guess=tip, columns="contact")
+        if not eq.ok or eq.sensitivity is None:
+            return None
+        if whiten is None:  # the error sources are taken at the first guess
+            whiten = np.linalg.inv(
+                np.linalg.cholesky(_covariance(problem, s, lean, force, eq, eq.sensitivity))
+            )
+        r = whiten @ (eq.wrench_base - seen.wrench)
+        J = whiten @ eq.sensitivity.d_wrench[:, :3]
+        if moved < _FORCE_CLOSE:
+            return _ForceFit(eq, eq.sensitivity, force, r, J)
+        step = -np.linalg.lstsq(J, r, rcond=None)[0]
+        force, tip, moved = force + step, eq.tip, float(np.linalg.norm(J @ step))
+    return None
+
+
+def _covariance(
+    problem: Problem, s: float, lean: float, force: Array, eq: Equilibrium, sensitivity: Sensitivity
+) -> Array:
+    """Return the covariance of the reading with error sources and friction, (6, 6)."""
+    rod = problem.sources.model.rod
+    touch, frame = np.zeros(TOUCH), eq.R_at(s)
+    multistart.placed(rod.body, rod.flank_end, s, force, frame[:, 2].copy(), frame[:, 0].copy(), touch)
+    touch[TIP:] = eq.tip
+    D = np.nan_to_num(problem.sources.columns_at(touch)[1])
+    # Friction adds a couple about the centre, of any direction across the force.
+    couple = lean * float(np.linalg.norm(force)) * sensitivity.d_wrench[:, 4:7]
+    return np.asarray(problem.noise + D[:6] @ D[:6].T + couple @ couple.T)
+
+
+def _sphere(rod: Rod) -> tuple[float, float]:
+    """Return the arclength of the sphere's centre and its radius [m], from the flank and the end of the rod."""
+    tan = rod.taper_at(rod.flank_end)
+    sin = tan / math.hypot(1.0, tan)
+    blunt = float(rod.radius_at(rod.flank_end)) - tan * (rod.length - rod.flank_end)
+    R = blunt * math.sqrt(1.0 - sin * sin) / (1.0 - sin)
+    return rod.length - R, R

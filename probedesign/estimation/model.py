@@ -1,8 +1,10 @@
-"""Model of a probe for estimation: the rod, the payload of the sensor and the sensor; no design, no CAD."""
+"""Model of a probe for estimation (the rod, the payload of the sensor and the sensor; no design, no CAD), and its
+observations: one wrench reading at the base or the mean of a window, with its covariance."""
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +16,7 @@ from probedesign.design.catalog.sensors import Noise
 from probedesign.geometry import Flange
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import MassProperties
+from probedesign.rod.kernels import kernel
 from probedesign.rod.rod import Rod
 
 if TYPE_CHECKING:
@@ -43,7 +46,7 @@ class ProbeModel:
         assumptions: what of the design is assumed, for every report.
         cross_section: which the fingerprint counts; the rod has its factors.
         stiffness_spread: standard deviation of a common factor on E and G; None: by where E comes from.
-        creep_spread: likewise of how far it relaxes while touches are fused.
+        creep_spread: standard deviation of how far it relaxes while touches are fused, relative.
         tolerances: how well all of it is known; None: as `Tolerances.of` has it from the material.
         friction: standard deviation of the tangential over the normal force of a touch, per tangential direction [-]:
             t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
@@ -152,3 +155,135 @@ class ProbeModel:
     def with_noise(self, noise: Noise) -> "ProbeModel":
         """Return the model with another noise."""
         return replace(self, noise=noise)
+
+
+NUMERICAL = 1e-6
+"""Relative error of the fast solver's base moment, the lower bound of a reading's standard deviation."""
+NEGLIGIBLE = 1e-2
+"""Fraction of the moment's standard deviation below which this error is neglected."""
+
+
+OBSERVATION = np.dtype([
+    ("wrench", "f8", 6), ("weight", "f8", 3), ("chi2", "f8"), ("moment", "f8"), ("sensor_chi2", "f8"),
+    ("whiten", "f8", (6, 6)),
+])  # fmt: skip
+"""What `observe` finds: the mean wrench, the flexible part's weight, the misfit of the free probe, the size of the
+moment, the misfit of a sensor that reads zero, and the mean's whitening."""
+
+
+@kernel
+def observe(
+    window: Array, gravity: Array, free: Array, mass: float, sensor_from_base: Array, payload: Array, limit: Array,
+    whiten: Array, force_noise: float, moment_noise: float, found: Any,
+) -> bool:  # fmt: skip
+    """Evaluate a window of readings.
+
+    Args:
+        window: base wrenches, (n, 6).
+        gravity: base axes [m/s²], (3,).
+        free: the free probe's wrench, (6,).
+        mass: of the flexible part [kg].
+        sensor_from_base: map of wrenches, (6, 6); payload: its wrench on the sensor, by gravity, (6, 3).
+        limit: saturation limit of each channel, (6,).
+        whiten: of one reading, lower triangular, (6, 6).
+        force_noise, moment_noise: standard deviations of one reading's channels [N], [N·m].
+        found: filled, OBSERVATION, (1,).
+
+    Returns:
+        Whether all of them are finite and below the saturation limit.
+    """
+    row, n = found[0], window.shape[0]
+    for i in range(6):
+        row.wrench[i] = 0.0
+    for k in range(n):
+        for i in range(6):
+            reading = 0.0
+            for j in range(6):
+                reading += sensor_from_base[i, j] * window[k, j]
+            for j in range(3):
+                reading += payload[i, j] * gravity[j]
+            if not abs(reading) <= limit[i] or not math.isfinite(window[k, i]):
+                return False
+            row.wrench[i] += window[k, i] / n
+    for q in range(3):
+        row.weight[q] = mass * gravity[q]
+    root, chi2, sensor_chi2 = math.sqrt(n), 0.0, 0.0
+    for i in range(6):
+        reading = 0.0
+        for j in range(6):
+            reading += sensor_from_base[i, j] * row.wrench[j]
+        for j in range(3):
+            reading += payload[i, j] * gravity[j]
+        sensor_chi2 += n * (reading / (force_noise if i < 3 else moment_noise)) ** 2
+        off = 0.0
+        for j in range(6):
+            row.whiten[i, j] = root * whiten[i, j]
+            off += root * whiten[i, j] * (row.wrench[j] - free[j])
+        chi2 += off * off
+    row.chi2, row.sensor_chi2 = chi2, sensor_chi2
+    row.moment = math.sqrt(row.wrench[3] ** 2 + row.wrench[4] ** 2 + row.wrench[5] ** 2)
+    return True
+
+
+def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
+    """Return the covariance of the mean of so many independent readings near a wrench (6,), with the solver's own
+    error, (6, 6)."""
+    cov = model._noise_base / readings
+    moment = wrench[3:]
+    numerical = NUMERICAL**2 * float(moment @ moment)
+    if numerical > (NEGLIGIBLE * model.noise.moment) ** 2 / readings:
+        cov[[3, 4, 5], [3, 4, 5]] += numerical
+    return cov
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A base wrench with its covariance.
+
+    Attributes:
+        wrench: [N, N·m], (6,).
+        whiten: lower triangular, with whitenᵀ whiten the inverse of its covariance, (6, 6).
+        gravity: base axes [m/s²], (3,).
+        weight: of the flexible part [N], (3,).
+        chi2: how far it is from the free probe's, six degrees of freedom.
+        sensor_chi2: how far the sensor's own reading is from zero, six degrees of freedom.
+    """
+
+    wrench: Array
+    whiten: Array
+    gravity: Array
+    weight: Array
+    chi2: float
+    sensor_chi2: float = math.inf
+
+    @classmethod
+    def of(cls, model: ProbeModel, window: Array, gravity: Array, free: Array) -> "Observation | None":
+        """Return the mean of independent readings, each with the model's noise; None if one is out of range.
+
+        Args:
+            model: the probe.
+            window: base wrenches, (n, 6).
+            gravity: base axes [m/s²], (3,).
+            free: the free probe's wrench under it, (6,).
+        """
+        found = np.empty(1, dtype=OBSERVATION)
+        if not observe(
+            window, gravity, free, model.mass, *model.observation_map, model.noise.force, model.noise.moment, found
+        ):  # fmt: skip
+            return None
+        row, readings = found[0], len(window)
+        wrench, whiten, numerical = row["wrench"], row["whiten"], NUMERICAL * float(row["moment"])
+        if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
+            whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, wrench, readings)))
+        return cls(wrench, whiten, gravity, row["weight"], float(row["chi2"]), float(row["sensor_chi2"]))
+
+    @property
+    def cov(self) -> Array:
+        """Return the covariance of the wrench, (6, 6)."""
+        coloured = np.linalg.inv(self.whiten)
+        return np.asarray(coloured @ coloured.T, dtype=float)
+
+    @property
+    def force(self) -> Array:
+        """Return the force of the contact by the paper's equation 5 [N], (3,)."""
+        return self.wrench[0:3] - self.weight

@@ -1,4 +1,4 @@
-"""Fits of every touch that may explain a reading, from all candidates, with their posteriors (compiled).
+"""Fit every touch that may explain a reading, from all candidates, with its posterior (compiled).
 
 Each fit starts with the reading weighted by noise and drift alone; what the error sources do to a reading depends on
 where it is touched, so the weights are then taken at the place found, and the fit is carried on with them.
@@ -22,14 +22,12 @@ from probedesign.estimation.contact_fit import (
     step_share,
     sweep_tolerance,
 )
-from probedesign.estimation.contact_fit import WORK as FIT_WORK
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
     BY_TOUCH,
     CENTRE,
     CLAMPED,
-    MOVE,
     NORMAL,
     OWN,
     PHI,
@@ -49,34 +47,30 @@ from probedesign.estimation.surface_contact_kernel import (
     work_size,
 )
 from probedesign.estimation.uncertainty_kernel import (
-    CHI2,
-    CHI2_FRICTION,
-    POSTERIOR,
     SourceArrays,
     add_curvature,
     error_columns,
     measurement_covariance,
-    offsets_of,
     posterior,
     whitening,
 )
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import minus, take, times
 
 MAX_STARTS = 8
 """Places that one reading is fitted from at most, the likeliest ones."""
 FIT = np.dtype([
-    ("status", "f8"), ("touch", "f8", TOUCH), ("posterior", POSTERIOR), ("force", "f8", 3), ("surface", "f8", 3),
-    ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
+    ("status", "f8"), ("touch", "f8", TOUCH), ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"),
+    ("cov_touch", "f8", (UNKNOWNS, UNKNOWNS)), ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
+    ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)), ("force", "f8", 3),
+    ("surface", "f8", 3), ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
 ])  # fmt: skip
-"""One fit: what became of it (FITTED, ...), the touch, what is known of it, force [N], touched point and centreline
-point [m], s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift
-and under all."""
-STATUS, TOUCH_AT, POSTERIOR_AT, FORCE_AT, SURFACE_AT, CENTRE_AT, S_AT, WHITEN_AT, SWEEPS_AT, ROW = offsets_of(
-    FIT
-)
-"""Offsets of the fields of `FIT` in a row of floats, and its size."""
+"""One fit: its outcome (FITTED, ...), the touch, squared misfit and the part of it due to friction, change of the base
+moment with s over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point
+and of the centreline point [m²], both to first order alone, force [N], touched point and centreline point [m],
+s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift and under
+all."""
 LIKELY, SHARE = 8.0, 0.05
 """Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F, which
@@ -87,10 +81,10 @@ the trace has run out of the thin tip."""
 FEW = 10
 """Iterations for a place other than the likeliest: a rival that explains the reading is near its guess."""
 ROUNDS = 6
-"""How often the weights are taken anew at most."""
+"""Most recomputations of the weights: each changes them by a fraction of the change before."""
 SETTLED = 1e-3
-"""What a step under new weights would still take off the misfit, over one and the misfit, at which they are kept: a
-thirtieth of a standard deviation, taken to first order."""
+"""Decrease of the misfit by a step under new weights, over one and the misfit, at which they are kept: a thirtieth of a
+standard deviation, taken to first order."""
 MAX_FRICTION = 3.0
 """Ratio of friction that the trace allows for where the direction of the force is free."""
 
@@ -99,8 +93,8 @@ def room_for(knots: int, causes: int) -> int:
     """Return how many numbers `fit_contacts` works in, by knots of the rod and columns of error sources."""
     parameters = OWN + knots
     return (
-        max(work_size(0), work_size(parameters)) + ROWS * (2 + 2 * UNKNOWNS + parameters) + 36 + FIT_WORK
-        + candidates.ROOM + knots + 1 + 12 * causes + 370 + 3 * (6 + causes)
+        max(work_size(0), work_size(parameters)) + ROWS * (2 + 2 * UNKNOWNS + parameters) + candidates.ROOM + knots + 1
+        + 12 * causes + 3 * (6 + causes)
     )  # fmt: skip
 
 
@@ -118,41 +112,35 @@ def _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row):
             F += lin[q, BY_TOUCH + u] * share * step[u]
             x += lin[POINT + q, BY_TOUCH + u] * share * step[u]
             p += lin[CENTRE + q, BY_TOUCH + u] * share * step[u]
-        row[FORCE_AT + q] = F - mass * gravity[q]
-        row[SURFACE_AT + q], row[CENTRE_AT + q] = x, p
+        row.force[q], row.surface[q], row.centre[q] = F - mass * gravity[q], x, p
     radius, tan = radius_and_slope(body, touch[S])
     cos = 1.0 / math.sqrt(1.0 + tan * tan)
     shift, by_1, by_2, per_r, _by_slope = offset_along(radius, tan * cos, cos, touch)
-    row[S_AT] = touch[S] + shift
+    row.s_contact = touch[S] + shift
     by_s[S], by_s[PHI], by_s[NORMAL] = 1.0 - tan * per_r, 0.0, 0.0
     by_s[AROUND], by_s[ALONG] = by_1, by_2
 
 
 @inner
 def _settle(
-    body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief, work, row
+    body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief, work, gain_work, row
 ):  # fmt: skip
     """Carry a fit on under the weights of its own place, and fill its row with its posterior.
 
     Args:
         touch: the guess and then the fit, (TOUCH,).
         lin, D: scratch, (ROWS, 1 + UNKNOWNS + parameters) and (12, J); brief: scratch, (ROWS, 1 + UNKNOWNS).
-        sweep_work, work: scratch.
-        row: filled, (ROW,).
+        sweep_work, gain_work: scratch; work: scratch, FIT_SCRATCH.
+        row: filled, FIT.
         The others as in `fit_contacts`.
 
     Returns:
         What became of the fit: FITTED, AT_END, STALLED or LOST.
     """
     parameters = sources.own.shape[1] + 3
-    cov, factor_work = work[:36].reshape((6, 6)), work[36:72].reshape((6, 6))
-    J, r = work[72:112].reshape((8, UNKNOWNS)), work[112:120]
-    H, full = work[120:145].reshape((UNKNOWNS, UNKNOWNS)), work[145:170].reshape((UNKNOWNS, UNKNOWNS))
-    b, step, scale = work[170:175], work[175:180], work[180:185]
-    move, before, by_s = work[185 : 185 + MOVE], work[203 : 203 + TOUCH], work[220:225]
-    rest, known = work[225:], row[POSTERIOR_AT:FORCE_AT]
-    white = row[WHITEN_AT:SWEEPS_AT].reshape((6, 6))
-    if not whitening(noise, factor_work, white):
+    J, r, H, b, step = work.J, work.r, work.H, work.b, work.step
+    move, before, white = work.move, work.before[:], row.whiten
+    if not whitening(noise, work.factor, white):
         return LOST
     tol, size, rounds, small = sweep_tolerance(wrench, white), 1.0, 0, False
     chi2, gain, share, bounded = 0.0, 0.0, 1.0, 0
@@ -167,12 +155,12 @@ def _settle(
             body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,
             sources.sensor_from_base, sources.base_from_sensor, sources.reference, sources.still, D,
         )  # fmt: skip
-        measurement_covariance(noise, D, cov)
-        if not whitening(cov, factor_work, white):
+        measurement_covariance(noise, D, work.cov)
+        if not whitening(work.cov, work.factor, white):
             return LOST
         chi2 = residuals(lin, touch, wrench, white, friction, J, r)
         normal_equations(J, r, H, b)
-        bounded = bounded_step(H, b, scale, 0.0, end, touch, step, full)
+        bounded = bounded_step(H, b, work.scale, 0.0, end, touch, step, work.full)
         if bounded < 0 or not math.isfinite(chi2):
             return LOST
         gain = 0.0
@@ -184,11 +172,11 @@ def _settle(
             before[q] = touch[q]
         advance(touch, before, share, step, move)
         small = share == 1.0 and lack <= CLAMPED and gain <= SETTLED * (1.0 + chi2)
-    row[SWEEPS_AT + 1] = rounds
-    _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row)
-    known[CHI2] = chi2 - gain if small and not bounded else chi2
-    known[CHI2_FRICTION] = r[6] * r[6] + r[7] * r[7]
-    if not posterior(lin, touch, J, white, D, by_s, rest, known):
+    row.sweeps[1] = rounds
+    _fill_row(body, gravity, mass, lin, touch, share, step, work.by_s, row)
+    row.chi2 = chi2 - gain if small and not bounded else chi2
+    row.chi2_friction = r[6] * r[6] + r[7] * r[7]
+    if not posterior(lin, touch, J, white, D, work.by_s, work, gain_work, row):
         return LOST
     if not small:
         return STALLED
@@ -196,7 +184,7 @@ def _settle(
         return AT_END
     # Linearised at `before`; the last step is a thirtieth of a standard deviation.
     add_curvature(
-        body, end, gravity, mass, wrench, white, friction, tol, before, lin, J, sweep_work, brief, rest, known
+        body, end, gravity, mass, wrench, white, friction, tol, before, lin, J, sweep_work, brief, work, row
     )
     return FITTED
 
@@ -204,7 +192,7 @@ def _settle(
 @kernel
 def fit_contacts(
     body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
-    base_from_sensor, reference, still, near, work, rows,
+    base_from_sensor, reference, still, near, work, scratch, rows,
 ):  # fmt: skip
     """Fit touches from one guess, or from every candidate of the trace, the likeliest first.
 
@@ -216,8 +204,8 @@ def fit_contacts(
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
         own, ... still: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
         near: whether the first row's touch holds a guess; nothing is traced then.
-        work: scratch, (room_for(knots, J),).
-        rows: filled, (MAX_STARTS, ROW).
+        work: scratch, (room_for(knots, J),); scratch: FIT_SCRATCH, (1,).
+        rows: filled, FIT, (MAX_STARTS,).
 
     Returns:
         How many rows.
@@ -229,22 +217,21 @@ def fit_contacts(
     a = max(sweep_work_size(0), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)
     c = b + 12 * J
-    d = c + 36 + FIT_WORK
-    e = d + 370 + 3 * (6 + J)
-    f = e + ROWS * (1 + UNKNOWNS)
-    sweep_work, fit_work, settle_work, room = work[:a], work[c:d], work[d:e], work[f:]
+    d = c + 3 * (6 + J)
+    e = d + ROWS * (1 + UNKNOWNS)
+    sweep_work, gain_work, room, fit_work = work[:a], work[c:d], work[e:], scratch[0]
     lin, D = work[a:b].reshape((ROWS, 1 + UNKNOWNS + parameters)), work[b:c].reshape((12, J))
-    brief = work[e:f].reshape((ROWS, 1 + UNKNOWNS))
+    brief = work[d:e].reshape((ROWS, 1 + UNKNOWNS))
     if near:
         row = rows[0]
-        row[SWEEPS_AT] = 0
-        row[STATUS] = _settle(
-            body, end, gravity, mass, wrench, noise, friction, sources, row[TOUCH_AT:POSTERIOR_AT], lin, D, sweep_work,
-            brief, settle_work, row,
+        row.sweeps[0] = 0
+        row.status = _settle(
+            body, end, gravity, mass, wrench, noise, friction, sources, row.touch[:], lin, D, sweep_work, brief,
+            fit_work, gain_work, row,
         )  # fmt: skip
-        return int(row[STATUS] != LOST)
-    narrow = fit_work[:36].reshape((6, 6))
-    if not whitening(noise, settle_work[:36].reshape((6, 6)), narrow):
+        return int(row.status != LOST)
+    narrow = fit_work.noise_whiten
+    if not whitening(noise, fit_work.factor, narrow):
         return 0
     g, fitted = take(gravity, 0), 0
     force = minus(take(wrench, 0), times(mass, g))
@@ -252,25 +239,25 @@ def fit_contacts(
     places = _places(body, end, wrench, narrow, force, friction, room, reached, rows)
     known_twist = math.sqrt(noise[5, 5])
     for k in range(places):
-        s, likely = rows[k, TOUCH_AT], rows[k, POSTERIOR_AT] > 0.0
+        s, likely = rows[k].s_contact, rows[k].chi2 > 0.0
         if k > 0 and not likely:
             continue
         status, row, sweeps = LOST, rows[fitted], 0
-        touch = row[TOUCH_AT:POSTERIOR_AT]
+        touch = row.touch[:]
         for back in BACK:
             if candidates.guess(
                 body, end, g, force, known_twist, sweep_work, room, max(s - back * end, 0.0), reached, touch
             ):
                 status, _chi2, sweeps = fit_touch(
                     body, 0.0, end, gravity, mass, wrench, narrow, friction, MAX_ITERATIONS if k == 0 else FEW, touch,
-                    sweep_work, brief, fit_work[36:],
+                    sweep_work, brief, fit_work,
                 )  # fmt: skip
             if status != LOST:
                 status = _settle(
                     body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief,
-                    settle_work, row,
+                    fit_work, gain_work, row,
                 )  # fmt: skip
-            row[STATUS], row[SWEEPS_AT] = status, sweeps
+            row.status, row.sweeps[0] = status, sweeps
             if k > 0 or status in (FITTED, AT_END):
                 break
         fitted += status != LOST
@@ -279,7 +266,8 @@ def fit_contacts(
 
 @inner
 def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
-    """Rank the candidates of the trace into rows: score, arclength, whether it is likely; return how many."""
+    """Rank the candidates of the trace into rows, with the score as status, s_contact and, as chi2, 1 for a likely one;
+    return how many."""
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for j in range(reached):
@@ -296,14 +284,15 @@ def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
 def _ranked(rows, places, s, score, likely):
     """Insert a place among the rows by its score, least first; return how many there are then."""
     at = places
-    while at > 0 and rows[at - 1, STATUS] > score:
+    while at > 0 and rows[at - 1].status > score:
         at -= 1
     if at >= rows.shape[0]:
         return places
     for k in range(min(places, rows.shape[0] - 1), at, -1):
-        for q in (STATUS, TOUCH_AT, POSTERIOR_AT):
-            rows[k, q] = rows[k - 1, q]
-    rows[at, STATUS], rows[at, TOUCH_AT], rows[at, POSTERIOR_AT] = score, s, 1.0 if likely else 0.0
+        row, last = rows[k], rows[k - 1]
+        row.status, row.s_contact, row.chi2 = last.status, last.s_contact, last.chi2
+    row = rows[at]
+    row.status, row.s_contact, row.chi2 = score, s, 1.0 if likely else 0.0
     return min(places + 1, rows.shape[0])
 
 
@@ -321,11 +310,11 @@ def contact_arclengths(body, touches, s):
 
 
 @kernel
-def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, sweep_work, lin, work):
+def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, sweep_work, lin, scratch):
     """Minimise the misfit over touches whose section is fixed at s [m], from a touch close by, which is moved there.
 
     Args:
-        sweep_work: scratch, (work_size(0),); lin: scratch, (ROWS, 1 + UNKNOWNS); work: scratch, (contact_fit.WORK,).
+        sweep_work: scratch, (work_size(0),); lin: scratch, (ROWS, 1 + UNKNOWNS); scratch: FIT_SCRATCH, (1,).
         The others as in `fit_touch`.
 
     Returns:
@@ -333,5 +322,5 @@ def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, swee
     """
     touch[S] = s
     status, chi2, _n = fit_touch(body, s, s, gravity, mass, wrench, whiten, friction, MAX_ITERATIONS, touch,
-                                 sweep_work, lin, work)  # fmt: skip
+                                 sweep_work, lin, scratch[0])  # fmt: skip
     return chi2 if status != LOST else math.inf

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from probedesign.core.frames import Array
-from probedesign.estimation.arclength_scan import Scan
 from probedesign.estimation.error_sources import ErrorSources
-from probedesign.estimation.observation import Observation
+from probedesign.estimation.force_moment import Scan
+from probedesign.estimation.model import Observation
 
 
 @dataclass(eq=False)

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import (
     ALL_COLUMNS,
     BEND_X,
@@ -32,12 +32,24 @@ from probedesign.rod.kernels.equations import (
     LOAD,
     OK,
     S_CONTACT,
+    frustum_at,
 )
-from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus, put3, take, take3, times
+from probedesign.rod.kernels.linalg import (
+    add,
+    cross,
+    dot,
+    minus,
+    plus,
+    put3,
+    solve_square,
+    take,
+    take3,
+    times,
+)
 from probedesign.rod.kernels.newton import turn_tip
-from probedesign.rod.kernels.sensitivities import linear_equilibrium
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, M
 from probedesign.rod.kernels.steps import WORK as STEP_WORK
+from probedesign.rod.kernels.sweep import linear_equilibrium
 
 S, PHI, NORMAL, AROUND, ALONG = range(5)
 UNKNOWNS = 5
@@ -53,12 +65,12 @@ VALUE, BY_TOUCH, BY_PARAMETER = 0, 1, 1 + UNKNOWNS
 each knot's log diameter."""
 OWN = 7
 """Parameters before the knots."""
-BY_GRAVITY, BY_E, BY_G, BY_DENSITY, BY_LENGTH, BY_KNOTS = (
-    BY_PARAMETER, BY_PARAMETER + 3, BY_PARAMETER + 4, BY_PARAMETER + 5, BY_PARAMETER + 6, BY_PARAMETER + 7)  # fmt: skip
+BY_GRAVITY, BY_E = BY_PARAMETER, BY_PARAMETER + 3
 
-R_MOMENT, R_TANGENT, R_X, R_P, R_Y = np.arange(0, 15, 3)
-"""Rows of the rod's columns. As numpy's integers: numba would compile what it is given 0, 3, 6 ... once for each."""
-ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_E, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 10, 12, 13
+_, R_TANGENT, R_X, R_P, R_Y = np.arange(0, 15, 3)
+"""Rows of the rod's columns after those of the base moment. As numpy integers: for the literals 3, 6 ... numba would
+compile each function once per value."""
+ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 12, 13
 """Columns of the rod; the first three are by the force."""
 
 MAX_LACK = 0.5
@@ -96,15 +108,6 @@ def sweep_work_size(parameters):
 
 
 @inner
-def frustum_at(body, s):
-    """Return the frustum that s lies in, the lower one at a knot."""
-    i = 0
-    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
-        i += 1
-    return i
-
-
-@inner
 def radius_and_slope(body, s):
     """Return r(s) [m] and tan α = -dr/ds."""
     i = frustum_at(body, s)
@@ -133,37 +136,6 @@ def _grow_at_rest(columns, force, couple):
         for q in range(3):
             grown -= 2.0 * columns[r, q] * force[q] + 3.0 * columns[r, ROD_COUPLE + q] * couple[q]
         columns[r, ROD_DIAMETER] = grown
-
-
-@inner
-def _solve_6(A, B):
-    """Replace B by A⁻¹ B for A (6, 6), by elimination with pivots; return whether A has an inverse."""
-    columns = B.shape[1]
-    for j in range(6):
-        at = j
-        for i in range(j + 1, 6):
-            if abs(A[i, j]) > abs(A[at, j]):
-                at = i
-        if not abs(A[at, j]) > 1e-12:
-            return False
-        if at != j:
-            for c in range(6):
-                A[j, c], A[at, c] = A[at, c], A[j, c]
-            for c in range(columns):
-                B[j, c], B[at, c] = B[at, c], B[j, c]
-        inverse = 1.0 / A[j, j]
-        for i in range(6):
-            if i != j and A[i, j] != 0.0:
-                share = A[i, j] * inverse
-                for c in range(j, 6):
-                    A[i, c] -= share * A[j, c]
-                for c in range(columns):
-                    B[i, c] -= share * B[j, c]
-        for c in range(columns):
-            B[j, c] *= inverse
-        for c in range(j, 6):
-            A[j, c] *= inverse
-    return True
 
 
 @inner
@@ -296,7 +268,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
         put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
         turned = add(_turned(columns, column, c_frame), r_by, cross(e, force))
         put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
-    if not _solve_6(A, B):
+    if not solve_square(A, 6, B):
         return status, math.inf, -1.0, size
     for row in range(15):
         for j in range(n_cols):
@@ -413,7 +385,7 @@ def advance(touch, before, share, step, move):
         touch[j] = before[j] + (share * step[j] if j < UNKNOWNS else 0.0)
     for q in range(6):
         touch[DEAD + q] += move[q] + share * move[9 + q]
-    turn_tip(touch, TIP, add(take(move, 6), share, take(move, 15)))
+    turn_tip(touch[TIP:], add(take(move, 6), share, take(move, 15)))
 
 
 @kernel
@@ -424,18 +396,18 @@ def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
         Whether there is a stable equilibrium.
     """
     size, before, step, move = 1.0, np.empty(TOUCH), np.zeros(UNKNOWNS), np.empty(MOVE)
-    for _ in range(30):
+    for _ in range(30):  # converges quadratically, in a few sweeps, where there is an equilibrium near
         status, lack, margin, size = linearise(body, gravity, mass, tol, size, touch, parameters, work, lin)
         if status != OK or not lack < math.inf:
             return False
-        off, force = 0.0, 1e-12
+        off, force = 0.0, 1e-12  # [N], so that no force at all counts as consistent
         for q in range(3):
             off = max(off, abs(lin[LOADS + q, VALUE]))
             force = max(force, abs(touch[DEAD + q]))
         before[:] = touch
         plan_move(lin, step, move)
         advance(touch, before, 1.0, step, move)
-        if lack <= CLAMPED and off <= 1e-4 * force:
+        if lack <= CLAMPED and off <= 1e-4 * force:  # the step just taken leaves the square of that
             return margin > 0.0
     return False
 

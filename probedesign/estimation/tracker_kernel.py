@@ -2,7 +2,7 @@
 
 import math
 
-from probedesign.rod.kernels.compiled import kernel
+from probedesign.rod.kernels import kernel
 from probedesign.rod.kernels.linalg import cross, dot
 
 

@@ -1,6 +1,6 @@
-"""How error sources and noise propagate to a located contact (compiled).
+"""Propagation of error sources and noise to a located contact (compiled).
 
-A source of one standard deviation moves the true reading of a touch by a column of D and its true point by one of Q.
+One standard deviation of a source moves the reading of a touch by a column of D and its true point by one of Q.
 A reading then has the covariance Σ = noise + drift + D Dᵀ, the fitted touch follows it by the gain K = C Hᵀ Σ⁻¹ with
 C = (Hᵀ Σ⁻¹ H + prior)⁻¹, and the point is known to
 
@@ -12,10 +12,8 @@ with H and X the derivatives of wrench and point by the touch. `tests/reference/
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from probedesign.core.frames import Array
-from probedesign.estimation.contact_fit import RESIDUALS, normal_equations, residuals
+from probedesign.estimation.contact_fit import RESIDUALS, information, normal_equations, residuals
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -23,11 +21,9 @@ from probedesign.estimation.surface_contact_kernel import (
     BY_GRAVITY,
     BY_TOUCH,
     CENTRE,
-    MOVE,
     NORMAL,
     PHI,
     POINT,
-    TOUCH,
     UNKNOWNS,
     VALUE,
     WRENCH,
@@ -38,7 +34,7 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
 )
-from probedesign.rod.kernels.compiled import inner, kernel
+from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
 from probedesign.rod.kernels.linalg import (
     add,
@@ -47,19 +43,18 @@ from probedesign.rod.kernels.linalg import (
     factor,
     invert_lower,
     plus,
+    principal_axis,
     put3,
     scale_and_factor,
+    smallest_variance,
     solve_scaled,
     take,
     take3,
     times,
 )
 
-ROOT, GAINS = 1, 6
-"""Columns after those of the rod and of the turns: compliance of the root, and gain of each channel of the sensor."""
 ROOT_CENTRE = 0.375
 """Where the root's compliance is centred, in base radii (`rod.ROOT_CENTRE`, docs/decisions/0006)."""
-FORCE, MOMENT = np.arange(0, 6, 3)
 
 
 @inner
@@ -182,28 +177,9 @@ def whitening(cov, work, whiten):
     return True
 
 
-POSTERIOR = np.dtype([
-    ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"), ("cov_touch", "f8", (5, 5)),
-    ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
-    ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)),
-])  # fmt: skip
-"""What is known of a fitted touch: squared misfit and the part of it due to friction, change of the base moment with s
-over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point and of the
-centreline point [m²], and both to first order alone."""
-
-
-def offsets_of(layout):
-    """Return where each field of a record of floats begins, and the size of the record, counted in floats."""
-    return (*(layout.fields[name][1] // 8 for name in layout.names), layout.itemsize // 8)
-
-
-CHI2, CHI2_FRICTION, LEVER, VAR_S, COV_TOUCH, COV_POINT, COV_CENTRE, LINEAR, _, RESULT = offsets_of(POSTERIOR)
-"""Offsets of the fields of `POSTERIOR` in a row of floats, and its size."""
-
-
 @inner
 def _point_covariance(row, lin, J, whiten, D, C, W6, out):
-    """Fill in the covariance of a point whose rows in lin and D begin at `row`, (9,).
+    """Fill in the covariance of a point whose rows in lin and D begin at `row`, (3, 3).
 
     Args:
         J: residuals' derivatives by the touch, (8, 5); C: covariance of the touch, (5, 5); W6: scratch, (3, 6 + J).
@@ -234,52 +210,46 @@ def _point_covariance(row, lin, J, whiten, D, C, W6, out):
             for c in range(sources):
                 total += D[row + i, c] * D[row + k, c]
                 total -= W6[i, 6 + c] * D[row + k, c] + W6[k, 6 + c] * D[row + i, c]
-            out[3 * i + k] = total
+            out[i, k] = total
 
 
 @inner
-def posterior(lin, touch, J, whiten, D, by_s, work, result):
+def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
     """Fill in the covariances of a fitted touch to first order; return whether they exist.
 
     Args:
         J: residuals' derivatives by the touch, (8, 5).
         by_s: of s_contact by the touch, (5,).
-        work: scratch, (posterior_size(columns of D),).
+        work: scratch, FIT_SCRATCH; gain: scratch, (3 (6 + columns of D),).
+        fit: filled, `multistart.FIT`.
     """
-    H, scale = work[:25].reshape((UNKNOWNS, UNKNOWNS)), work[25:30]
-    rows = work[30:55].reshape((UNKNOWNS, UNKNOWNS))
-    solved = work[55:80].reshape((UNKNOWNS, UNKNOWNS))
-    W6 = work[80:][: 3 * (6 + D.shape[1])].reshape((3, 6 + D.shape[1]))
+    W6 = gain[: 3 * (6 + D.shape[1])].reshape((3, 6 + D.shape[1]))
+    H, rows, C = work.H, work.identity, fit.cov_touch
+    information(J, H)
     for u in range(UNKNOWNS):
         for v in range(UNKNOWNS):
-            total = 0.0
-            for i in range(RESIDUALS):
-                total += J[i, u] * J[i, v]
-            H[u, v] = total
             rows[u, v] = 1.0 if u == v else 0.0
     force = touch[NORMAL] ** 2 * (1.0 + touch[AROUND] ** 2 + touch[ALONG] ** 2)
     lever = 0.0
     for q in range(3):
         lever += lin[WRENCH + 3 + q, BY_TOUCH + S] ** 2
-    result[LEVER] = math.sqrt(lever / max(force, 1e-300))
-    if not scale_and_factor(H, UNKNOWNS, scale):
+    fit.lever = math.sqrt(lever / max(force, 1e-300))
+    if not scale_and_factor(H, UNKNOWNS, work.scale):
         return False
-    C = result[COV_TOUCH:COV_POINT].reshape((UNKNOWNS, UNKNOWNS))
-    covariance_of(H, UNKNOWNS, scale, rows, UNKNOWNS, solved, C)
+    covariance_of(H, UNKNOWNS, work.scale, rows, UNKNOWNS, work.solved, C)
     total = 0.0
     for u in range(UNKNOWNS):
         for v in range(UNKNOWNS):
             total += by_s[u] * C[u, v] * by_s[v]
-    result[VAR_S] = total
-    _point_covariance(POINT, lin, J, whiten, D, C, W6, result[COV_POINT:COV_CENTRE])
-    _point_covariance(CENTRE, lin, J, whiten, D, C, W6, result[COV_CENTRE:LINEAR])
-    for i in range(18):
-        result[LINEAR + i] = result[COV_POINT + i]
+    fit.var_s = total
+    _point_covariance(POINT, lin, J, whiten, D, C, W6, fit.cov_surface)
+    _point_covariance(CENTRE, lin, J, whiten, D, C, W6, fit.cov_centre)
+    fit.cov_linear_surface[:], fit.cov_linear_centre[:] = fit.cov_surface, fit.cov_centre
     return True
 
 
-ASIDE = math.sqrt(3.0)
-"""Standard deviations to either side at which the valley is evaluated: nodes of Gauss-Hermite quadrature."""
+NODE = math.sqrt(3.0)
+"""Standard deviations to either side at which the valley is evaluated: the nodes of Gauss-Hermite quadrature."""
 FLAT_ENOUGH = 0.2
 """Sagitta of the valley, over the smallest standard deviation of the point, that a linear covariance may neglect."""
 TAIL = 2.0
@@ -300,51 +270,11 @@ evaluated at the same places of one valley."""
 
 
 @inner
-def principal_axis(cov, u):
-    """Fill in the direction of the largest variance of a covariance (9,), u (3,); return that variance."""
-    u[0], u[1], u[2] = 1.0, 1.0, 1.0
-    for j in range(3):
-        if cov[4 * j] >= cov[0] and cov[4 * j] >= cov[4] and cov[4 * j] >= cov[8]:
-            for q in range(3):
-                u[q] = cov[3 * q + j]
-    size = 0.0
-    for _ in range(12):
-        x = cov[0] * u[0] + cov[1] * u[1] + cov[2] * u[2]
-        y = cov[3] * u[0] + cov[4] * u[1] + cov[5] * u[2]
-        z = cov[6] * u[0] + cov[7] * u[1] + cov[8] * u[2]
-        size = math.sqrt(x * x + y * y + z * z)
-        if not size > 0.0:
-            return 0.0
-        u[0], u[1], u[2] = x / size, y / size, z / size
-    return size
-
-
-@inner
-def smallest_variance(cov):
-    """Return det over the product of the other two, from the invariants of a covariance (9,): a lower bound."""
-    trace = cov[0] + cov[4] + cov[8]
-    minors = (
-        cov[0] * cov[4]
-        - cov[1] * cov[3]
-        + cov[0] * cov[8]
-        - cov[2] * cov[6]
-        + cov[4] * cov[8]
-        - cov[5] * cov[7]
-    )
-    det = (
-        cov[0] * (cov[4] * cov[8] - cov[5] * cov[7])
-        - cov[1] * (cov[3] * cov[8] - cov[5] * cov[6])
-        + cov[2] * (cov[3] * cov[7] - cov[4] * cov[6])
-    )
-    return max(det / max(minors, 1e-300), 0.0) if trace > 0.0 else 0.0
-
-
-@inner
 def _valley(lin, row, cov, C, u, along, v):
     """Find the touch one standard deviation along the principal axis of a point on the linear valley.
 
     Args:
-        row: of the point in lin; cov: its covariance, (9,); C: covariance of the touch, (25,).
+        row: of the point in lin; cov: its covariance, (3, 3); C: covariance of the touch, (5, 5).
         u: scratch, (3,).
         along: filled: derivatives by the touch of the point's place along its principal axis, (5,).
         v: filled: change of the touch, C along / std, (5,).
@@ -362,7 +292,7 @@ def _valley(lin, row, cov, C, u, along, v):
     for i in range(UNKNOWNS):
         v[i] = 0.0
         for j in range(UNKNOWNS):
-            v[i] += C[UNKNOWNS * i + j] * along[j]
+            v[i] += C[i, j] * along[j]
         spread += along[i] * v[i]
     if not spread > 0.0:
         return 0.0
@@ -386,7 +316,11 @@ def _correlation(J, v, w):
 
 @inner
 def _share_within(touch, end, change):
-    """Return the share of a change of the touch that stays on the probe and keeps pushing."""
+    """Return the share of a change of the touch that stays on the probe and keeps pushing.
+
+    At least 0.05, so that the second difference over the share's square keeps its digits; at most 0.75 of the normal
+    force is removed.
+    """
     share, ahead = 1.0, touch[S] + change[S]
     if ahead > end:
         share = max(min((end - touch[S]) / change[S], 1.0), 0.05)
@@ -402,22 +336,21 @@ def _offsets_beside(
     body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, v, along, spread, side, sweep_work, brief,
     work, offsets,
 ):  # fmt: skip
-    """Evaluate both points on the valley ASIDE standard deviations from the estimate, one Gauss-Newton step beside the
-    linear valley.
+    """Evaluate both points on the valley NODE standard deviations from the estimate, by one Gauss-Newton step from
+    the linear valley.
 
     Args:
         v, along, spread: see `_valley`; side: 0 against v, 1 along it.
-        work: scratch, (CURVE_WORK - 31,).
+        work: scratch, FIT_SCRATCH.
         offsets: filled: how far touched point (3) and centreline point (3) lie from the linear valley there [m], (6,).
 
     Returns:
         Whether there is an equilibrium.
     """
-    at, J, r = work[:TOUCH], work[17:57].reshape((RESIDUALS, UNKNOWNS)), work[57:65]
-    H, b = work[65:90].reshape((UNKNOWNS, UNKNOWNS)), work[90:95]
-    scale, move, change = work[95:100], work[100 : 100 + MOVE], work[118:123]
+    at, J, r, H, b = work.at[:], work.beside, work.r, work.H, work.b
+    scale, move, change = work.scale, work.move, work.change
     for i in range(UNKNOWNS):
-        change[i] = ASIDE * v[i] if side else -ASIDE * v[i]
+        change[i] = NODE * v[i] if side else -NODE * v[i]
     share = _share_within(touch, end, change)
     plan_move(lin, change, move)
     advance(at, touch, share, change, move)
@@ -442,44 +375,45 @@ def _offsets_beside(
 
 @inner
 def _add_turn_around(lin, radius, left, cov):
-    """Add to the covariance of the touched point, (9,), the bow of its angle varying by √left beside the valley."""
+    """Add to the covariance of the touched point, (3, 3), the bow of its angle varying by √left beside the valley."""
+    # Mean square of r e δφ²/2 for a normal δφ: 3/4 of its variance squared; a whole turn has a mean square of 3/2.
     bow = TAIL * min(0.75 * left * left, 1.5)
     for i in range(3):
         for j in range(3):
             e_i = lin[POINT + i, VALUE] - lin[CENTRE + i, VALUE]
             e_j = lin[POINT + j, VALUE] - lin[CENTRE + j, VALUE]
-            cov[3 * i + j] += bow * e_i * e_j
+            cov[i, j] += bow * e_i * e_j
 
 
 @inner
 def add_curvature(
-    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, J, sweep_work, brief, work, result
+    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, J, sweep_work, brief, work, fit
 ):  # fmt: skip
     """Add to the covariances what the curve of the valley of likely touches makes of them.
 
     The touches that explain a reading lie on a curve x + a δ + b δ² + c δ³ far narrower than it is bowed; its mean
     square about x is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ for a standard normal δ. It is evaluated √3 standard
-    deviations aside. Around the section, x bows by r e δφ²/2.
+    deviations to either side. Around the section, x bows by r e δφ²/2.
 
     Args:
         lin: at the estimate; touch: the estimate, as linearised; J: derivatives of the residuals there, (8, 5).
         brief: scratch, (ROWS, 1 + UNKNOWNS); sweep_work: scratch, (work_size(0),).
-        work: scratch, (CURVE_WORK,).
-        result: see CHI2 ... RESULT, added to.
+        work: scratch, FIT_SCRATCH; J may be its own.
+        fit: `multistart.FIT`, added to.
     """
-    u, along, v, centre_v, offsets = work[0:3], work[3:8], work[8:13], work[13:18], work[18:30]
-    C, evaluated = result[COV_TOUCH:COV_POINT], 0
+    u, along, v, centre_v, offsets = work.axis, work.along, work.valley[0], work.valley[1], work.offsets
+    C, evaluated = fit.cov_touch, 0
     radius, _tan = radius_and_slope(body, touch[S])
     for point in range(2):
         row = POINT if point == 0 else CENTRE
-        cov = result[COV_POINT:COV_CENTRE] if point == 0 else result[COV_CENTRE:LINEAR]
+        cov = fit.cov_surface if point == 0 else fit.cov_centre
         direction = v if point == 0 else centre_v
         spread = _valley(lin, row, cov, C, u, along, direction)
         if spread == 0.0:
             return
         std, thin = math.sqrt(spread), math.sqrt(smallest_variance(cov))
         if point == 0:
-            _add_turn_around(lin, radius, max(C[UNKNOWNS * PHI + PHI] - v[PHI] * v[PHI], 0.0), cov)
+            _add_turn_around(lin, radius, max(C[PHI, PHI] - v[PHI] * v[PHI], 0.0), cov)
         curvature = MAX_CURVATURE / body.knots[-1] + abs(direction[PHI]) / std
         if 0.5 * spread * curvature < FLAT_ENOUGH * thin:
             continue
@@ -492,33 +426,29 @@ def add_curvature(
                 side = inward if other == 0 else 1 - inward
                 if _offsets_beside(
                     body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, direction, along, spread, side,
-                    sweep_work, brief, work[31:], offsets[6 * side : 6 * side + 6],
+                    sweep_work, brief, work, offsets[side],
                 ):  # fmt: skip
                     evaluated += 1 + side
         if evaluated:
             # The side that was not evaluated counts as the other one.
-            low, high = 6 * (evaluated == 2) + 3 * point, 6 * (evaluated != 1) + 3 * point
-            _add_bow(lin, row, direction, offsets[low : low + 3], offsets[high : high + 3], cov)
+            low, high = int(evaluated == 2), int(evaluated != 1)
+            _add_bow(lin, row, direction, offsets[low, 3 * point :], offsets[high, 3 * point :], cov)
 
 
 @inner
 def _add_bow(lin, row, v, low, high, cov):
-    """Add to a covariance, (9,), what a point lies beside the straight valley on its two sides, low and high (3,)."""
+    """Add to a covariance, (3, 3), how far a point is off the straight valley on its two sides, low and high (3,)."""
     for i in range(3):
-        b_i, c_i = (low[i] + high[i]) / 6.0, (high[i] - low[i]) / (6.0 * ASIDE)
+        b_i, c_i = (low[i] + high[i]) / 6.0, (high[i] - low[i]) / (6.0 * NODE)
         a_i = 0.0
         for q in range(UNKNOWNS):
             a_i += lin[row + i, BY_TOUCH + q] * v[q]
         for j in range(3):
-            b_j, c_j = (low[j] + high[j]) / 6.0, (high[j] - low[j]) / (6.0 * ASIDE)
+            b_j, c_j = (low[j] + high[j]) / 6.0, (high[j] - low[j]) / (6.0 * NODE)
             a_j = 0.0
             for q in range(UNKNOWNS):
                 a_j += lin[row + j, BY_TOUCH + q] * v[q]
-            cov[3 * i + j] += 3.0 * (a_i * c_j + c_i * a_j) + 3.0 * TAIL * b_i * b_j + 15.0 * c_i * c_j
-
-
-CURVE_WORK = 154
-"""Numbers that `add_curvature` works in."""
+            cov[i, j] += 3.0 * (a_i * c_j + c_i * a_j) + 3.0 * TAIL * b_i * b_j + 15.0 * c_i * c_j
 
 
 @kernel

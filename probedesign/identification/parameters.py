@@ -21,7 +21,7 @@ from probedesign.core.units import MM, MPA
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.rod import kernels
+from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class Parameter:
 
 def _rod_column(name: str) -> Jacobian:
     """Return the derivative by one of the rod's own parameters."""
-    column = kernels.PARAMETERS.index(name)
+    column = equations.PARAMETERS.index(name)
     return lambda test, vector: vector.by_rod[..., [column]]
 
 

@@ -19,8 +19,8 @@ from probedesign.identification.parameters import (
     ROOT_STEP,
     ParameterValues,
 )
-from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
+from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
 FRICTION = 0.1
@@ -203,7 +203,7 @@ class SolvedTest:
         for parameter in PARAMETERS.values():
             if parameter.jacobian is not None:
                 J[..., parameter.columns] = parameter.jacobian(self, vector)
-        J[..., PRINT:] = vector.by_rod[..., kernels.ALL_COLUMNS :] @ self.values.common.print_modes.T
+        J[..., PRINT:] = vector.by_rod[..., equations.ALL_COLUMNS :] @ self.values.common.print_modes.T
         return J
 
     def nuisance_jacobian(self, vector: WithJacobian) -> Array:
@@ -287,12 +287,12 @@ class SolvedTest:
         rod, s, size = self.values.rod, self.eq.s_contact, float(np.linalg.norm(self.force)) or 1.0
         u, slope, radius = self.force / size, rod.taper_at(s), float(rod.radius_at(s))
         reach = radius / np.hypot(1.0, slope)
-        d = np.zeros((3, kernels.ALL_COLUMNS + len(rod.s)))
+        d = np.zeros((3, equations.ALL_COLUMNS + len(rod.s)))
         d[:, 0:3] = -reach / size * (np.eye(3) - np.outer(u, u))
         d[:, 3] = slope / radius * reach * u
-        d[:, kernels.PARAMETERS.index("log_diameter")] = -reach * u
+        d[:, equations.PARAMETERS.index("log_diameter")] = -reach * u
         knots = np.array([np.interp(s, rod.s, one) for one in np.diag(rod.radius)]) / radius
-        d[:, kernels.ALL_COLUMNS :] = -reach * np.outer(u, knots)
+        d[:, equations.ALL_COLUMNS :] = -reach * np.outer(u, knots)
         return -reach * u, d
 
     def _arclength(self) -> ResidualBlock:

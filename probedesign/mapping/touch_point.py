@@ -23,7 +23,7 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
-from probedesign.estimation.observation import covariance
+from probedesign.estimation.model import covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.live.processing.touches import BIAS_STEPS
 from probedesign.mapping.segmentation import StationaryInterval, TouchSegment

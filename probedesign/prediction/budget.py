@@ -24,7 +24,7 @@ from probedesign.core.frames import Array
 from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
-from probedesign.estimation.observation import covariance
+from probedesign.estimation.model import covariance
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     BY_TOUCH,

@@ -21,8 +21,7 @@ from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.fused import MomentsAbout
 from probedesign.estimation.fusion import BETTER_THAN_NOTHING, Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.observation import covariance
+from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import radius_95, rms_of

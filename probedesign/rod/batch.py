@@ -4,14 +4,16 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.rod import kernels
-from probedesign.rod.kernels.solve import scratch_buffers
+from probedesign.rod.kernels.equations import DENSITY, GENERAL, LOAD, OK, Body
+from probedesign.rod.kernels.newton import COLD, WARM, WARM_ONLY
+from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
 
 Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
@@ -102,35 +104,23 @@ def solve_batch(
     lengths = np.array([rod.length for rod in several])
     loads, of = _cases(lengths, gravity, force, s_contact, couple, which, isinstance(rods, Rod))
     arrays = zip(*(rod.body for rod in several), strict=True)
-    bodies = kernels.Body(*(np.ascontiguousarray(np.stack(rows)) for rows in arrays))
+    bodies = Body(*(np.ascontiguousarray(np.stack(rows)) for rows in arrays))
     n, k = len(loads), several[0].columns_of(columns)
-    found, derivatives = np.empty((n, kernels.ROW_LENGTH)), np.full((n, 15, k + 1), np.nan)
-    tol, until = TOLERANCES[mode]
+    found, derivatives = np.empty(n, dtype=SOLUTION), np.full((n, 15, k + 1), np.nan)
     order, kinds = _by_kind(bodies, of)
     loads, of = loads[order], of[order]
-    start = kernels.COLD
+    start = COLD
     if guess is not None:
-        start = kernels.WARM_ONLY if guess_only else kernels.WARM
-        found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6] = np.asarray(guess, dtype=float)[order]
+        start = WARM_ONLY if guess_only else WARM
+        found["tip"] = np.asarray(guess, dtype=float)[order]
     threads = threads or len(os.sched_getaffinity(0))
     chunk = min(CHUNK, max(-(-n // threads), MIN_CHUNK))
 
     def run(first: int, last: int, directed: int | None) -> None:
-        kernels.solve_cases(
-            first,
-            last,
-            bodies,
-            of,
-            loads,
-            directed,
-            start,
-            False,
-            tol,
-            until,
-            *scratch_buffers(k, 0, CHUNK),
-            found,
-            derivatives,
-        )
+        solve_cases(
+            first, last, bodies, of, loads, directed, start, False, *TOLERANCES[mode], *scratch_buffers(k, 0, CHUNK),
+            found, derivatives,
+        )  # fmt: skip
         if progress is not None:
             progress(last - first)
 
@@ -173,11 +163,8 @@ def _cases(
     one: bool,
 ) -> tuple[Array, Array]:
     """Return validated loads (n, 13) and the rod of each case, (n,), from the rods' lengths and the arguments."""
-    given = {
-        "gravity": np.array(gravity, float),
-        "force": np.array(force, float),
-        "couple": np.array(couple, float),
-    }
+    vectors = {"gravity": gravity, "force": force, "couple": couple}
+    given = {name: np.array(vector, dtype=float) for name, vector in vectors.items()}
     s = np.array(s_contact, dtype=float)
     sizes = [len(v) for v in given.values() if v.ndim == 2] + ([len(s)] if s.ndim else [])
     of = np.arange(len(lengths)) if which is None else np.array(which)
@@ -192,13 +179,9 @@ def _cases(
     of = np.zeros(n, dtype=np.int64) if one and which is None else of
     if of.shape != (n,) or of.dtype.kind != "i" or ((of < 0) | (of >= len(lengths))).any():
         raise InputError(f"which must be {n} indices of the {len(lengths)} rods, one a case")
-    loads = np.zeros((n, kernels.LOAD))
-    loads[:, 0:3], loads[:, 3:6], loads[:, 9:12], loads[:, 12] = (
-        given["force"],
-        given["gravity"],
-        given["couple"],
-        s,
-    )
+    loads = np.zeros((n, LOAD))
+    loads[:, 0:3], loads[:, 3:6], loads[:, 9:12] = given["force"], given["gravity"], given["couple"]
+    loads[:, 12] = s
     length = lengths[of]
     good = np.isfinite(loads).all(axis=1) & (loads[:, 12] >= 0.0) & (loads[:, 12] <= length * (1 + 1e-12))
     if not good.all():
@@ -211,30 +194,29 @@ def _cases(
     return loads, of.astype(np.int64)
 
 
-def _by_kind(bodies: kernels.Body, of: Array) -> tuple[Indices, list[tuple[int, int, int | None]]]:
+def _by_kind(bodies: Body, of: Array) -> tuple[Indices, list[tuple[int, int, int | None]]]:
     """Return an order of the cases with round straight rods first, and where each kind begins and ends."""
-    general = bodies.constants[of, kernels.GENERAL] != 0.0
+    general = bodies.constants[of, GENERAL] != 0.0
     straight = int((~general).sum())
     kinds = [(0, straight, None), (straight, len(of), 0)]
     return np.argsort(general, kind="stable").astype(np.int64), [kind for kind in kinds if kind[0] < kind[1]]
 
 
-def _batch(found: Array, derivatives: Array, loads: Array, bodies: kernels.Body, of: Array) -> Batch:
+def _batch(found: NDArray[Any], derivatives: Array, loads: Array, bodies: Body, of: Array) -> Batch:
     """Return the kernels' rows as a `Batch`."""
-    status = found[:, kernels.ROW_STATUS].astype(int)
-    bad = status != kernels.OK
-    mass = (bodies.constants[:, kernels.DENSITY] * bodies.volume_beyond[:, 0])[of]
-    moment = found[:, kernels.ROW_MOMENT : kernels.ROW_MOMENT + 3]
-    wrench = np.hstack([loads[:, 0:3] + mass[:, None] * loads[:, 3:6], moment])
-    for numbers in (wrench, found[:, kernels.ROW_RESIDUAL :], derivatives):
+    status = found["status"].astype(int)
+    bad = status != OK
+    mass = (bodies.constants[:, DENSITY] * bodies.volume_beyond[:, 0])[of]
+    wrench = np.hstack([loads[:, 0:3] + mass[:, None] * loads[:, 3:6], found["moment"]])
+    for numbers in (wrench, found["residual"], found["tip"], found["point"], derivatives):
         numbers[bad] = np.nan
     return Batch(
         result=np.array([RESULTS[code] for code in range(len(RESULTS))])[status],
-        margin=found[:, kernels.ROW_MARGIN],
-        residual=found[:, kernels.ROW_RESIDUAL],
-        tip=found[:, kernels.ROW_TIP : kernels.ROW_TIP + 6],
+        margin=found["margin"],
+        residual=found["residual"],
+        tip=found["tip"],
         wrench_base=wrench,
-        p_contact_base=found[:, kernels.ROW_CONTACT + 3 : kernels.ROW_CONTACT + 6],
+        p_contact_base=found["point"],
         d_moment=derivatives[:, :3, :-1],
         d_contact=derivatives[:, 3:, :-1],
         frame=derivatives[:, 3:, -1],

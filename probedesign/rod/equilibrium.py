@@ -8,12 +8,14 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, skew
-from probedesign.rod import kernels
+from probedesign.rod.kernels.equations import ALL_COLUMNS, CONE, DENSITY, PARAMETERS, Body
+from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK
+from probedesign.rod.kernels.sweep import lane_of, states_at
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Exact first derivatives by `kernels.PARAMETERS` and each knot's log diameter, in base axes.
+    """Exact first derivatives by `PARAMETERS` and each knot's log diameter, in base axes.
 
     With `columns` "load" or "contact" there are the first columns only.
 
@@ -31,27 +33,27 @@ class Sensitivity:
     frame: Array
     turns: Array
     load: Array
-    body: kernels.Body
+    body: Body
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the parameters' names, one per column."""
         knots = tuple(f"log_diameter_{i}" for i in range(len(self.body.knots)))
-        return (*kernels.PARAMETERS, *knots)[: self.d_moment.shape[1]]
+        return (*PARAMETERS, *knots)[: self.d_moment.shape[1]]
 
     @cached_property
     def d_wrench(self) -> Array:
         """Return the derivatives of the base wrench [force; moment], (6, k); force = F + ρ V g in closed form."""
         k = self.d_moment.shape[1]
-        mass = float(self.body.constants[kernels.DENSITY] * self.body.volume_beyond[0])
+        mass = float(self.body.constants[DENSITY] * self.body.volume_beyond[0])
         gravity = self.load[3:6]
-        d_force = np.zeros((3, kernels.ALL_COLUMNS + len(self.body.knots)))
+        d_force = np.zeros((3, ALL_COLUMNS + len(self.body.knots)))
         d_force[:, 0:3] = np.eye(3)
         d_force[:, 7:10] = mass * np.eye(3)
-        d_force[:, kernels.PARAMETERS.index("log_density")] = mass * gravity
-        d_force[:, kernels.PARAMETERS.index("log_diameter")] = 2.0 * mass * gravity
-        by_knot = self.body.constants[kernels.DENSITY] * self.body.volume_by_knot[0]
-        d_force[:, kernels.ALL_COLUMNS :] = np.outer(gravity, by_knot)
+        d_force[:, PARAMETERS.index("log_density")] = mass * gravity
+        d_force[:, PARAMETERS.index("log_diameter")] = 2.0 * mass * gravity
+        by_knot = self.body.constants[DENSITY] * self.body.volume_by_knot[0]
+        d_force[:, ALL_COLUMNS:] = np.outer(gravity, by_knot)
         return np.vstack([d_force[:, :k], self.d_moment])
 
     @property
@@ -75,7 +77,7 @@ class Sensitivity:
 
     def _by_turn(self, columns: Array) -> Array:
         """Return the columns by a rotation of the base from those by the load's vectors."""
-        if columns.shape[1] < kernels.ALL_COLUMNS:
+        if columns.shape[1] < ALL_COLUMNS:
             raise InputError('derivatives by the base pose need columns = "all"')
         F, g, C = self.load[0:3], self.load[3:6], self.load[9:12]
         return columns[:, 0:3] @ skew(F) + columns[:, 7:10] @ skew(g) + columns[:, 4:7] @ skew(C)
@@ -104,7 +106,7 @@ class Equilibrium:
     tip: Array
     y: Array
     contact: Array
-    body: kernels.Body
+    body: Body
     sensitivity: Sensitivity | None
 
     @property
@@ -127,7 +129,7 @@ class Equilibrium:
         """Return the wrench of the rod on its mount about the base origin [N, N, N, N·m, N·m, N·m], (6,)."""
         if not self.ok:
             return np.full(6, np.nan)
-        mass = self.body.constants[kernels.DENSITY] * self.body.volume_beyond[0]
+        mass = self.body.constants[DENSITY] * self.body.volume_beyond[0]
         return np.concatenate([self.load[0:3] + mass * self.load[3:6], self.y[3:6]])
 
     @cached_property
@@ -168,7 +170,7 @@ class Equilibrium:
     def n_at(self, s: ArrayLike) -> Array:
         """Return the internal force [N] at arclengths s [m], (j, 3): F [s ≤ s_c] + ρ V(s) g; NaN off the rod."""
         s = np.atleast_1d(np.asarray(s, dtype=float))
-        weight = self.body.constants[kernels.DENSITY] * _volume_beyond(self.body, s)
+        weight = self.body.constants[DENSITY] * _volume_beyond(self.body, s)
         n: Array = weight[:, None] * self.load[3:6]
         n[s <= self.s_contact] += self.load[0:3]
         n[~(self.ok & (s >= 0.0) & (s <= self.body.knots[-1]))] = np.nan
@@ -192,7 +194,7 @@ class Equilibrium:
 
     def states_at(self, s: ArrayLike) -> Array:
         """Return the kernels' states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod."""
-        return self._at(s)[:, : kernels.STATE]
+        return self._at(s)[:, :STATE]
 
     def _at(self, s: ArrayLike) -> Array:
         """Return states and columns at arclengths s [m], as in the nodes; NaN off the rod."""
@@ -202,9 +204,9 @@ class Equilibrium:
         if self.ok:
             inside = (s >= 0.0) & (s <= self.body.knots[-1])
             found = np.empty((int(inside.sum()), width - 1))
-            chunks = (width - 1 - kernels.STATE) // (kernels.WIDE * kernels.COLUMN)
-            work, blocks = np.empty(kernels.WORK), np.empty(chunks * kernels.BLOCK)
-            kernels.states_at(
+            chunks = (width - 1 - STATE) // (WIDE * COLUMN)
+            work, blocks = np.empty(WORK), np.empty(chunks * BLOCK)
+            states_at(
                 s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, found
             )
             rows[inside] = found
@@ -214,8 +216,8 @@ class Equilibrium:
         """Return the derivatives of the points for a fixed base, (j, 3, k)."""
         assert self.sensitivity is not None
         turns, k = self.sensitivity.turns, self.sensitivity.turns.shape[1]
-        lanes = [kernels.lane_of.py_func(j) for j in range(k)]
-        columns = _lanes(rows[:, kernels.STATE :]) - _lanes(self.nodes[-1:, 1 + kernels.STATE :])
+        lanes = [lane_of.py_func(j) for j in range(k)]
+        columns = _lanes(rows[:, STATE:]) - _lanes(self.nodes[-1:, 1 + STATE :])
         moved: Array = columns[:, 6:9, lanes] + columns[:, 6:9, 0:3] @ turns
         return moved
 
@@ -230,15 +232,15 @@ class Equilibrium:
 
 def _lanes(columns: Array) -> Array:
     """Return the kernels' blocks of WIDE columns as (j, 9, lanes)."""
-    blocks = columns.reshape(len(columns), -1, kernels.COLUMN, kernels.WIDE)
-    lanes: Array = np.moveaxis(blocks, 1, 2).reshape(len(columns), kernels.COLUMN, -1)
+    blocks = columns.reshape(len(columns), -1, COLUMN, WIDE)
+    lanes: Array = np.moveaxis(blocks, 1, 2).reshape(len(columns), COLUMN, -1)
     return lanes
 
 
-def _volume_beyond(body: kernels.Body, s: Array) -> Array:
+def _volume_beyond(body: Body, s: Array) -> Array:
     """Return the volume from s to the tip [m³]."""
     i = np.clip(np.searchsorted(body.knots, s, side="right") - 1, 0, len(body.knots) - 2)
     h = body.knots[i + 1] - s
     r, r1 = np.interp(s, body.knots, body.radii), body.radii[i + 1]
-    cones: Array = body.constants[kernels.CONE] * h * (r * r + r * r1 + r1 * r1)
+    cones: Array = body.constants[CONE] * h * (r * r + r * r1 + r1 * r1)
     return cones + body.volume_beyond[i + 1]

@@ -34,10 +34,10 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.rod.coulomb_equations import SurfaceProfile, coulomb_residuals
+from probedesign.rod.contact import SurfaceProfile, coulomb_residuals
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.obstacle.first_contact import FirstContactQuery, NearestPoint, Obstacle
 from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
+from probedesign.rod.surface import FirstContactQuery, NearestPoint, Obstacle
 
 ASSUMED_FRICTION = 0.5
 """Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
@@ -55,6 +55,7 @@ _MIN_FORCE = 1e-6
 """In E I / L²; below it, the residual of forces is absolute."""
 _MAX_ITERATIONS = 15
 _IMAGINARY = 1e-30
+"""Complex step of the derivatives: so small that no digit is lost."""
 _STEP = 0.005
 """Longest step of the object [rod lengths]: bounds how far the sliding direction turns in one increment."""
 _MIN_STEP = 1e-6
@@ -190,11 +191,8 @@ class CoulombSolver:
         Returns:
             The contact; its `object_point` is the position of the object at that time.
         """
-        g, p, v = (
-            finite_vector("gravity", gravity),
-            finite_vector("point", point),
-            finite_vector("travel", travel),
-        )
+        g, p = finite_vector("gravity", gravity), finite_vector("point", point)
+        v = finite_vector("travel", travel)
         d = None if direction is None else _unit(direction)
         free = self.rod.solve(g, mode=self.mode)
         blank = self._without(free.result if not free.ok else "no_contact", free, g, p, d)
@@ -345,9 +343,8 @@ class CoulombSolver:
         if not slipped.normal_force > 0.0:
             return "no_contact"
         along = float(slipped.slide @ slipped.tangential_force_base)
-        min_work = (
-            -10.0 * _CLOSE[self.mode] * self.rod.length * slipped.tangential_force
-        )  # rounding of no slide
+        # Rounding of no slide.
+        min_work = -10.0 * _CLOSE[self.mode] * self.rod.length * slipped.tangential_force
         if self.friction > 0.0 and not along >= min_work:
             return "not_converged"
         return self._checked(last, slipped)
@@ -386,14 +383,9 @@ class CoulombSolver:
             d = scales[:, None] * eq.sensitivity.d_contact * loads
             inputs = np.concatenate([x, scales * eq.sensitivity.frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
+            place = goal.object_point / length
             found = coulomb_residuals(
-                steps,
-                before,
-                goal.object_point / length,
-                goal.direction,
-                self._profile,
-                self.friction,
-                stiffness,
+                steps, before, place, goal.direction, self._profile, self.friction, stiffness
             )
             off, by = found[:, 0].real, found.imag / _IMAGINARY
             of_force = close * max(float(np.linalg.norm(x[0:3])), _MIN_FORCE)

@@ -10,9 +10,21 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.rod import kernels
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.kernels.solve import SINGLE_ROD, scratch_buffers
+from probedesign.rod.kernels.equations import (
+    ALL_COLUMNS,
+    CONTACT_COLUMNS,
+    GENERAL,
+    LOAD,
+    LOAD_COLUMNS,
+    NOT_CONVERGED,
+    OK,
+    STEP_LIMIT,
+    UNSTABLE,
+    Body,
+)
+from probedesign.rod.kernels.newton import COLD, WARM, WARM_ONLY
+from probedesign.rod.kernels.solve import SINGLE_ROD, SOLUTION, scratch_buffers, solve_cases
 
 Mode = Literal["fast", "reference"]
 Columns = Literal["none", "load", "contact", "all"]
@@ -20,12 +32,7 @@ Columns = Literal["none", "load", "contact", "all"]
 TOLERANCES: dict[str, tuple[float, float]] = {"fast": (5e-7, 2e-8), "reference": (1e-13, 1e-12)}
 """Error allowed per step [rad], residual allowed at the base [rad]. "fast" keeps the centreline within 1 µm and
 the base moment within 1e-6 of the reference (tests/rod/test_accuracy.py)."""
-RESULTS = {
-    kernels.OK: "ok",
-    kernels.NOT_CONVERGED: "not_converged",
-    kernels.UNSTABLE: "unstable",
-    kernels.STEP_LIMIT: "not_converged",
-}
+RESULTS = {OK: "ok", NOT_CONVERGED: "not_converged", UNSTABLE: "unstable", STEP_LIMIT: "not_converged"}
 _NODES = {"fast": 64, "reference": 512}
 """Nodes allocated for the shape at first; eight times as many where a rod needs more steps."""
 
@@ -148,7 +155,7 @@ class Rod:
         return 4.0 * self.rigid_length / reach, reach
 
     @cached_property
-    def body(self) -> kernels.Body:
+    def body(self) -> Body:
         """Return the rod as arrays for the kernels."""
         s, r = np.ascontiguousarray(self.s, dtype=float), np.ascontiguousarray(self.radius, dtype=float)
         area, xx, yy, torsion = self.factors
@@ -168,17 +175,17 @@ class Rod:
             self.density, np.pi / 3.0 * area, float(general), *self.root,
             *((FINITE_BEND, FINITE_STRETCH) if self.finite_strain else (0.0, 0.0)),
         ])  # fmt: skip
-        return kernels.Body(s, r, _beyond(frusta), _beyond(by_knot), rest.astype(float).ravel(), constants)
+        return Body(s, r, _beyond(frusta), _beyond(by_knot), rest.astype(float).ravel(), constants)
 
     @cached_property
-    def stacked(self) -> kernels.Body:
+    def stacked(self) -> Body:
         """Return the rod as a batch of one."""
-        return kernels.Body(*(array[None] for array in self.body))
+        return Body(*(array[None] for array in self.body))
 
     @cached_property
     def directed(self) -> int | None:
         """Return the kernels' flag for anisotropic or curved rods: 0 for those, None for round straight ones."""
-        return 0 if self.body.constants[kernels.GENERAL] else None
+        return 0 if self.body.constants[GENERAL] else None
 
     @property
     def mass(self) -> float:
@@ -223,47 +230,34 @@ class Rod:
         """
         load = self.load(gravity, force, s_contact, couple, tip_moment)
         k, room = self.columns_of(columns), _NODES[mode]
-        start = kernels.COLD if guess is None else kernels.WARM_ONLY if guess_only else kernels.WARM
-        found, derivatives = np.empty((1, kernels.ROW_LENGTH)), np.empty((1, 15, k + 1))
-        row = found[0]
+        start = COLD if guess is None else WARM_ONLY if guess_only else WARM
+        found, derivatives = np.empty(1, dtype=SOLUTION), np.empty((1, 15, k + 1))
         if guess is not None:
-            row[kernels.ROW_TIP : kernels.ROW_TIP + 6] = _tip(guess)
+            found["tip"] = _tip(guess)
         while True:
             work = scratch_buffers(k, room)
-            kernels.solve_cases(
-                0,
-                1,
-                self.stacked,
-                SINGLE_ROD,
-                load[None],
-                self.directed,
-                start,
-                False,
-                *TOLERANCES[mode],
-                *work,
-                found,
-                derivatives,
-            )
-            status, count = int(row[kernels.ROW_STATUS]), int(row[kernels.ROW_COUNT])
+            solve_cases(
+                0, 1, self.stacked, SINGLE_ROD, load[None], self.directed, start, False, *TOLERANCES[mode], *work,
+                found, derivatives,
+            )  # fmt: skip
+            row = found[0]
+            status, count = int(row["status"]), int(row["count"])
             shape = work.nodes.reshape(room, -1)[:count]
-            if status != kernels.OK or shape[-1, 0] == 0.0:
+            if status != OK or shape[-1, 0] == 0.0:
                 break
-            room, start = 8 * room, kernels.WARM
-        d, tip = derivatives[0], row[kernels.ROW_TIP : kernels.ROW_TIP + 6]
-        sensitivity = None
-        if k and status == kernels.OK:
+            room, start = 8 * room, WARM
+        d, sensitivity = derivatives[0], None
+        if k and status == OK:
             sensitivity = Sensitivity(d[:3, :k], d[3:, :k], d[3:, k], work.turns, load, self.body)
-        margin, residual = float(row[kernels.ROW_MARGIN]), float(row[kernels.ROW_RESIDUAL])
         return Equilibrium(
-            RESULTS[status], margin, residual, load, shape, tip, work.y, work.contact, self.body, sensitivity
-        )
+            RESULTS[status], float(row["margin"]), float(row["residual"]), load, shape, row["tip"], work.y,
+            work.contact, self.body, sensitivity,
+        )  # fmt: skip
 
     def columns_of(self, columns: Columns) -> int:
         """Return the number of parameters of the sensitivities."""
-        every = kernels.ALL_COLUMNS + len(self.s)
-        return {"none": 0, "load": kernels.LOAD_COLUMNS, "contact": kernels.CONTACT_COLUMNS, "all": every}[
-            columns
-        ]
+        every = ALL_COLUMNS + len(self.s)
+        return {"none": 0, "load": LOAD_COLUMNS, "contact": CONTACT_COLUMNS, "all": every}[columns]
 
     def load(
         self,
@@ -278,18 +272,14 @@ class Rod:
         Raises:
             InputError: as `solve`.
         """
-        load = np.empty(kernels.LOAD)
+        load = np.empty(LOAD)
         try:
             load[:12] = np.array((force, gravity, tip_moment, couple), dtype=float).ravel()
         except (TypeError, ValueError):
             load[0] = math.nan
         if not np.isfinite(load[:12]).all():
-            for name, value in (
-                ("force", force),
-                ("gravity", gravity),
-                ("tip_moment", tip_moment),
-                ("couple", couple),
-            ):
+            given = {"force": force, "gravity": gravity, "tip_moment": tip_moment, "couple": couple}
+            for name, value in given.items():
                 finite_vector(name, value)
         try:
             s = self.length if s_contact is None else float(s_contact)

@@ -9,8 +9,7 @@ from probedesign.design import check_design
 from probedesign.estimation import likelihood
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.likelihood import Problem
-from probedesign.estimation.multistart import SWEEPS_AT
-from probedesign.estimation.observation import Observation
+from probedesign.estimation.model import Observation
 from probedesign.probe import build_probe
 from tests.estimation.true_touches import EXACT, settle, sources_of
 
@@ -93,7 +92,7 @@ def test_a_guess_is_close_enough_for_a_few_sweeps(large, gravity):
     """Sweeps are what an estimate costs: from the trace, half of the fits take six or fewer."""
     sources = sources_of(large.model, gravity)
     sweeps = [
-        likelihood._fit(problem_of(sources, wrench, 0.6), None)[0, SWEEPS_AT]
+        likelihood._fit(problem_of(sources, wrench, 0.6), None)["sweeps"][0, 0]
         for _touch, wrench in drawn(sources, 60, np.random.default_rng(5), 0.4)
     ]
     assert np.median(sweeps) <= 6

@@ -1,5 +1,5 @@
-"""The sequential test: as many false alarms as stated, light touches told in time, the end of a touch told, drift and
-sway borne."""
+"""The sequential test: as many false alarms as stated, light touches and ends of touches detected in time, drift and
+sway tolerated."""
 
 from itertools import pairwise
 
@@ -32,49 +32,51 @@ def by_force(large, gravity):
     return eq.sensitivity.d_wrench[:, 1]
 
 
-def changes(said):
-    """What was said anew, with when."""
+def changes(states):
+    """Return the changes of state with their samples."""
     return [
-        (i, now) for i, (before, now) in enumerate(zip(["free", *said], said, strict=False)) if before != now
+        (i, now)
+        for i, (before, now) in enumerate(zip(["free", *states], states, strict=False))
+        if before != now
     ]
 
 
-def alarms(said):
-    return [i for i, now in changes(said) if now == "contact"]
+def alarms(states):
+    return [i for i, now in changes(states) if now == "contact"]
 
 
 def test_false_alarms_come_as_often_as_stated(large, sampled):
-    """Ten minutes of a free probe, tested as if one alarm in twenty seconds were borne: 30, a Poisson number."""
+    """Ten minutes of a free probe, tested for one alarm in twenty seconds: 30, a Poisson number."""
     n = 600 * RATE
-    said = Detector(large.model, RATE, 20.0 / 3600.0).run(sampled(n))
+    states = Detector(large.model, RATE, 20.0 / 3600.0).run(sampled(n))
     low, high = stats.poisson(30).ppf((RARE, 1.0 - RARE))
     # The five lengths are not independent, and their chances are simply added: rather fewer than stated.
-    assert 0.3 * low <= len(alarms(said)) <= high
+    assert 0.3 * low <= len(alarms(states)) <= high
 
 
 @pytest.mark.parametrize("force", [0.0005, 0.002, 0.02, 1.0])
-def test_a_touch_is_told_and_its_end_too(force, large, sampled, by_force):
+def test_a_touch_and_its_end_are_detected(force, large, sampled, by_force):
     on, off = 7000, 21000
     samples = sampled(28000)
     samples[on:off] += force * by_force
-    said = Detector(large.model, RATE).run(samples)
-    assert not alarms(said[:on])
-    assert said[on + 1023 : off].count("contact") >= 0.97 * (off - on - 1023)
-    end = [i for i, now in changes(said) if now == "lost"][-1]
+    states = Detector(large.model, RATE).run(samples)
+    assert not alarms(states[:on])
+    assert states[on + 1023 : off].count("contact") >= 0.97 * (off - on - 1023)
+    end = [i for i, now in changes(states) if now == "lost"][-1]
     assert off <= end < off + 1024
-    assert set(said[end + 1 :]) == {"free"}
+    assert set(states[end + 1 :]) == {"free"}
 
 
-def test_the_detectable_force_is_told_every_other_time(large, sampled, by_force):
-    told, runs, samples = 0, 200, 64
+def test_the_detectable_force_is_detected_every_other_time(large, sampled, by_force):
+    detected, runs, samples = 0, 200, 64
     for seed in range(runs):
         detector = Detector(large.model, RATE)
         force = detector.detectable(by_force, samples)
-        said = detector.run(sampled(samples, seed) + force * by_force)
-        told += "contact" in said
+        states = detector.run(sampled(samples, seed) + force * by_force)
+        detected += "contact" in states
     # The longest mean sits on its threshold; the shorter ones beside it add a little.
     low, high = stats.binom(runs, 0.5).ppf(RARE), stats.binom(runs, 0.75).ppf(1.0 - RARE)
-    assert low <= told <= high
+    assert low <= detected <= high
 
 
 def test_longer_means_feel_less(large, by_force):
@@ -104,9 +106,9 @@ def test_a_sway_that_was_seen_is_borne_and_a_touch_in_it_is_told(large, sampled,
     assert alarms(fresh.run(samples[:n]))
     swaying.calibrate(samples[:n])
     samples[n + n // 2 :] += 0.03 * by_force
-    said = swaying.run(samples[n:])
-    assert not alarms(said[: n // 2])
-    assert "contact" in said[n // 2 : n // 2 + 1024]
+    states = swaying.run(samples[n:])
+    assert not alarms(states[: n // 2])
+    assert "contact" in states[n // 2 : n // 2 + 1024]
 
 
 def test_sample_by_sample_is_the_same_as_all_at_once(large, sampled, by_force):
@@ -119,9 +121,9 @@ def test_sample_by_sample_is_the_same_as_all_at_once(large, sampled, by_force):
 def test_a_sample_that_is_no_number_is_passed_over(large, sampled):
     samples = sampled(100)
     samples[40, 3], samples[60, 0] = np.nan, np.inf
-    said = Detector(large.model, RATE).run(samples)
-    assert [i for i, now in enumerate(said) if now == "out_of_range"] == [40, 60]
-    assert said.count("free") == 98
+    states = Detector(large.model, RATE).run(samples)
+    assert [i for i, now in enumerate(states) if now == "out_of_range"] == [40, 60]
+    assert states.count("free") == 98
 
 
 @pytest.mark.parametrize("wrong", [{"rate": 0.0}, {"rate": np.nan}, {"hours_between_alarms": -1.0}])

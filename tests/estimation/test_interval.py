@@ -1,4 +1,4 @@
-"""The 95 % interval of s_contact: normal where the posterior is, bounded by the probe, and held by true touches."""
+"""The 95 % interval of s_contact: normal where the posterior is, bounded by the probe, and covering true touches."""
 
 import math
 

@@ -91,7 +91,7 @@ def test_without_noise_every_touch_is_found(name, gravity_of, probes):
                     math.hypot(*friction), abs=1e-4 * normal + 0.1 * noise
                 )
                 located += estimator is usual
-    # Most of the grid can be held, and a third of that is heavy enough for the noise.
+    # Most touches of the grid have an equilibrium, and a third of them are heavy enough for the noise.
     assert len(touches.s) > 0.7 * asked and located > 0.33 * len(touches.s)
 
 
@@ -104,7 +104,7 @@ def test_without_friction_the_frictionless_prior_finds_the_same(name, probes, gr
         c = estimator.estimate(wrench, gravity)
         assert c.result == "ok"
         assert_located(c, estimator, touches, i)
-        # A friction of 1e-4 stands in for none.
+        # A friction of 1e-4 replaces none.
         assert c.friction_ratio < 1e-4
 
 

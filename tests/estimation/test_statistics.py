@@ -15,7 +15,7 @@ FRICTIONS = (0.0, 0.2, 0.5, 0.8)
 LOW, HIGH = 0.88, 0.99
 """Share inside a 95 % ellipsoid that 150 draws may have: binomial, 0.95 ± 0.018, four standard deviations below; above,
 the bow that the covariance adds is none of a normal distribution's, so 99 % is the tolerance."""
-WORTH = 6e-3
+MAX_BOUND = 6e-3
 """Bound of the touched point [m] below which a touch is to be located."""
 CHI2_95 = stats.chi2(3).ppf(0.95)
 
@@ -55,9 +55,9 @@ def with_every_source(request, large, gravity):
 
 
 def test_touches_worth_locating_are_located(with_every_source):
-    worth = [c for c, _point, bound in with_every_source if bound < WORTH]
-    assert len(worth) > 0.5 * DRAWS
-    assert sum(c.ok for c in worth) >= 0.97 * len(worth)
+    known = [c for c, _point, bound in with_every_source if bound < MAX_BOUND]
+    assert len(known) > 0.5 * DRAWS
+    assert sum(c.ok for c in known) >= 0.97 * len(known)
 
 
 def test_the_ellipsoid_holds_the_touched_point_as_often_as_stated(with_every_source):
@@ -86,8 +86,8 @@ def test_the_misfit_is_chi_square(with_every_source, large):
 def test_smaller_probes_with_friction_of_a_half(name, probes, gravity):
     found = drawn(probes[name].estimator(), gravity, 0.5, (0.3, 0.9), (0.02, 0.2), seed=12, draws=100)
     located = [(c, p) for c, p, bound in found if c.ok]
-    worth = [c for c, _p, bound in found if bound < WORTH]
-    assert sum(c.ok for c in worth) >= 0.97 * len(worth)
+    known = [c for c, _p, bound in found if bound < MAX_BOUND]
+    assert sum(c.ok for c in known) >= 0.97 * len(known)
     inside = [(c.p_surface_base - p) @ np.linalg.solve(c.cov_surface_base, c.p_surface_base - p) < CHI2_95
               for c, p in located]  # fmt: skip
     assert np.mean(inside) >= LOW - 0.02  # a hundred draws scatter by 0.022

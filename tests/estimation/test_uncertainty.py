@@ -9,23 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.frames import inverse as inverse_pose
 from probedesign.core.frames import pose, wrench_map
-from probedesign.estimation.contact_fit import residuals
+from probedesign.estimation.contact_fit import FIT_SCRATCH, residuals
 from probedesign.estimation.error_sources import CAUSES, ErrorSources
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.multistart import FIT
 from probedesign.estimation.surface_contact_kernel import BY_PARAMETER, BY_TOUCH, CENTRE, POINT
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.estimation.uncertainty_kernel import (
-    COV_CENTRE,
-    COV_POINT,
-    COV_TOUCH,
-    LEVER,
-    RESULT,
-    VAR_S,
-    measurement_covariance,
-    posterior,
-    whitening,
-)
-from probedesign.rod.kernels.compiled import kernel
+from probedesign.estimation.uncertainty_kernel import measurement_covariance, posterior, whitening
+from probedesign.rod.kernels import kernel
 from tests.estimation.true_touches import EXACT, settle, sources_of
 from tests.reference.surface_contact import SurfaceTouch, solve_touch
 from tests.reference.uncertainty import information, inverse, point_covariance, reading_covariance
@@ -80,7 +71,7 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
 
 
 @kernel
-def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, work, result):
+def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, gain, fits):
     """Covariances of one touch as linearised; the kernel's own parts have no entry from Python."""
     jacobian, r, by_s = np.zeros((8, 5)), np.zeros(8), np.zeros(5)
     by_s[0] = 1.0
@@ -88,7 +79,7 @@ def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, work, resu
     if not whitening(cov, np.empty((6, 6)), whiten):
         return False
     residuals(lin, touch, wrench, whiten, friction, jacobian, r)
-    return posterior(lin, touch, jacobian, whiten, D, by_s, work, result)
+    return posterior(lin, touch, jacobian, whiten, D, by_s, scratch[0], gain, fits[0])
 
 
 @pytest.mark.parametrize("touch", TOUCHES)
@@ -97,25 +88,27 @@ def test_the_compiled_posterior_is_the_formula_to_rounding(touch, large, gravity
     sources = sources_of(large.model, gravity, Tolerances())
     true, friction = settle(sources, unknowns(large.model, touch)), 0.6
     noise = large.model.noise_base() + sources.drift
-    cov, whiten, result = np.empty((6, 6)), np.zeros((6, 6)), np.zeros(RESULT)
-    work = np.empty(100 + 3 * (6 + true.D.shape[1]))
-    assert posterior_at(true.lin, true.touch, true.D, true.wrench, noise, friction, cov, whiten, work, result)
+    cov, whiten, fits = np.empty((6, 6)), np.zeros((6, 6)), np.zeros(1, dtype=FIT)
+    scratch, gain = np.empty(1, dtype=FIT_SCRATCH), np.empty(3 * (6 + true.D.shape[1]))
+    assert posterior_at(
+        true.lin, true.touch, true.D, true.wrench, noise, friction, cov, whiten, scratch, gain, fits
+    )
+    result = fits[0]
     sigma = reading_covariance(noise, true.D[:6])
     np.testing.assert_allclose(cov, sigma, rtol=1e-9, atol=1e-20)
     np.testing.assert_allclose(whiten @ sigma @ whiten.T, np.eye(6), atol=1e-9)
     H = true.lin[:6, BY_TOUCH:BY_PARAMETER]
     C = inverse(information(H, sigma, friction))
     scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
-    np.testing.assert_allclose(result[COV_TOUCH:COV_POINT].reshape(5, 5) / scale, C / scale, atol=1e-6)
-    assert result[VAR_S] == pytest.approx(C[0, 0], rel=1e-6)
-    for rows, first in ((POINT, COV_POINT), (CENTRE, COV_CENTRE)):
+    np.testing.assert_allclose(result["cov_touch"] / scale, C / scale, atol=1e-6)
+    assert result["var_s"] == pytest.approx(C[0, 0], rel=1e-6)
+    for rows, name in ((POINT, "cov_surface"), (CENTRE, "cov_centre")):
         at = slice(rows, rows + 3)
         X = true.lin[at, BY_TOUCH:BY_PARAMETER]
         wanted = point_covariance(H, X, true.D[:6], true.D[at], noise, friction)
-        found = result[first : first + 9].reshape(3, 3)
-        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * np.trace(wanted))
+        np.testing.assert_allclose(result[name], wanted, rtol=0, atol=1e-6 * np.trace(wanted))
     size = true.touch[2] * math.sqrt(1.0 + true.touch[3] ** 2 + true.touch[4] ** 2)
-    assert result[LEVER] == pytest.approx(np.linalg.norm(H[3:, 0]) / size, rel=1e-9)
+    assert result["lever"] == pytest.approx(np.linalg.norm(H[3:, 0]) / size, rel=1e-9)
 
 
 # Bounds of single touches, large probe, gravity across: Cramér–Rao bounds [mm] by finite differences of a rod of their

@@ -58,7 +58,7 @@ def test_fast_is_within_a_micrometre_and_a_millionth_of_reference(kind):
         gravity, force, s_c = load
         weight = rod.density * rod.body.volume_beyond[0] * np.linalg.norm(gravity)
         scale = np.linalg.norm(force) * s_c + weight * rod.length / 2.0
-        # The promise of Mode "fast" (probedesign/rod/rod.py).
+        # The documented accuracy of mode "fast" (probedesign/rod/rod.py).
         assert np.linalg.norm(fast.p_at(s) - reference.p_at(s), axis=1).max() <= 1e-6, (rod, load)
         assert np.linalg.norm(fast.wrench_base[3:] - reference.wrench_base[3:]) <= 1e-6 * scale, (rod, load)
         agreed += 1

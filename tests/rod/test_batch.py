@@ -58,7 +58,7 @@ def test_the_batch_is_each_case_by_itself(columns, mode):
 
 
 def test_without_columns_the_answer_is_as_good():
-    """No last sweep with columns: its steps differ, so within what "fast" promises of either."""
+    """No last sweep with columns: its steps differ, so within the accuracy of "fast" for either."""
     given = cases(RODS)
     found, wanted = solve_batch(RODS, **given), solve_batch(RODS, **given, columns="load")
     assert found.d_moment.shape == (CASES, 3, 0) and found.d_contact.shape == (CASES, 12, 0)
@@ -136,7 +136,7 @@ FINE = {"gravity": GRAVITY, "force": np.zeros((2, 3)), "s_contact": 0.05}
 
 
 @pytest.mark.parametrize(
-    ("rods", "change", "told"),
+    ("rods", "change", "message"),
     [
         (PROFILE, {"gravity": np.zeros((3, 3))}, "3"),
         (PROFILE, {"force": np.zeros((2, 2))}, "force"),
@@ -154,8 +154,8 @@ FINE = {"gravity": GRAVITY, "force": np.zeros((2, 3)), "s_contact": 0.05}
         ([], {"which": [0, 0]}, "rods"),
     ],
 )
-def test_cases_that_do_not_fit_are_refused(rods, change, told):
-    with pytest.raises(InputError, match=told):
+def test_cases_that_do_not_fit_are_refused(rods, change, message):
+    with pytest.raises(InputError, match=message):
         solve_batch(rods, **(FINE | change))
 
 

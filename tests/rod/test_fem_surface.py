@@ -73,7 +73,7 @@ def test_the_couple_of_friction_and_the_root_are_needed():
     bare = np.array([differences(case, rigid_radii=0.0) for case in CASES])
     # A force moved to the centreline leaves out a moment of up to r F: percents of the base moment.
     assert np.median(no_couple[:, 2]) > 10.0 * np.median(with_both[:, 2])
-    # The root is worth about 1 % of the deflection (docs/decisions/0006).
+    # The root contributes about 1 % of the deflection (docs/decisions/0006).
     assert np.median(bare[:, 0]) > 10.0 * np.median(with_both[:, 0])
 
 

@@ -22,13 +22,13 @@ SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])
 """Side of the rod on which the object is."""
 
 
-def approach(rod, fraction=0.5, depth=0.5, aside=0.2, line=False, gravity=GRAVITY):
+def approach(rod, fraction=0.5, depth=0.5, offset=0.2, line=False, gravity=GRAVITY):
     """(point, travel, direction or None) of an object that comes `depth` radii into the free rod's flank."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
     R, r = free.R_at(s), float(rod.radius_at(s))
     out, across = R @ SIDE, R @ np.cross([0.0, 0.0, 1.0], SIDE)
-    point = free.p_at(s) + r * ((math.sqrt(1.0 - aside**2) - depth) * out + aside * across)
+    point = free.p_at(s) + r * ((math.sqrt(1.0 - offset**2) - depth) * out + offset * across)
     travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
     return point, travel, across + 0.3 * R[:, 2] + 0.2 * out if line else None
 
@@ -186,10 +186,10 @@ def test_what_sticks_remembers_nothing_of_its_way():
     point, travel, _ = approach(CONE)
     begun = CoulombSolver(CONE, 0.5, "reference").press(GRAVITY, point, travel)
     solver = CoulombSolver(CONE, math.inf, "reference")
-    aside = solver.advance(begun, point + np.array([0.0, 1e-5, 1e-6]))
-    again = solver.advance(solver.advance(aside, point + np.array([1e-5, 0.0, 0.0])), point)
+    moved = solver.advance(begun, point + np.array([0.0, 1e-5, 1e-6]))
+    again = solver.advance(solver.advance(moved, point + np.array([1e-5, 0.0, 0.0])), point)
     assert again.state == "stick"
-    assert np.linalg.norm(aside.force_base - begun.force_base) > 1e-3 * begun.magnitude
+    assert np.linalg.norm(moved.force_base - begun.force_base) > 1e-3 * begun.magnitude
     assert np.allclose(again.force_base, begun.force_base, rtol=0.0, atol=1e-6 * begun.magnitude)
 
 
@@ -288,7 +288,7 @@ def test_bad_input_is_refused():
 
 @pytest.mark.parametrize("name", RODS)
 def test_a_given_force_on_the_surface_is_that_of_the_contact(name):
-    """Told the components that a solved contact has, the same equilibrium follows."""
+    """With the components of a solved contact, the same equilibrium follows."""
     rod = RODS[name]
     point, travel, _ = approach(rod, 0.6, 0.4)
     contact = CoulombSolver(rod, 0.5, "reference").press(GRAVITY, point, travel)

@@ -11,7 +11,7 @@ from probedesign.rod.contact import solve_frictionless
 GRAVITY = (9.81, 0.0, 0.0)
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
 STRENGTH = 0.4
-"""Of the bending [rad]; at 0.6 the profile, pushed up by its tip against gravity, swings aside."""
+"""Of the bending [rad]; at 0.6 the profile, pushed up by its tip against gravity, swings to the side."""
 PLACES = [(0.2, 0.0), (0.5, 2.0), (0.8, -1.0), (1.0, math.pi)]
 
 
@@ -88,7 +88,7 @@ def test_fast_is_within_a_micrometre_of_reference():
             fast, reference = pushed(rod, fraction, angle, mode="fast"), pushed(rod, fraction, angle)
             s = np.linspace(0.0, rod.length, 7)
             off = np.linalg.norm(fast.equilibrium.p_at(s) - reference.equilibrium.p_at(s), axis=1).max()
-            assert off <= 1e-6, (name, fraction, angle)  # the promise of mode "fast"
+            assert off <= 1e-6, (name, fraction, angle)  # the documented accuracy of mode "fast"
 
 
 @pytest.mark.parametrize("magnitude", [0.0, 1e-9])

@@ -22,14 +22,14 @@ FLANK = [(name, fraction) for name in RODS for fraction in (0.2, 0.5, 0.85)]
 
 
 def flank_press(
-    rod, fraction, depth, line=False, aside=0.2, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)
+    rod, fraction, depth, line=False, offset=0.2, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)
 ):
     """Pressed by `depth` radii at a fraction of the free rod, so many radii beside its axis."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
     R, r = free.R_at(s), float(rod.radius_at(s))
     out, across = R @ SIDE, R @ np.cross([0.0, 0.0, 1.0], SIDE)
-    point = free.p_at(s) + r * ((math.sqrt(1.0 - aside**2) - depth) * out + aside * across)
+    point = free.p_at(s) + r * ((math.sqrt(1.0 - offset**2) - depth) * out + offset * across)
     travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
     if line:
         return press_against_line(
@@ -284,7 +284,7 @@ def test_fast_is_close_to_reference():
         fast, reference = pressed(name, mode="fast"), pressed(name)
         s = np.linspace(0.0, PRESSES[name][1].length, 7)
         off = np.linalg.norm(fast.equilibrium.p_at(s) - reference.equilibrium.p_at(s), axis=1).max()
-        assert off <= 1e-6, name  # the promise of mode "fast"
+        assert off <= 1e-6, name  # the documented accuracy of mode "fast"
 
 
 @pytest.mark.parametrize("against", ["point", "line"])
@@ -300,22 +300,22 @@ def test_what_stays_outside_touches_nothing(against):
 @pytest.mark.parametrize("height", [0.03, 0.149])
 def test_the_first_touch_is_where_the_surface_is(height):
     r = float(CONE.radius_at(height))
-    for aside in (0.0, 0.7):
-        point = (r * math.sqrt(1.0 - aside**2) - 1e-5, aside * r, height)
+    for offset in (0.0, 0.7):
+        point = (r * math.sqrt(1.0 - offset**2) - 1e-5, offset * r, height)
         press = press_against_point(CONE, (0, 0, 0), point, (-0.03, 0.0, 0.0))
         assert press.result == "ok"
-        assert press.way_touched == pytest.approx(0.03 - 1e-5, abs=1e-6 * CONE.length), aside
+        assert press.way_touched == pytest.approx(0.03 - 1e-5, abs=1e-6 * CONE.length), offset
 
 
-@pytest.mark.parametrize("aside", [0.01, 0.3, 0.8])
-def test_a_point_slips_round_a_round_rod(aside):
+@pytest.mark.parametrize("offset", [0.01, 0.3, 0.8])
+def test_a_point_slips_round_a_round_rod(offset):
     """Free to yield alike to all sides, the axis keeps r from the point by the shortest way: the force ends
-    where the point leaves the free rod behind, 2 √(r² - y²) further on."""
+    where the point has passed the free rod, 2 √(r² - y²) further on."""
     r = 3e-3
-    press = press_against_point(CONE, (0, 0, 0), (-0.02, aside * r, 0.09), (-0.04, 0.0, 0.0))
+    press = press_against_point(CONE, (0, 0, 0), (-0.02, offset * r, 0.09), (-0.04, 0.0, 0.0))
     assert press.result == "no_contact" and press.lost
     through = press.way_followed - press.way_touched
-    assert through == pytest.approx(2.0 * r * math.sqrt(1.0 - aside**2), rel=1e-3)  # bent little: 1 : 30
+    assert through == pytest.approx(2.0 * r * math.sqrt(1.0 - offset**2), rel=1e-3)  # bent little: 1 : 30
 
 
 def test_pressed_squarely_it_gives_way_where_it_stood():

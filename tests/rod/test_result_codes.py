@@ -1,4 +1,4 @@
-"""What the rod says where there is no answer, and where the critical loads are."""
+"""Result codes of a rod without an equilibrium, and the critical loads."""
 
 import time
 from dataclasses import replace
@@ -19,7 +19,7 @@ GREENHILL = 7.8373474 * EI / ELASTICA.length**3
 A. G. Greenhill, Proc. Cambridge Phil. Soc. 4 (1881) 65-73."""
 
 
-def standing(weight):
+def upright(weight):
     """The elastica upright under a weight per length [N/m]."""
     g = weight / (ELASTICA.density * np.pi * ELASTICA.radius[0] ** 2)
     return ELASTICA.solve((0, 0, -g))
@@ -36,7 +36,7 @@ def assert_no_numbers(eq):
 
 @pytest.mark.parametrize("mode", ["fast", "reference"])
 @pytest.mark.parametrize("share", [0.5, 0.999])
-def test_below_eulers_load_a_straight_column_stands(share, mode):
+def test_below_eulers_load_a_straight_column_is_stable(share, mode):
     eq = ELASTICA.solve(force=(0, 0, -share * EULER), mode=mode)
     assert eq.result == "ok" and eq.stable
     np.testing.assert_array_equal(eq.p_base[:, :2], 0.0)
@@ -52,13 +52,13 @@ def test_above_eulers_load_it_does_not(share, mode):
 
 
 @pytest.mark.parametrize("share", [0.9, 0.99])
-def test_below_greenhills_weight_a_column_stands(share):
-    assert standing(share * GREENHILL).result == "ok"
+def test_below_greenhills_weight_a_column_is_stable(share):
+    assert upright(share * GREENHILL).result == "ok"
 
 
 @pytest.mark.parametrize("share", [1.001, 1.02, 1.5, 6.0, 8.0])
 def test_above_greenhills_weight_it_does_not(share):
-    assert standing(share * GREENHILL).result == "unstable"  # 7.1 times: the second critical weight
+    assert upright(share * GREENHILL).result == "unstable"  # 7.1 times: the second critical weight
 
 
 ROUND_OR_NOT = {
@@ -199,7 +199,7 @@ def test_a_bad_guess_costs_only_time():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"youngs_modulus": 0.0}, "youngs_modulus"),
         ({"shear_modulus": np.nan}, "shear_modulus"),
@@ -227,6 +227,6 @@ def test_a_bad_guess_costs_only_time():
         ({"radius": np.array([1e-3, np.nan])}, "radius"),
     ],
 )
-def test_a_rod_that_cannot_be_is_refused(change, told):
-    with pytest.raises(InputError, match=told):
+def test_a_rod_that_cannot_be_is_refused(change, message):
+    with pytest.raises(InputError, match=message):
         replace(CONE, **change)

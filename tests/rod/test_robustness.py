@@ -66,7 +66,7 @@ def test_the_base_moment_is_that_of_force_and_weight_on_the_bent_rod():
             weight = rod.density * np.pi * rod.radius_at(stations) ** 2 * w * (high - low) / 2.0
             moment = moment + np.cross(weight @ eq.p_at(stations), g)
         scale = np.linalg.norm(F) * at + rod.mass * 9.81 * rod.length
-        # The promise of mode "fast".
+        # The documented accuracy of mode "fast".
         assert np.linalg.norm(eq.wrench_base[3:] - moment) <= 1e-6 * scale
 
 

@@ -53,7 +53,7 @@ def test_a_small_couple_turns_each_way_by_its_own_stiffness(factors):
     E, G = rod.youngs_modulus, rod.shear_modulus
     stiffness = I_round * np.array([E * rod.factors[1], E * rod.factors[2], 2.0 * G * rod.factors[3]])
     turn = Rotation.from_matrix(eq.R_base[-1]).as_rotvec()
-    # Turns of 1e-5 rad: their products are left out, the tip is held to 1e-12 of them.
+    # Turns of 1e-5 rad: their products are left out, the tip agrees to 1e-12 of them.
     np.testing.assert_allclose(turn, couple * rod.length / stiffness, rtol=3e-5)
 
 
@@ -152,7 +152,7 @@ def test_unloaded_the_rod_has_the_shape_it_is_made_in(curvature, factors, mode):
     eq = rod.solve(mode=mode)
     assert eq.result == "ok"
     s = np.linspace(0.0, rod.length, 9)
-    # The promise of "fast"; 1e-13 a step.
+    # The documented accuracy of "fast"; 1e-13 a step.
     atol = 1e-6 if mode == "fast" else 1e-12
     np.testing.assert_allclose(eq.p_at(s), helix(u, s), rtol=0.0, atol=atol)
     wanted = Rotation.from_rotvec(np.outer(s, u)).as_matrix()
@@ -176,14 +176,14 @@ def test_a_small_load_on_an_arc_moves_its_end_as_castigliano_says():
         return rod.solve(force=force, mode="reference").p_base[-1]
 
     along = (end((0, 0, F)) - end((0, 0, -F)))[2] / 2.0
-    aside = (end((0, F, 0)) - end((0, -F, 0)))[1] / 2.0
+    sideways = (end((0, F, 0)) - end((0, -F, 0)))[1] / 2.0
     # F R²/(E I) = 3e-5 turns: its square is left out of the theory, what is even in F drops out of the difference.
     bent = R**2 * np.pi / 4.0 / (E * inertia)
     twisted = R**2 * (3.0 * np.pi / 4.0 - 2.0) / (2.0 * G * inertia)
     assert along == pytest.approx(
         F * R * (bent + np.pi / 4.0 * (1.0 / (E * area) + 1.0 / (G * area))), rel=1e-8
     )
-    assert aside == pytest.approx(F * R * (bent + twisted + np.pi / 2.0 / (G * area)), rel=1e-8)
+    assert sideways == pytest.approx(F * R * (bent + twisted + np.pi / 2.0 / (G * area)), rel=1e-8)
 
 
 @pytest.mark.parametrize("modulus", [0.2e6, 2e6])

@@ -19,7 +19,7 @@ from rods import (
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
-from probedesign.rod.kernels import PARAMETERS
+from probedesign.rod.kernels.equations import PARAMETERS
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 STEPS = {"force": 1e-4, "s_contact": 1e-5, "couple": 1e-4, "gravity": 1e-3, "log": 1e-4}
@@ -117,7 +117,7 @@ def differences(at, h):
 def assert_close(found, wanted, force, length, rtol):
     """Each group (force, moment, tangent, axes, position, centreline) within rtol of its own largest.
 
-    A group that hardly answers (G moves only what shear bends) is held to a hundredth of its natural size.
+    A group that hardly answers (G moves only what shear bends) is compared to a hundredth of its natural size.
     """
     natural = [(0, 3, np.linalg.norm(force)), (3, 6, np.linalg.norm(force) * length),
                (6, 12, 1.0), (12, 15, length), (15, 18, 1.0), (18, len(wanted), length)]  # fmt: skip

@@ -23,7 +23,7 @@ with δω, δp' from the section's own change (E, G, radius, f).
 from typing import NamedTuple
 
 from probedesign.core.frames import Array
-from probedesign.rod.kernels.compiled import inlined
+from probedesign.rod.kernels import inlined, inner
 from probedesign.rod.kernels.linalg import add, cross, dot, minus, take, times
 
 
@@ -73,6 +73,15 @@ CONTACT_COLUMNS = 7
 ALL_COLUMNS = len(PARAMETERS)
 
 OK, NOT_CONVERGED, UNSTABLE, STEP_LIMIT = 0, 1, 2, 3
+
+
+@inner
+def frustum_at(body, s):
+    """Return the frustum that s lies in, the lower one at a knot."""
+    i = 0
+    while i + 2 < body.knots.shape[0] and s > body.knots[i + 1]:
+        i += 1
+    return i
 
 
 @inlined

@@ -2,28 +2,24 @@
 
 All data are in one flat array, row by row: row r of lane l at r · WIDE + l. So the compiler sees that the lanes of a
 row are contiguous, and one instruction operates on all of them. Lanes are independent: the result of one is identical
-to the bit whatever the others compute.
+to the bit whatever the others compute. Rows of one plain array, not fields of a record: only so does the compiler
+vectorise over the lanes.
 """
-
-import math
 
 import numpy as np
 
-from probedesign.rod.kernels import verner
-from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels import inlined, inner
 from probedesign.rod.kernels.equations import (
     column_slopes,
     compliance,
-    full_margin,
     full_slopes,
     rest_at,
     round_column_slopes,
     round_compliance,
-    round_margin,
     round_slopes,
     section_properties,
 )
-from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus
+from probedesign.rod.kernels.linalg import cross, minus
 from probedesign.rod.kernels.steps import (
     C1,
     C2,
@@ -38,45 +34,53 @@ from probedesign.rod.kernels.steps import (
     S5,
     S6,
     S7,
+    STAGES,
     STATE,
     WIDE,
     D,
     M,
     P,
     T,
+    stage1,
+    stage2,
+    stage3,
+    stage4,
+    stage5,
+    stage6,
+    stage7,
+    step_error,
+    step_result,
 )
 
 NEXT = np.int64(STATE)
-"""Row where the state [t, m, p, d], which stands in the first ones, steps to."""
+"""Row of the next state; the state [t, m, p, d] itself is in the first rows."""
 TURN = 6
 """[θ, v] of a column."""
 TIPS, TIPS_NEXT = np.array([2 * STATE, 2 * STATE + 3 * TURN])
-"""How all moves with turns of the tip about its section's x and y axes and its tangent; where that steps to."""
+"""Columns by turns of the tip about its section's x and y axes and its tangent, and the next columns."""
 COLUMN1, COLUMN2, COLUMN3 = np.arange(0, 3 * TURN, TURN)
 """Their rows among those."""
 S, H, TRIED, STOP, EVENT, STEPS, TRIES = np.arange(TIPS_NEXT + 3 * TURN, TIPS_NEXT + 3 * TURN + 7)
-"""Arclength, the step to take, the one just tried, where to stop, what came of it, steps of the sweep, tries of one."""
+"""Arclength, the step to take, the one just tried, the arclength to stop at, the event, steps of the sweep, tries of
+one step."""
 ERRORS, TIPS_ERRORS, WANTS_TIPS = TRIES + 1, TRIES + 4, TRIES + 10
-"""Of t, m and p; of θ and v of each column; 1 where the tip's columns are wanted."""
+"""Errors of t, m and p, and of θ and v of each column; 1 where the tip's columns are wanted."""
 MARGIN, BEND, E1, E2 = WANTS_TIPS + 1, WANTS_TIPS + 2, WANTS_TIPS + 3, WANTS_TIPS + 6
-"""Of stability so far; how far the rod turned; two normals of the tangent that do not turn about it."""
+"""Margin of stability so far; how far the rod turned; two normals of the tangent that do not turn about it."""
 TOL, SIZE, LENGTH, STEP_BUDGET, TIPS_ERROR, GOOD, FIRST_STEP = np.arange(E2 + 3, E2 + 10)
 """Error allowed a step, relative to the size; length of the body; most steps; the columns' error over what is allowed;
 1 where the step just tried is taken; the first step of the sweep that was good."""
 FORCE, GRAVITY, FRUSTUM, REST = FIRST_STEP + 1, FIRST_STEP + 4, FIRST_STEP + 7, FIRST_STEP + 22
 """The contact's force below it, else zero; gravity; `frustum_of`; `rest_of` without its first."""
 NOTED, NOTE, ROUND_NOTE = REST + 6, 22, 18
-"""Noted at each stage: [t, m, p', n, the properties that bend a round rod (6)]; then [e_y, the difference of the
+"""Stored of each stage: [t, m, p', n, the properties that bend a round rod (6)]; then [e_y, the difference of the
 bending compliances] for any rod."""
-ROWS = NOTED + verner.STAGES * NOTE
+ROWS = NOTED + STAGES * NOTE
 
 GOING, STOPPED, STUCK, READY = 0.0, 1.0, 2.0, 3.0
 """Events: none, the stop was reached, no step is accepted, a sweep is to start."""
-MAX_TRIES = 60
 HUGE = 1e12
-"""An error so large that nothing more is said by it."""
-MIN_STEP = 1e-10
-"""Over the length."""
+"""Error of a step whose result is not finite: the step becomes a tenth."""
 
 
 @inlined
@@ -129,20 +133,10 @@ def _keep(lanes, lane, j, t, m, p1, med):
 
 @inlined
 def _keep_direction(lanes, lane, j, e, med):
-    """Store what they need besides for an anisotropic or curved rod."""
+    """Store what the columns of an anisotropic or curved rod need in addition."""
     row = NOTED + NOTE * j + ROUND_NOTE
     put_row3(lanes, row, lane, e)
     lanes[WIDE * (row + 3) + lane] = med[1]
-
-
-@inner
-def choose(lanes):
-    """Set the step of each lane: to its stop if that is about as far as the step."""
-    for lane in range(WIDE):
-        left = lanes[WIDE * STOP + lane] - lanes[WIDE * S + lane]
-        h = lanes[WIDE * H + lane]
-        # Rather a slightly longer step than a sliver after it.
-        lanes[WIDE * TRIED + lane] = left if 1.1 * h <= left else h
 
 
 @inner
@@ -157,47 +151,47 @@ def round_lanes_step(lanes):
         t0, m0, p0 = round_slopes(t, m, med)
         _keep(lanes, lane, S0, t, m, p0, med)
 
-        tj, mj = verner.stage1(t, h, t0), verner.stage1(m, h, m0)
+        tj, mj = stage1(t, h, t0), stage1(m, h, m0)
         med = section_properties(s + C1 * h, frustum, force, gravity)
         t1, m1, p1 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S1, tj, mj, p1, med)
 
-        tj, mj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1)
+        tj, mj = stage2(t, h, t0, t1), stage2(m, h, m0, m1)
         med = section_properties(s + C2 * h, frustum, force, gravity)
         t2, m2, p2 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S2, tj, mj, p2, med)
 
-        tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
+        tj, mj = stage3(t, h, t0, t1, t2), stage3(m, h, m0, m1, m2)
         med = section_properties(s + C3 * h, frustum, force, gravity)
         t3, m3, p3 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S3, tj, mj, p3, med)
 
-        tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
+        tj, mj = stage4(t, h, t0, t1, t2, t3), stage4(m, h, m0, m1, m2, m3)
         med = section_properties(s + C4 * h, frustum, force, gravity)
         t4, m4, p4 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S4, tj, mj, p4, med)
 
-        tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
+        tj, mj = stage5(t, h, t0, t1, t2, t3, t4), stage5(m, h, m0, m1, m2, m3, m4)
         end = section_properties(s + h, frustum, force, gravity)
         t5, m5, p5 = round_slopes(tj, mj, end)
         _keep(lanes, lane, S5, tj, mj, p5, end)
 
-        tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
+        tj, mj = stage6(t, h, t0, t1, t2, t3, t4), stage6(m, h, m0, m1, m2, m3, m4)
         med = section_properties(s + C6 * h, frustum, force, gravity)
         t6, m6, p6 = round_slopes(tj, mj, med)
         _keep(lanes, lane, S6, tj, mj, p6, med)
 
-        tj, mj = verner.stage7(t, h, t0, t1, t2, t3, t4, t6), verner.stage7(m, h, m0, m1, m2, m3, m4, m6)
+        tj, mj = stage7(t, h, t0, t1, t2, t3, t4, t6), stage7(m, h, m0, m1, m2, m3, m4, m6)
         t7, m7, p7 = round_slopes(tj, mj, end)
         _keep(lanes, lane, S7, tj, mj, p7, end)
 
-        put_row3(lanes, NEXT, lane, verner.step(t, h, t0, t2, t3, t4, t6, t7))
-        put_row3(lanes, NEXT + 3, lane, verner.step(m, h, m0, m2, m3, m4, m6, m7))
-        put_row3(lanes, NEXT + 6, lane, verner.step(row3(lanes, P, lane), h, p0, p2, p3, p4, p6, p7))
+        put_row3(lanes, NEXT, lane, step_result(t, h, t0, t2, t3, t4, t6, t7))
+        put_row3(lanes, NEXT + 3, lane, step_result(m, h, m0, m2, m3, m4, m6, m7))
+        put_row3(lanes, NEXT + 6, lane, step_result(row3(lanes, P, lane), h, p0, p2, p3, p4, p6, p7))
         errors = (
-            verner.error(h, t0, t2, t3, t4, t5, t6, t7),
-            verner.error(h, m0, m2, m3, m4, m5, m6, m7),
-            verner.error(h, p0, p2, p3, p4, p5, p6, p7),
+            step_error(h, t0, t2, t3, t4, t5, t6, t7),
+            step_error(h, m0, m2, m3, m4, m5, m6, m7),
+            step_error(h, p0, p2, p3, p4, p5, p6, p7),
         )
         put_row3(lanes, ERRORS, lane, errors)
 
@@ -223,40 +217,40 @@ def full_lanes_step(lanes):
         t, m, d = row3(lanes, T, lane), row3(lanes, M, lane), row3(lanes, D, lane)
         t0, m0, p0, d0 = _stage_slopes(lanes, lane, s, S0, t, m, d, frustum, rest, f, g)
 
-        tj, mj, dj = verner.stage1(t, h, t0), verner.stage1(m, h, m0), verner.stage1(d, h, d0)
+        tj, mj, dj = stage1(t, h, t0), stage1(m, h, m0), stage1(d, h, d0)
         t1, m1, _p, d1 = _stage_slopes(lanes, lane, s + C1 * h, S1, tj, mj, dj, frustum, rest, f, g)
 
-        tj, mj, dj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1), verner.stage2(d, h, d0, d1)
+        tj, mj, dj = stage2(t, h, t0, t1), stage2(m, h, m0, m1), stage2(d, h, d0, d1)
         t2, m2, p2, d2 = _stage_slopes(lanes, lane, s + C2 * h, S2, tj, mj, dj, frustum, rest, f, g)
 
-        tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
-        dj = verner.stage3(d, h, d0, d1, d2)
+        tj, mj = stage3(t, h, t0, t1, t2), stage3(m, h, m0, m1, m2)
+        dj = stage3(d, h, d0, d1, d2)
         t3, m3, p3, d3 = _stage_slopes(lanes, lane, s + C3 * h, S3, tj, mj, dj, frustum, rest, f, g)
 
-        tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
-        dj = verner.stage4(d, h, d0, d1, d2, d3)
+        tj, mj = stage4(t, h, t0, t1, t2, t3), stage4(m, h, m0, m1, m2, m3)
+        dj = stage4(d, h, d0, d1, d2, d3)
         t4, m4, p4, d4 = _stage_slopes(lanes, lane, s + C4 * h, S4, tj, mj, dj, frustum, rest, f, g)
 
-        tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
-        dj = verner.stage5(d, h, d0, d1, d2, d3, d4)
+        tj, mj = stage5(t, h, t0, t1, t2, t3, t4), stage5(m, h, m0, m1, m2, m3, m4)
+        dj = stage5(d, h, d0, d1, d2, d3, d4)
         t5, m5, p5, d5 = _stage_slopes(lanes, lane, s + h, S5, tj, mj, dj, frustum, rest, f, g)
 
-        tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
-        dj = verner.stage6(d, h, d0, d1, d2, d3, d4)
+        tj, mj = stage6(t, h, t0, t1, t2, t3, t4), stage6(m, h, m0, m1, m2, m3, m4)
+        dj = stage6(d, h, d0, d1, d2, d3, d4)
         t6, m6, p6, d6 = _stage_slopes(lanes, lane, s + C6 * h, S6, tj, mj, dj, frustum, rest, f, g)
 
-        tj, mj = verner.stage7(t, h, t0, t1, t2, t3, t4, t6), verner.stage7(m, h, m0, m1, m2, m3, m4, m6)
-        dj = verner.stage7(d, h, d0, d1, d2, d3, d4, d6)
+        tj, mj = stage7(t, h, t0, t1, t2, t3, t4, t6), stage7(m, h, m0, m1, m2, m3, m4, m6)
+        dj = stage7(d, h, d0, d1, d2, d3, d4, d6)
         t7, m7, p7, d7 = _stage_slopes(lanes, lane, s + h, S7, tj, mj, dj, frustum, rest, f, g)
 
-        put_row3(lanes, NEXT, lane, verner.step(t, h, t0, t2, t3, t4, t6, t7))
-        put_row3(lanes, NEXT + 3, lane, verner.step(m, h, m0, m2, m3, m4, m6, m7))
-        put_row3(lanes, NEXT + 6, lane, verner.step(row3(lanes, P, lane), h, p0, p2, p3, p4, p6, p7))
-        put_row3(lanes, NEXT + 9, lane, verner.step(d, h, d0, d2, d3, d4, d6, d7))
+        put_row3(lanes, NEXT, lane, step_result(t, h, t0, t2, t3, t4, t6, t7))
+        put_row3(lanes, NEXT + 3, lane, step_result(m, h, m0, m2, m3, m4, m6, m7))
+        put_row3(lanes, NEXT + 6, lane, step_result(row3(lanes, P, lane), h, p0, p2, p3, p4, p6, p7))
+        put_row3(lanes, NEXT + 9, lane, step_result(d, h, d0, d2, d3, d4, d6, d7))
         errors = (
-            verner.error(h, t0, t2, t3, t4, t5, t6, t7) + verner.error(h, d0, d2, d3, d4, d5, d6, d7),
-            verner.error(h, m0, m2, m3, m4, m5, m6, m7),
-            verner.error(h, p0, p2, p3, p4, p5, p6, p7),
+            step_error(h, t0, t2, t3, t4, t5, t6, t7) + step_error(h, d0, d2, d3, d4, d5, d6, d7),
+            step_error(h, m0, m2, m3, m4, m5, m6, m7),
+            step_error(h, p0, p2, p3, p4, p5, p6, p7),
         )
         put_row3(lanes, ERRORS, lane, errors)
 
@@ -306,23 +300,23 @@ def _tip_column(slopes, lanes, lane, c, stages):
     h, row = lanes[WIDE * TRIED + lane], TIPS + c
     a, v = row3(lanes, row, lane), row3(lanes, row + 3, lane)
     a0, v0 = slopes(a, v, s0)
-    a1, v1 = slopes(verner.stage1(a, h, a0), verner.stage1(v, h, v0), s1)
-    a2, v2 = slopes(verner.stage2(a, h, a0, a1), verner.stage2(v, h, v0, v1), s2)
-    a3, v3 = slopes(verner.stage3(a, h, a0, a1, a2), verner.stage3(v, h, v0, v1, v2), s3)
-    aj, vj = verner.stage4(a, h, a0, a1, a2, a3), verner.stage4(v, h, v0, v1, v2, v3)
+    a1, v1 = slopes(stage1(a, h, a0), stage1(v, h, v0), s1)
+    a2, v2 = slopes(stage2(a, h, a0, a1), stage2(v, h, v0, v1), s2)
+    a3, v3 = slopes(stage3(a, h, a0, a1, a2), stage3(v, h, v0, v1, v2), s3)
+    aj, vj = stage4(a, h, a0, a1, a2, a3), stage4(v, h, v0, v1, v2, v3)
     a4, v4 = slopes(aj, vj, s4)
-    aj, vj = verner.stage5(a, h, a0, a1, a2, a3, a4), verner.stage5(v, h, v0, v1, v2, v3, v4)
+    aj, vj = stage5(a, h, a0, a1, a2, a3, a4), stage5(v, h, v0, v1, v2, v3, v4)
     a5, v5 = slopes(aj, vj, s5)
-    aj, vj = verner.stage6(a, h, a0, a1, a2, a3, a4), verner.stage6(v, h, v0, v1, v2, v3, v4)
+    aj, vj = stage6(a, h, a0, a1, a2, a3, a4), stage6(v, h, v0, v1, v2, v3, v4)
     a6, v6 = slopes(aj, vj, s6)
-    aj, vj = verner.stage7(a, h, a0, a1, a2, a3, a4, a6), verner.stage7(v, h, v0, v1, v2, v3, v4, v6)
+    aj, vj = stage7(a, h, a0, a1, a2, a3, a4, a6), stage7(v, h, v0, v1, v2, v3, v4, v6)
     a7, v7 = slopes(aj, vj, s7)
     row = TIPS_NEXT + c
-    put_row3(lanes, row, lane, verner.step(a, h, a0, a2, a3, a4, a6, a7))
-    put_row3(lanes, row + 3, lane, verner.step(v, h, v0, v2, v3, v4, v6, v7))
+    put_row3(lanes, row, lane, step_result(a, h, a0, a2, a3, a4, a6, a7))
+    put_row3(lanes, row + 3, lane, step_result(v, h, v0, v2, v3, v4, v6, v7))
     o = WIDE * (TIPS_ERRORS + c // 3) + lane
-    lanes[o] = verner.error(h, a0, a2, a3, a4, a5, a6, a7)
-    lanes[o + WIDE] = verner.error(h, v0, v2, v3, v4, v5, v6, v7)
+    lanes[o] = step_error(h, a0, a2, a3, a4, a5, a6, a7)
+    lanes[o + WIDE] = step_error(h, v0, v2, v3, v4, v5, v6, v7)
 
 
 @inlined
@@ -351,174 +345,3 @@ def full_tips_step(lanes):
         _tip_column(_slopes, lanes, lane, COLUMN1, stages)
         _tip_column(_slopes, lanes, lane, COLUMN2, stages)
         _tip_column(_slopes, lanes, lane, COLUMN3, stages)
-
-
-@inlined
-def _larger(a, b):
-    return a if a > b else b
-
-
-@inlined
-def _smaller(a, b):
-    return a if a < b else b
-
-
-@inlined
-def _root(x):
-    """Return about x^(1/6), as x^(1/8 + 1/32) by square roots, which every machine rounds alike."""
-    eighth = math.sqrt(math.sqrt(math.sqrt(x)))
-    return eighth * math.sqrt(math.sqrt(eighth))
-
-
-@inlined
-def _state_error(lanes, lane, bend):
-    """Return the largest error over the error allowed; HUGE where a number is not finite.
-
-    Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all, so that a
-    bend of a micrometre keeps its digits; points to the body's own length.
-    """
-    et, em, ep = row3(lanes, ERRORS, lane)
-    tol, size, length = lanes[WIDE * TOL + lane], lanes[WIDE * SIZE + lane], lanes[WIDE * LENGTH + lane]
-    error = _larger(_larger(et, bend * em) / size, ep / length) / tol
-    return error if et + em + ep < math.inf else HUGE
-
-
-@inlined
-def _tips_error(lanes, lane, c, bend):
-    """Return the same for column c of the tip, with a thousand times the tolerance.
-
-    On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
-    """
-    a, o = row3(lanes, TIPS + c, lane), WIDE * (TIPS_ERRORS + c // 3) + lane
-    loose = _smaller(1000.0 * lanes[WIDE * TOL + lane], 1e-2)
-    size = _larger(1.0, abs(a[0]) + abs(a[1]) + abs(a[2]))
-    theta, v = lanes[o], lanes[o + WIDE]
-    error = _larger(theta, bend * v) / (size * loose)
-    return error if theta + v < math.inf else HUGE
-
-
-@inlined
-def _full_margin(lanes, lane):
-    """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
-    a, b, c = row3(lanes, TIPS, lane), row3(lanes, TIPS + TURN, lane), row3(lanes, TIPS + 2 * TURN, lane)
-    x, y, z = (
-        row3(lanes, TIPS_NEXT, lane),
-        row3(lanes, TIPS_NEXT + TURN, lane),
-        row3(lanes, TIPS_NEXT + 2 * TURN, lane),
-    )
-    trace, minors, det = full_margin(a, b, c, x, y, z)
-    return det if _smaller(trace, minors) > 0.0 else -abs(det)
-
-
-@inlined
-def _carried(e, t, new):
-    """Return the normal e of the tangent t, transported to the tangent `new` without rotation about it."""
-    return add(e, -dot(e, new) / (1.0 + dot(t, new)), plus(t, new))
-
-
-@inlined
-def _bend(lanes, lane):
-    """Return the rotation [rad] by 1 N·m of a body with the section here over its whole length."""
-    a, b = row3(lanes, FRUSTUM, lane), row3(lanes, FRUSTUM + 3, lane)
-    r = a[1] + a[2] * (a[0] - lanes[WIDE * S + lane])
-    return b[2] * lanes[WIDE * LENGTH + lane] / (r * r * r * r)
-
-
-@inner
-def judge_tips(lanes, general):
-    """Set the columns' error of each lane."""
-    for lane in range(WIDE):
-        bend = _bend(lanes, lane)
-        error = _larger(_tips_error(lanes, lane, COLUMN1, bend), _tips_error(lanes, lane, COLUMN2, bend))
-        if general:
-            error = _larger(error, _tips_error(lanes, lane, COLUMN3, bend))
-        lanes[WIDE * TIPS_ERROR + lane] = error if lanes[WIDE * WANTS_TIPS + lane] > 0.0 else 0.0
-
-
-@inner
-def judge(lanes, tips):
-    """Accept or reject the step of each lane, and choose its next step from the error."""
-    for lane in range(WIDE):
-        s, h, tried = lanes[WIDE * S + lane], lanes[WIDE * H + lane], lanes[WIDE * TRIED + lane]
-        stop, length = lanes[WIDE * STOP + lane], lanes[WIDE * LENGTH + lane]
-        error = _larger(
-            _state_error(lanes, lane, _bend(lanes, lane)),
-            lanes[WIDE * TIPS_ERROR + lane] if tips else 0.0,
-        )
-        good, last = error <= 1.0, tried == stop - s
-        factor = _smaller(5.0, _larger(0.1, 0.9 / _root(_larger(error, 1e-6))))
-        # A step cut short by a stop says little of the step to take after it.
-        keeps = good and last and factor > 1.0 and tried > h
-        h = h if keeps else tried * factor
-        tries = 0.0 if good else lanes[WIDE * TRIES + lane] + 1.0
-        steps = lanes[WIDE * STEPS + lane] + 1.0
-        stuck = (not good and (tries >= MAX_TRIES or -h < MIN_STEP * length)) or steps > lanes[
-            WIDE * STEP_BUDGET + lane
-        ]
-        first = lanes[WIDE * FIRST_STEP + lane]
-        lanes[WIDE * FIRST_STEP + lane] = tried * _smaller(1.0, factor) if s == length else first
-        lanes[WIDE * GOOD + lane] = 1.0 if good else 0.0
-        lanes[WIDE * S + lane] = (stop if last else s + tried) if good else s
-        lanes[WIDE * H + lane], lanes[WIDE * TRIES + lane], lanes[WIDE * STEPS + lane] = (
-            h,
-            tries,
-            steps,
-        )
-        lanes[WIDE * EVENT + lane] = STUCK if stuck else STOPPED if good and last else GOING
-
-
-@inlined
-def _take3(lanes, lane, row, to, good):
-    """Set three rows to the result of the step if it is accepted."""
-    a, b = row3(lanes, to, lane), row3(lanes, row, lane)
-    put_row3(lanes, row, lane, (a[0] if good else b[0], a[1] if good else b[1], a[2] if good else b[2]))
-
-
-@inner
-def take_tips(lanes, general):
-    """Set the columns to the result of accepted steps, and update the stability margin."""
-    for lane in range(WIDE):
-        good = lanes[WIDE * GOOD + lane] > 0.0
-        before = lanes[WIDE * MARGIN + lane]
-        if general:
-            margin = _full_margin(lanes, lane)
-        else:
-            t, new = row3(lanes, T, lane), row3(lanes, NEXT, lane)
-            e1 = _carried(row3(lanes, E1, lane), t, new)
-            e2 = _carried(row3(lanes, E2, lane), t, new)
-            a, b = row3(lanes, TIPS_NEXT, lane), row3(lanes, TIPS_NEXT + TURN, lane)
-            det, half_trace = round_margin(a, b, e1, e2)
-            margin = _smaller(det, half_trace)
-            a, b = row3(lanes, E1, lane), row3(lanes, E2, lane)
-            put_row3(
-                lanes,
-                E1,
-                lane,
-                (e1[0] if good else a[0], e1[1] if good else a[1], e1[2] if good else a[2]),
-            )
-            put_row3(
-                lanes,
-                E2,
-                lane,
-                (e2[0] if good else b[0], e2[1] if good else b[1], e2[2] if good else b[2]),
-            )
-        lanes[WIDE * MARGIN + lane] = _smaller(before, margin) if good else before
-        for c in range(0, 12, 3):
-            _take3(lanes, lane, TIPS + c, TIPS_NEXT + c, good)
-        if general:
-            _take3(lanes, lane, TIPS + 12, TIPS_NEXT + 12, good)
-            _take3(lanes, lane, TIPS + 15, TIPS_NEXT + 15, good)
-
-
-@inner
-def take_states(lanes, general):
-    """Set the states to the result of accepted steps."""
-    for lane in range(WIDE):
-        good = lanes[WIDE * GOOD + lane] > 0.0
-        new, before = row3(lanes, NEXT, lane), lanes[WIDE * BEND + lane]
-        turned = math.sqrt(new[0] * new[0] + new[1] * new[1] + (new[2] - 1.0) ** 2)
-        lanes[WIDE * BEND + lane] = _larger(before, turned) if good else before
-        for c in range(0, 9, 3):
-            _take3(lanes, lane, c, NEXT + c, good)
-        if general:
-            _take3(lanes, lane, 9, NEXT + 9, good)

@@ -5,7 +5,7 @@ Vectors of three are tuples, so that the compiler keeps them in registers; matri
 
 import math
 
-from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels import inlined, inner
 
 
 @inlined
@@ -59,18 +59,19 @@ def put(array, i, a):
 
 
 UNSEEN = 1e-13
-"""Added to the diagonal of a scaled information matrix: no direction has less information than that."""
+"""Added to the diagonal of a scaled information matrix, so that a direction without information has a finite, huge
+variance; it is above the rounding of the factorisation."""
 
 
 @inner
 def take3(A, row, j):
-    """Return three rows of column j."""
+    """Return three rows of column j of a matrix."""
     return (A[row, j], A[row + 1, j], A[row + 2, j])
 
 
 @inner
 def put3(A, row, j, x):
-    """Set three rows of column j to x."""
+    """Set three rows of column j of a matrix to x."""
     for q in range(3):
         A[row + q, j] = x[q]
 
@@ -178,6 +179,80 @@ def covariance_of(L, n, scale, rows, m, work, cov):
                 total += work[a, i] * work[b, i]
             cov[a, b] = total
             cov[b, a] = total
+
+
+@inner
+def solve_square(A, n, B):
+    """Replace B (n, m) by A⁻¹ B by elimination with pivots, overwriting A (n, n); return whether A has an inverse."""
+    columns = B.shape[1]
+    for j in range(n):
+        at = j
+        for i in range(j + 1, n):
+            if abs(A[i, j]) > abs(A[at, j]):
+                at = i
+        if not abs(A[at, j]) > 1e-12:  # rows are of the order of one: below that the pivot is rounding
+            return False
+        if at != j:
+            for c in range(n):
+                A[j, c], A[at, c] = A[at, c], A[j, c]
+            for c in range(columns):
+                B[j, c], B[at, c] = B[at, c], B[j, c]
+        inverse = 1.0 / A[j, j]
+        for i in range(n):
+            if i != j and A[i, j] != 0.0:
+                share = A[i, j] * inverse
+                for c in range(j, n):
+                    A[i, c] -= share * A[j, c]
+                for c in range(columns):
+                    B[i, c] -= share * B[j, c]
+        for c in range(columns):
+            B[j, c] *= inverse
+        for c in range(j, n):
+            A[j, c] *= inverse
+    return True
+
+
+@inner
+def principal_axis(cov, u):
+    """Fill in the direction of the largest variance of a covariance (3, 3), u (3,); return that variance."""
+    largest = 0
+    for j in range(1, 3):
+        if cov[j, j] >= cov[largest, largest]:
+            largest = j
+    for q in range(3):
+        u[q] = cov[q, largest]
+    size = 0.0
+    for _ in range(
+        12
+    ):  # power iteration; where two variances are nearly equal, any direction between them will do
+        x = dot(take(cov[0], 0), take(u, 0))
+        y = dot(take(cov[1], 0), take(u, 0))
+        z = dot(take(cov[2], 0), take(u, 0))
+        size = math.sqrt(x * x + y * y + z * z)
+        if not size > 0.0:
+            return 0.0
+        put(u, 0, (x / size, y / size, z / size))
+    return size
+
+
+@inner
+def smallest_variance(cov):
+    """Return det over the product of the other two, from the invariants of a covariance (3, 3): a lower bound."""
+    trace = cov[0, 0] + cov[1, 1] + cov[2, 2]
+    minors = (
+        cov[0, 0] * cov[1, 1]
+        - cov[0, 1] * cov[1, 0]
+        + cov[0, 0] * cov[2, 2]
+        - cov[0, 2] * cov[2, 0]
+        + cov[1, 1] * cov[2, 2]
+        - cov[1, 2] * cov[2, 1]
+    )
+    det = (
+        cov[0, 0] * (cov[1, 1] * cov[2, 2] - cov[1, 2] * cov[2, 1])
+        - cov[0, 1] * (cov[1, 0] * cov[2, 2] - cov[1, 2] * cov[2, 0])
+        + cov[0, 2] * (cov[1, 0] * cov[2, 1] - cov[1, 1] * cov[2, 0])
+    )
+    return max(det / max(minors, 1e-300), 0.0) if trace > 0.0 else 0.0
 
 
 @inner

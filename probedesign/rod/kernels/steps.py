@@ -1,13 +1,16 @@
-"""One step of the state and, over the same stages, of its columns.
+"""One step of the state and, over the same stages, of its columns, by Verner's 6(5) Runge-Kutta pair.
 
-The state's step notes at each stage what the columns' equations need. Columns step WIDE at a time, one to a lane
-of a vector register: their arrays are laid out so that the compiler sees it (one array, constant offsets).
+The state's step stores at each stage what the columns' equations need. Columns step WIDE at a time, one per lane of a
+vector register: their arrays are laid out so that the compiler sees it (one array, constant offsets, no record types,
+whose fields it would not prove to be contiguous).
+
+Source: J. H. Verner, SIAM J. Numer. Anal. 15 (1978) 772-790; the pair known as DVERK. Its order conditions are checked
+in tests/rod/test_order.py. Written out because many coefficients are zero and the vectors are short.
 """
 
 import numpy as np
 
-from probedesign.rod.kernels import verner
-from probedesign.rod.kernels.compiled import inlined, inner
+from probedesign.rod.kernels import inlined, inner
 from probedesign.rod.kernels.equations import (
     changed,
     column_slopes,
@@ -18,30 +21,153 @@ from probedesign.rod.kernels.equations import (
 )
 from probedesign.rod.kernels.linalg import add, cross, minus, plus, put, take, times
 
+STAGES = 8
+C = np.array([0.0, 1 / 6, 4 / 15, 2 / 3, 5 / 6, 1.0, 1 / 15, 1.0])
+"""Positions of the stages within the step."""
+A = np.zeros((STAGES, STAGES))
+A[1, :1] = [1 / 6]
+A[2, :2] = [4 / 75, 16 / 75]
+A[3, :3] = [5 / 6, -8 / 3, 5 / 2]
+A[4, :4] = [-165 / 64, 55 / 6, -425 / 64, 85 / 96]
+A[5, :5] = [12 / 5, -8.0, 4015 / 612, -11 / 36, 88 / 255]
+A[6, :5] = [-8263 / 15000, 124 / 75, -643 / 680, -81 / 250, 2484 / 10625]
+A[7, :7] = [3501 / 1720, -300 / 43, 297275 / 52632, -319 / 2322, 24068 / 84065, 0.0, 3850 / 26703]
+B = np.array([3 / 40, 0.0, 875 / 2244, 23 / 72, 264 / 1955, 0.0, 125 / 11592, 43 / 616])
+B_LOW = np.array([13 / 160, 0.0, 2375 / 5984, 5 / 16, 12 / 85, 3 / 44, 0.0, 0.0])
+E = B - B_LOW
+
+(A10,) = A[1, :1].tolist()
+A20, A21 = A[2, :2].tolist()
+A30, A31, A32 = A[3, :3].tolist()
+A40, A41, A42, A43 = A[4, :4].tolist()
+A50, A51, A52, A53, A54 = A[5, :5].tolist()
+A60, A61, A62, A63, A64 = A[6, :5].tolist()
+A70, A71, A72, A73, A74, _, A76 = A[7, :7].tolist()
+B0, _, B2, B3, B4, _, B6, B7 = B.tolist()
+E0, _, E2, E3, E4, E5, E6, E7 = E.tolist()
+
+ROUNDING = 4e-15
+"""Rounding error of a slope, relative; error estimates below it are meaningless."""
+
+
+@inlined
+def stage1(y, h, k0):
+    """Return the state of stage 1."""
+    a = h * A10
+    return (y[0] + a * k0[0], y[1] + a * k0[1], y[2] + a * k0[2])
+
+
+@inlined
+def stage2(y, h, k0, k1):
+    """Return the state of stage 2."""
+    return (
+        y[0] + h * (A20 * k0[0] + A21 * k1[0]),
+        y[1] + h * (A20 * k0[1] + A21 * k1[1]),
+        y[2] + h * (A20 * k0[2] + A21 * k1[2]),
+    )
+
+
+@inlined
+def stage3(y, h, k0, k1, k2):
+    """Return the state of stage 3."""
+    return (
+        y[0] + h * (A30 * k0[0] + A31 * k1[0] + A32 * k2[0]),
+        y[1] + h * (A30 * k0[1] + A31 * k1[1] + A32 * k2[1]),
+        y[2] + h * (A30 * k0[2] + A31 * k1[2] + A32 * k2[2]),
+    )
+
+
+@inlined
+def stage4(y, h, k0, k1, k2, k3):
+    """Return the state of stage 4."""
+    return (
+        y[0] + h * (A40 * k0[0] + A41 * k1[0] + A42 * k2[0] + A43 * k3[0]),
+        y[1] + h * (A40 * k0[1] + A41 * k1[1] + A42 * k2[1] + A43 * k3[1]),
+        y[2] + h * (A40 * k0[2] + A41 * k1[2] + A42 * k2[2] + A43 * k3[2]),
+    )
+
+
+@inlined
+def stage5(y, h, k0, k1, k2, k3, k4):
+    """Return the state of stage 5."""
+    return (
+        y[0] + h * (A50 * k0[0] + A51 * k1[0] + A52 * k2[0] + A53 * k3[0] + A54 * k4[0]),
+        y[1] + h * (A50 * k0[1] + A51 * k1[1] + A52 * k2[1] + A53 * k3[1] + A54 * k4[1]),
+        y[2] + h * (A50 * k0[2] + A51 * k1[2] + A52 * k2[2] + A53 * k3[2] + A54 * k4[2]),
+    )
+
+
+@inlined
+def stage6(y, h, k0, k1, k2, k3, k4):
+    """Return the state of stage 6."""
+    return (
+        y[0] + h * (A60 * k0[0] + A61 * k1[0] + A62 * k2[0] + A63 * k3[0] + A64 * k4[0]),
+        y[1] + h * (A60 * k0[1] + A61 * k1[1] + A62 * k2[1] + A63 * k3[1] + A64 * k4[1]),
+        y[2] + h * (A60 * k0[2] + A61 * k1[2] + A62 * k2[2] + A63 * k3[2] + A64 * k4[2]),
+    )
+
+
+@inlined
+def stage7(y, h, k0, k1, k2, k3, k4, k6):
+    """Return the state of stage 7."""
+    return (
+        y[0] + h * (A70 * k0[0] + A71 * k1[0] + A72 * k2[0] + A73 * k3[0] + A74 * k4[0] + A76 * k6[0]),
+        y[1] + h * (A70 * k0[1] + A71 * k1[1] + A72 * k2[1] + A73 * k3[1] + A74 * k4[1] + A76 * k6[1]),
+        y[2] + h * (A70 * k0[2] + A71 * k1[2] + A72 * k2[2] + A73 * k3[2] + A74 * k4[2] + A76 * k6[2]),
+    )
+
+
+@inlined
+def step_result(y, h, k0, k2, k3, k4, k6, k7):
+    """Return the result of the step of order 6."""
+    return (
+        y[0] + h * (B0 * k0[0] + B2 * k2[0] + B3 * k3[0] + B4 * k4[0] + B6 * k6[0] + B7 * k7[0]),
+        y[1] + h * (B0 * k0[1] + B2 * k2[1] + B3 * k3[1] + B4 * k4[1] + B6 * k6[1] + B7 * k7[1]),
+        y[2] + h * (B0 * k0[2] + B2 * k2[2] + B3 * k3[2] + B4 * k4[2] + B6 * k6[2] + B7 * k7[2]),
+    )
+
+
+@inlined
+def step_error(h, k0, k2, k3, k4, k5, k6, k7):
+    """Return the 1-norm of the difference of orders 6 and 5, less the rounding error of the stages."""
+    x = E0 * k0[0] + E2 * k2[0] + E3 * k3[0] + E4 * k4[0] + E5 * k5[0] + E6 * k6[0] + E7 * k7[0]
+    y = E0 * k0[1] + E2 * k2[1] + E3 * k3[1] + E4 * k4[1] + E5 * k5[1] + E6 * k6[1] + E7 * k7[1]
+    z = E0 * k0[2] + E2 * k2[2] + E3 * k3[2] + E4 * k4[2] + E5 * k5[2] + E6 * k6[2] + E7 * k7[2]
+    size = abs(k0[0]) + abs(k0[1]) + abs(k0[2]) + abs(k7[0]) + abs(k7[1]) + abs(k7[2])
+    return abs(h) * (abs(x) + abs(y) + abs(z) - ROUNDING * size)
+
+
 STATE = 12
 """[t, m, p, d]: tangent, moment, point, the section's x axis."""
 T, M, P, D = np.arange(0, STATE, 3)
-"""Where in a state its parts stand. As numpy's integers, like all such indices here: numba would compile what it is
-given 0, 3, 6 ... for once for each."""
+"""Offsets of the parts of a state. They are numpy integers, like all such indices here: for the literals 0, 3, 6 ...
+numba would compile each function once per value."""
 ROW = 25
-"""Noted of a stage: [t, m, p', n, e, the rest of `section_properties`, on]."""
+"""Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, on]."""
 NOTED = 2 * STATE
-WORK = NOTED + verner.STAGES * ROW
-"""What a step works in: the state, where it steps to, and what was noted."""
+WORK = NOTED + STAGES * ROW
+"""Numbers that a step works in: the state, the next state, and what is stored of the stages."""
 WIDE = 4
-"""Columns that step together."""
+"""Columns that step together: the lanes of a vector register of 256 bits."""
+MAX_STEPS = 1000
+"""Most steps of one sweep at an error of 1e-7 a step, more where it is smaller: usual sweeps take tens of steps, so
+a load that needs more ends as STEP_LIMIT instead of blocking its caller."""
+MAX_TRIES = 60
+"""Tries of one step: each refusal shortens it to 0.1 to 0.9 of itself, so that so many in a row are no progress."""
+MIN_STEP = 1e-10
+"""Shortest step over the length: below it, rounding of the arclength exceeds the errors that the step control sees."""
 COLUMN = 9
 """[θ, v, q] of a column."""
 NEXT, ERRORS, BY_LOAD, LOGS, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 36, 44
-"""Rows of a block of WIDE columns after the columns themselves: where they step to, errors of θ and v, how they
-move force and gravity, log E and log G, and at each stage log radius, log f and the weight factor."""
-BLOCK = (BY_WEIGHT + verner.STAGES) * WIDE
+"""Rows of a block of WIDE columns after the columns themselves: the next columns, errors of θ and v, their derivatives
+of force and gravity, of log E and log G, and at each stage of log radius, log f and the weight factor."""
+BLOCK = (BY_WEIGHT + STAGES) * WIDE
 
 THETA, V, Q = np.arange(0, COLUMN, 3)
 """Rows of a column."""
-S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(verner.STAGES)
+S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(STAGES)
 """The stages."""
-C1, C2, C3, C4, C6 = (float(verner.C[j]) for j in (1, 2, 3, 4, 6))
+C1, C2, C3, C4, C6 = (float(C[j]) for j in (1, 2, 3, 4, 6))
 
 
 @inlined
@@ -74,7 +200,7 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
     """Step [t, m, p, d] of any rod from s by h (negative: towards the base).
 
     Args:
-        work: state, where it steps to, and the stages' notes, (WORK,).
+        work: state, next state, and what is stored of the stages, (WORK,).
         frustum: from `frustum_of`; rest: from `rest_of`.
         force: the contact's on its base's side, else zero, (3,) tuple; gravity (3,) tuple.
         on: 1 on the contact's base's side, else 0.
@@ -85,40 +211,40 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
     t, m, d = take(work, T), take(work, M), take(work, D)
     t0, m0, p0, d0 = _stage_slopes(s, S0, t, m, d, work, frustum, rest, force, gravity, on)
 
-    tj, mj, dj = verner.stage1(t, h, t0), verner.stage1(m, h, m0), verner.stage1(d, h, d0)
+    tj, mj, dj = stage1(t, h, t0), stage1(m, h, m0), stage1(d, h, d0)
     t1, m1, _p, d1 = _stage_slopes(s + C1 * h, S1, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj, dj = verner.stage2(t, h, t0, t1), verner.stage2(m, h, m0, m1), verner.stage2(d, h, d0, d1)
+    tj, mj, dj = stage2(t, h, t0, t1), stage2(m, h, m0, m1), stage2(d, h, d0, d1)
     t2, m2, p2, d2 = _stage_slopes(s + C2 * h, S2, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj = verner.stage3(t, h, t0, t1, t2), verner.stage3(m, h, m0, m1, m2)
-    dj = verner.stage3(d, h, d0, d1, d2)
+    tj, mj = stage3(t, h, t0, t1, t2), stage3(m, h, m0, m1, m2)
+    dj = stage3(d, h, d0, d1, d2)
     t3, m3, p3, d3 = _stage_slopes(s + C3 * h, S3, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj = verner.stage4(t, h, t0, t1, t2, t3), verner.stage4(m, h, m0, m1, m2, m3)
-    dj = verner.stage4(d, h, d0, d1, d2, d3)
+    tj, mj = stage4(t, h, t0, t1, t2, t3), stage4(m, h, m0, m1, m2, m3)
+    dj = stage4(d, h, d0, d1, d2, d3)
     t4, m4, p4, d4 = _stage_slopes(s + C4 * h, S4, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj = verner.stage5(t, h, t0, t1, t2, t3, t4), verner.stage5(m, h, m0, m1, m2, m3, m4)
-    dj = verner.stage5(d, h, d0, d1, d2, d3, d4)
+    tj, mj = stage5(t, h, t0, t1, t2, t3, t4), stage5(m, h, m0, m1, m2, m3, m4)
+    dj = stage5(d, h, d0, d1, d2, d3, d4)
     t5, m5, p5, d5 = _stage_slopes(s + h, S5, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj = verner.stage6(t, h, t0, t1, t2, t3, t4), verner.stage6(m, h, m0, m1, m2, m3, m4)
-    dj = verner.stage6(d, h, d0, d1, d2, d3, d4)
+    tj, mj = stage6(t, h, t0, t1, t2, t3, t4), stage6(m, h, m0, m1, m2, m3, m4)
+    dj = stage6(d, h, d0, d1, d2, d3, d4)
     t6, m6, p6, d6 = _stage_slopes(s + C6 * h, S6, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj = verner.stage7(t, h, t0, t1, t2, t3, t4, t6), verner.stage7(m, h, m0, m1, m2, m3, m4, m6)
-    dj = verner.stage7(d, h, d0, d1, d2, d3, d4, d6)
+    tj, mj = stage7(t, h, t0, t1, t2, t3, t4, t6), stage7(m, h, m0, m1, m2, m3, m4, m6)
+    dj = stage7(d, h, d0, d1, d2, d3, d4, d6)
     t7, m7, p7, d7 = _stage_slopes(s + h, S7, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    put(work, STATE + T, verner.step(t, h, t0, t2, t3, t4, t6, t7))
-    put(work, STATE + M, verner.step(m, h, m0, m2, m3, m4, m6, m7))
-    put(work, STATE + P, verner.step(take(work, P), h, p0, p2, p3, p4, p6, p7))
-    put(work, STATE + D, verner.step(d, h, d0, d2, d3, d4, d6, d7))
+    put(work, STATE + T, step_result(t, h, t0, t2, t3, t4, t6, t7))
+    put(work, STATE + M, step_result(m, h, m0, m2, m3, m4, m6, m7))
+    put(work, STATE + P, step_result(take(work, P), h, p0, p2, p3, p4, p6, p7))
+    put(work, STATE + D, step_result(d, h, d0, d2, d3, d4, d6, d7))
     return (
-        verner.error(h, t0, t2, t3, t4, t5, t6, t7) + verner.error(h, d0, d2, d3, d4, d5, d6, d7),
-        verner.error(h, m0, m2, m3, m4, m5, m6, m7),
-        verner.error(h, p0, p2, p3, p4, p5, p6, p7),
+        step_error(h, t0, t2, t3, t4, t5, t6, t7) + step_error(h, d0, d2, d3, d4, d5, d6, d7),
+        step_error(h, m0, m2, m3, m4, m5, m6, m7),
+        step_error(h, p0, p2, p3, p4, p5, p6, p7),
     )
 
 
@@ -127,17 +253,8 @@ def _stage(work, j):
     """Return what was stored of stage j: t, m, p', e and the section properties."""
     o = NOTED + ROW * j
     med = (
-        work[o + 15],
-        work[o + 16],
-        work[o + 17],
-        work[o + 18],
-        work[o + 19],
-        work[o + 20],
-        work[o + 21],
-        work[o + 22],
-        work[o + 23],
-        take(work, o + 9),
-    )
+        *take(work, o + 15), *take(work, o + 18), *take(work, o + 21), take(work, o + 9),
+    )  # fmt: skip
     return take(work, o), take(work, o + 3), take(work, o + 6), take(work, o + 12), med
 
 
@@ -187,11 +304,11 @@ def _finish(block, lane, h, a, v, q, ka, kv, kq):
     a0, a2, a3, a4, a5, a6, a7 = ka
     v0, v2, v3, v4, v5, v6, v7 = kv
     q0, q2, q3, q4, q6, q7 = kq
-    _put3(block, NEXT, lane, verner.step(a, h, a0, a2, a3, a4, a6, a7))
-    _put3(block, NEXT + 3, lane, verner.step(v, h, v0, v2, v3, v4, v6, v7))
-    _put3(block, NEXT + 6, lane, verner.step(q, h, q0, q2, q3, q4, q6, q7))
-    block[WIDE * ERRORS + lane] = verner.error(h, a0, a2, a3, a4, a5, a6, a7)
-    block[WIDE * (ERRORS + 1) + lane] = verner.error(h, v0, v2, v3, v4, v5, v6, v7)
+    _put3(block, NEXT, lane, step_result(a, h, a0, a2, a3, a4, a6, a7))
+    _put3(block, NEXT + 3, lane, step_result(v, h, v0, v2, v3, v4, v6, v7))
+    _put3(block, NEXT + 6, lane, step_result(q, h, q0, q2, q3, q4, q6, q7))
+    block[WIDE * ERRORS + lane] = step_error(h, a0, a2, a3, a4, a5, a6, a7)
+    block[WIDE * (ERRORS + 1) + lane] = step_error(h, v0, v2, v3, v4, v5, v6, v7)
 
 
 @inner
@@ -206,17 +323,17 @@ def free_columns_step(h, block, work):
     for lane in range(WIDE):
         a, v, q = _row3(block, THETA, lane), _row3(block, V, lane), _row3(block, Q, lane)
         a0, v0, q0 = _free_slopes(a, v, s0)
-        a1, v1, _q = _free_slopes(verner.stage1(a, h, a0), verner.stage1(v, h, v0), s1)
-        a2, v2, q2 = _free_slopes(verner.stage2(a, h, a0, a1), verner.stage2(v, h, v0, v1), s2)
-        aj, vj = verner.stage3(a, h, a0, a1, a2), verner.stage3(v, h, v0, v1, v2)
+        a1, v1, _q = _free_slopes(stage1(a, h, a0), stage1(v, h, v0), s1)
+        a2, v2, q2 = _free_slopes(stage2(a, h, a0, a1), stage2(v, h, v0, v1), s2)
+        aj, vj = stage3(a, h, a0, a1, a2), stage3(v, h, v0, v1, v2)
         a3, v3, q3 = _free_slopes(aj, vj, s3)
-        aj, vj = verner.stage4(a, h, a0, a1, a2, a3), verner.stage4(v, h, v0, v1, v2, v3)
+        aj, vj = stage4(a, h, a0, a1, a2, a3), stage4(v, h, v0, v1, v2, v3)
         a4, v4, q4 = _free_slopes(aj, vj, s4)
-        aj, vj = verner.stage5(a, h, a0, a1, a2, a3, a4), verner.stage5(v, h, v0, v1, v2, v3, v4)
+        aj, vj = stage5(a, h, a0, a1, a2, a3, a4), stage5(v, h, v0, v1, v2, v3, v4)
         a5, v5, _q = _free_slopes(aj, vj, s5)
-        aj, vj = verner.stage6(a, h, a0, a1, a2, a3, a4), verner.stage6(v, h, v0, v1, v2, v3, v4)
+        aj, vj = stage6(a, h, a0, a1, a2, a3, a4), stage6(v, h, v0, v1, v2, v3, v4)
         a6, v6, q6 = _free_slopes(aj, vj, s6)
-        aj, vj = verner.stage7(a, h, a0, a1, a2, a3, a4, a6), verner.stage7(v, h, v0, v1, v2, v3, v4, v6)
+        aj, vj = stage7(a, h, a0, a1, a2, a3, a4, a6), stage7(v, h, v0, v1, v2, v3, v4, v6)
         a7, v7, q7 = _free_slopes(aj, vj, s7)
         ka, kv = (a0, a2, a3, a4, a5, a6, a7), (v0, v2, v3, v4, v5, v6, v7)
         _finish(block, lane, h, a, v, q, ka, kv, (q0, q2, q3, q4, q6, q7))
@@ -245,19 +362,19 @@ def forced_columns_step(h, block, work, gravity):
     for lane in range(WIDE):
         a, v, q = _row3(block, THETA, lane), _row3(block, V, lane), _row3(block, Q, lane)
         a0, v0, q0 = _forced_slopes(a, v, s0, S0, block, lane, gravity)
-        aj, vj = verner.stage1(a, h, a0), verner.stage1(v, h, v0)
+        aj, vj = stage1(a, h, a0), stage1(v, h, v0)
         a1, v1, _q = _forced_slopes(aj, vj, s1, S1, block, lane, gravity)
-        aj, vj = verner.stage2(a, h, a0, a1), verner.stage2(v, h, v0, v1)
+        aj, vj = stage2(a, h, a0, a1), stage2(v, h, v0, v1)
         a2, v2, q2 = _forced_slopes(aj, vj, s2, S2, block, lane, gravity)
-        aj, vj = verner.stage3(a, h, a0, a1, a2), verner.stage3(v, h, v0, v1, v2)
+        aj, vj = stage3(a, h, a0, a1, a2), stage3(v, h, v0, v1, v2)
         a3, v3, q3 = _forced_slopes(aj, vj, s3, S3, block, lane, gravity)
-        aj, vj = verner.stage4(a, h, a0, a1, a2, a3), verner.stage4(v, h, v0, v1, v2, v3)
+        aj, vj = stage4(a, h, a0, a1, a2, a3), stage4(v, h, v0, v1, v2, v3)
         a4, v4, q4 = _forced_slopes(aj, vj, s4, S4, block, lane, gravity)
-        aj, vj = verner.stage5(a, h, a0, a1, a2, a3, a4), verner.stage5(v, h, v0, v1, v2, v3, v4)
+        aj, vj = stage5(a, h, a0, a1, a2, a3, a4), stage5(v, h, v0, v1, v2, v3, v4)
         a5, v5, _q = _forced_slopes(aj, vj, s5, S5, block, lane, gravity)
-        aj, vj = verner.stage6(a, h, a0, a1, a2, a3, a4), verner.stage6(v, h, v0, v1, v2, v3, v4)
+        aj, vj = stage6(a, h, a0, a1, a2, a3, a4), stage6(v, h, v0, v1, v2, v3, v4)
         a6, v6, q6 = _forced_slopes(aj, vj, s6, S6, block, lane, gravity)
-        aj, vj = verner.stage7(a, h, a0, a1, a2, a3, a4, a6), verner.stage7(v, h, v0, v1, v2, v3, v4, v6)
+        aj, vj = stage7(a, h, a0, a1, a2, a3, a4, a6), stage7(v, h, v0, v1, v2, v3, v4, v6)
         a7, v7, q7 = _forced_slopes(aj, vj, s7, S7, block, lane, gravity)
         ka, kv = (a0, a2, a3, a4, a5, a6, a7), (v0, v2, v3, v4, v5, v6, v7)
         _finish(block, lane, h, a, v, q, ka, kv, (q0, q2, q3, q4, q6, q7))

@@ -1,8 +1,12 @@
-"""Integrate one rod from the free tip to the clamp, with shape, columns and stability margin."""
+"""Integrate one rod from the free tip to the clamp, with shape, columns and stability margin, and evaluate the sweep.
+
+`sensitivities` returns total derivatives at base and contact, `states_at` the state at any arclength, and
+`linear_equilibrium` the equilibrium next to a guessed tip to first order, for solvers that also vary the load.
+"""
 
 import math
 
-from probedesign.rod.kernels.compiled import inline_always, inlined, inner
+from probedesign.rod.kernels import inline_always, inlined, inner, kernel
 from probedesign.rod.kernels.equations import (
     BEND_X,
     CONE,
@@ -17,6 +21,7 @@ from probedesign.rod.kernels.equations import (
     S_CONTACT,
     STEP_LIMIT,
     TIP_MOMENT,
+    frustum_at,
     frustum_of,
     full_margin,
     rest_at,
@@ -26,7 +31,7 @@ from probedesign.rod.kernels.equations import (
     section_properties,
     turning,
 )
-from probedesign.rod.kernels.linalg import cross, plus, put, take, times
+from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus, put, put3, take, take3, times
 from probedesign.rod.kernels.steps import (
     BLOCK,
     BY_LOAD,
@@ -36,30 +41,34 @@ from probedesign.rod.kernels.steps import (
     LOG_F,
     LOG_R,
     LOGS,
+    MAX_STEPS,
+    MAX_TRIES,
+    MIN_STEP,
     NEXT,
     NOTED,
     ROW,
     S0,
     S1,
     S2,
+    STAGES,
     STATE,
+    THETA,
     WIDE,
+    C,
     D,
     M,
     P,
+    Q,
     T,
+    V,
     forced_columns_step,
     free_columns_step,
     full_step,
 )
-from probedesign.rod.kernels.verner import STAGES, C
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
 L_S_CONTACT, L_FORCE, L_COUPLE, L_GRAVITY = 3, 4, 7, 10
 L_E, L_G, L_DENSITY, L_DIAMETER, L_KNOTS = 13, 14, 15, 16, 17
-
-MAX_STEPS = 1000
-"""Of one sweep at an error of 1e-7 a step; more where it is less: a hang is not an answer."""
 
 
 @inlined
@@ -81,7 +90,7 @@ def begin(tip, blocks, chunks):
             blocks[WIDE * q + 1] = e[q]
             blocks[WIDE * q + 2] = t[q]
     for lane in range(L_FORCE, WIDE * chunks):
-        o = lane // WIDE * BLOCK + lane % WIDE
+        o = _column_at(lane, BLOCK)
         if lane < L_COUPLE:
             blocks[o + WIDE * (BY_LOAD + lane - L_FORCE)] = 1.0
         elif L_GRAVITY <= lane < L_E:
@@ -117,7 +126,7 @@ def _reshape(s, h, i, in_root, blocks, chunks, body, work):
                 log_r = dr / r
                 grown = height * ((2.0 * r + r1) * dr + (r + 2.0 * r1) * dr1)
                 by_weight = rho * (body.volume_by_knot[i + 1, k] + cone * grown)
-            o = lane // WIDE * BLOCK + lane % WIDE
+            o = _column_at(lane, BLOCK)
             blocks[o + WIDE * (LOG_R + j)] = log_r
             blocks[o + WIDE * (LOG_F + j)] = by_base if lane in (L_DIAMETER, L_KNOTS) else 0.0
             blocks[o + WIDE * (BY_WEIGHT + j)] = by_weight
@@ -139,7 +148,7 @@ def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
 
 @inlined
 def _jacobi_error(blocks, bend, tol):
-    """Return the largest error of the tip's columns over a thousand times the state's tolerance.
+    """Return the largest error of the tip's columns over a thousand times the state's tolerance, at most 1e-2.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
@@ -158,16 +167,16 @@ def _jacobi_error(blocks, bend, tol):
 def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on):
     """Take one accepted step towards `stop`; return new s, next step and tries, new s = NaN if none is accepted.
 
-    Tangents [rad] and moments, by the bend they cause, are held relative to how far the rod turns at all
-    (`size`), so that a bend of a micrometre keeps its digits; points to the body's own length.
+    Errors of tangents [rad] and of moments, by the bend they cause, are relative to how far the rod turns at all
+    (`size`), so that a bend of a micrometre keeps its digits; those of points are relative to the length.
     """
     length = body.knots[-1]
     frustum, rest = frustum_of(body, i, in_root), rest_of(body, i)
     force, gravity = times(on, take(load, FORCE)), take(load, GRAVITY)
     tries = 0
-    while tries < 60:
+    while tries < MAX_TRIES:
         tries += 1
-        last = s + 1.1 * h <= stop  # rather a slightly longer step than a sliver after it
+        last = s + 1.1 * h <= stop  # a step up to 10 % longer avoids a tiny step after it
         hs = stop - s if last else h
         et, em, ep = full_step(s, hs, work, frustum, rest, force, gravity, on)
         r = frustum[1] + frustum[2] * (frustum[0] - s)
@@ -180,11 +189,13 @@ def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size
             jacobi = _jacobi_error(blocks, bend, tol)
             error = jacobi if not jacobi <= error else error
         if error <= 1.0:
+            # Order 6: the error goes with h⁶. 0.9 keeps most next steps acceptable; the growth is limited because the
+            # error is known to first order only.
             factor = min(5.0, 0.9 * max(error, 1e-6) ** (-1.0 / 6.0))
-            # A step cut short by a break says little of the step to take after it.
+            # A step cut short by a stop gives no estimate of the next one.
             return stop if last else s + hs, h if last and factor > 1.0 and hs > h else hs * factor, tries
         h = hs * (max(0.1, 0.9 * error ** (-1.0 / 6.0)) if math.isfinite(error) else 0.1)
-        if -h < 1e-10 * length:
+        if -h < MIN_STEP * length:
             break
     return math.nan, h, tries
 
@@ -198,7 +209,7 @@ def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
     turn = turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
     _t1, m1, p1 = round_slopes(t, m, med)
     rows = (turn, m1, p1)
-    o = lane // WIDE * BLOCK + lane % WIDE
+    o = _column_at(lane, BLOCK)
     for j in range(3):
         for q in range(3):
             blocks[o + WIDE * (3 * j + q)] += change * rows[j][q]
@@ -213,25 +224,23 @@ def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
     if chunks > 0:
         _add_slopes(L_S_CONTACT, -1.0, s, i, in_root, y, blocks, body, load, 1.0)
     for lane in range(L_COUPLE, min(L_GRAVITY, WIDE * chunks)):
-        blocks[lane // WIDE * BLOCK + lane % WIDE + WIDE * (3 + lane - L_COUPLE)] += 1.0
+        blocks[_column_at(lane, BLOCK) + WIDE * (3 + lane - L_COUPLE)] += 1.0
 
 
 @inlined
 def _margin(blocks):
     """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
-    a, b, c = take3(blocks, S0), take3(blocks, S1), take3(blocks, S2)
-    o = NEXT
-    x = (blocks[WIDE * o], blocks[WIDE * (o + 1)], blocks[WIDE * (o + 2)])
-    y = (blocks[WIDE * o + 1], blocks[WIDE * (o + 1) + 1], blocks[WIDE * (o + 2) + 1])
-    z = (blocks[WIDE * o + 2], blocks[WIDE * (o + 1) + 2], blocks[WIDE * (o + 2) + 2])
+    a, b, c = _rows3(blocks, S0), _rows3(blocks, S1), _rows3(blocks, S2)
+    o = WIDE * NEXT
+    x, y, z = _rows3(blocks, o + S0), _rows3(blocks, o + S1), _rows3(blocks, o + S2)
     trace, minors, det = full_margin(a, b, c, x, y, z)
     return det if trace > 0.0 and minors > 0.0 else -abs(det)
 
 
 @inlined
-def take3(blocks, lane):
-    """Return θ of one of the first columns."""
-    return (blocks[lane], blocks[WIDE + lane], blocks[2 * WIDE + lane])
+def _rows3(columns, o):
+    """Return three rows of a column, from offset o on."""
+    return (columns[o], columns[o + WIDE], columns[o + 2 * WIDE])
 
 
 @inlined
@@ -267,7 +276,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
         contact: state and columns at s_c, (STATE + 36 chunks,), filled on passing it.
 
     Returns:
-        status, nodes filled, margin of stability (negative: unstable), how far the rod turned, steps taken.
+        Status, nodes filled, margin of stability (negative: unstable), how far the rod turned, steps taken.
     """
     out = work[STATE : 2 * STATE]
     chunks = blocks.shape[0] // BLOCK
@@ -282,8 +291,14 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
     for q in range(STATE):
         work[q] = out[q] = y[q]
     i, s, h = body.knots.shape[0] - 2, body.knots[-1], -body.knots[-1] / 6.0
-    most = MAX_STEPS * max(1.0, (1e-7 / tol) ** (1.0 / 6.0))
-    on, margin, steps, count, bend = 0.0, 1.0, 0, 0, 1e-9
+    max_steps = MAX_STEPS * max(1.0, (1e-7 / tol) ** (1.0 / 6.0))
+    on, margin, steps, count, bend = (
+        0.0,
+        1.0,
+        0,
+        0,
+        1e-9,
+    )  # a straight rod has a size of 1e-9, so that errors stay finite
     while True:
         in_root = s <= reach
         if on == 0.0 and s <= s_c:
@@ -303,7 +318,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
         stop = max(body.knots[i], s_c if on == 0.0 else 0.0, 0.0 if in_root else reach)
         s, h, tries = _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on)
         steps += tries
-        if steps > most or math.isnan(s):
+        if steps > max_steps or math.isnan(s):
             return STEP_LIMIT, count, -1.0, 1.0, steps
         if chunks > 0 and general:
             margin = min(margin, _margin(blocks))
@@ -312,7 +327,173 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
             _accept(blocks, chunks)
             e1 = take(out, D)
             e2 = cross(take(out, T), e1)
-            det, half_trace = round_margin(take3(blocks, S0), take3(blocks, S1), e1, e2)
+            det, half_trace = round_margin(_rows3(blocks, S0), _rows3(blocks, S1), e1, e2)
             margin = min(margin, min(det, half_trace))
         for q in range(STATE):
             y[q] = work[q] = out[q]
+
+
+@inlined
+def _column_at(lane, stride):
+    """Return the offset of a lane's column in blocks of so many numbers."""
+    return lane // WIDE * stride + lane % WIDE
+
+
+@inner
+def _tips_for(columns, x):
+    """Return the rotations of the tip about its three axes that rotate the base by x."""
+    a, b, c = _rows3(columns, S0), _rows3(columns, S1), _rows3(columns, S2)
+    det = dot(a, cross(b, c))
+    return dot(x, cross(b, c)) / det, dot(x, cross(c, a)) / det, dot(x, cross(a, b)) / det
+
+
+@inlined
+def _turned(columns, row, tips):
+    """Return three rows of the columns under a rotation of the tip about its three axes."""
+    o = WIDE * row
+    turned = add(times(tips[0], _rows3(columns, o)), tips[1], _rows3(columns, o + 1))
+    return add(turned, tips[2], _rows3(columns, o + 2))
+
+
+@inlined
+def _total(columns, stride, lane, row, turns):
+    """Return three rows of a column with the tip rotated so that the base remains fixed."""
+    o = WIDE * row
+    a, b, c = _rows3(columns, o), _rows3(columns, o + 1), _rows3(columns, o + 2)
+    x = _rows3(columns, o + _column_at(lane, stride))
+    return add(add(add(x, turns[0], a), turns[1], b), turns[2], c)
+
+
+@inner
+def sensitivities(y, blocks, contact, body, load, turns, derivatives):
+    """Fill in the total derivatives of the base moment and of the contact's frame and position.
+
+    Args:
+        y, blocks, contact: as `solve` left them.
+        turns: filled, rotations of the tip's section about its axes, for derivatives at other arclengths, (3, k).
+        derivatives: (15, k + 1): of the base moment (3), of the contact's [t, x axis, position from the base,
+            y axis] (12); in its last column those twelve themselves.
+
+    The contact moves along the body with s_contact, so that column also holds the slopes there.
+    """
+    k = turns.shape[1]
+    # The x axis of a round section is arbitrary at the tip; a rotation about the tangent makes it e_x at the base.
+    norm = math.hypot(y[9], y[10])
+    co, si = y[9] / norm, -y[10] / norm
+    t, d = take(contact, T), take(contact, D)
+    e = cross(t, d)
+    x_axis = add(times(co, d), si, e)
+    y_axis = cross(t, x_axis)
+    place = minus(take(contact, P), take(y, P))
+    s = load[S_CONTACT]
+    i = frustum_at(body, s)
+    med = section_properties(
+        s, frustum_of(body, i, s <= body.constants[ROOT_REACH]), take(load, FORCE), take(load, GRAVITY)
+    )
+    turn_s = turning(t, take(contact, M), d, e, rest_at(s, rest_of(body, i)), med)
+    _t1, _m1, p_s = round_slopes(t, take(contact, M), med)
+    there = contact[STATE:]
+    for j in range(k):
+        lane = lane_of(j)
+        tips = times(-1.0, _tips_for(blocks, _rows3(blocks, _column_at(lane, BLOCK))))
+        v = _total(blocks, BLOCK, lane, V, tips)
+        theta = _total(there, WIDE * COLUMN, lane, THETA, tips)
+        q = minus(_total(there, WIDE * COLUMN, lane, Q, tips), _total(blocks, BLOCK, lane, Q, tips))
+        if j == 3:
+            theta, q = plus(theta, turn_s), plus(q, p_s)
+        dt, dx, dy = cross(theta, t), cross(theta, x_axis), cross(theta, y_axis)
+        put3(turns, 0, j, tips)
+        put3(derivatives, 0, j, v)
+        put3(derivatives, 3, j, dt)
+        put3(derivatives, 6, j, dx)
+        put3(derivatives, 9, j, q)
+        put3(derivatives, 12, j, dy)
+    put3(derivatives, 3, k, t)
+    put3(derivatives, 6, k, x_axis)
+    put3(derivatives, 9, k, place)
+    put3(derivatives, 12, k, y_axis)
+
+
+@kernel
+def states_at(s, nodes, count, body, load, work, blocks, result):
+    """Fill in states and columns at arclengths s (j,), by one step from the node above each.
+
+    Args:
+        nodes: as `solve` filled them, `count` rows.
+        work: (WORK,); blocks: (chunks · BLOCK,).
+        result: (j, STATE + 36 chunks).
+    """
+    chunks = blocks.shape[0] // BLOCK
+    width = 1 + STATE + WIDE * COLUMN * chunks
+    begin(nodes[1 : 1 + STATE], blocks, chunks)
+    for j in range(s.shape[0]):
+        row = 0
+        while row + 1 < count and nodes[(row + 1) * width] >= s[j]:
+            row += 1
+        o = row * width
+        at = nodes[o]
+        for q in range(width - 1):
+            result[j, q] = nodes[o + 1 + q]
+        if at > s[j]:
+            i = frustum_at(body, at)
+            in_root, on = at <= body.constants[ROOT_REACH], 1.0 if at <= load[S_CONTACT] else 0.0
+            for q in range(STATE):
+                work[q] = nodes[o + 1 + q]
+            for c in range(chunks):
+                for q in range(WIDE * COLUMN):
+                    blocks[c * BLOCK + q] = nodes[o + 1 + STATE + c * WIDE * COLUMN + q]
+            frustum, rest, gravity = frustum_of(body, i, in_root), rest_of(body, i), take(load, GRAVITY)
+            force = times(on, take(load, FORCE))
+            full_step(at, s[j] - at, work, frustum, rest, force, gravity, on)
+            step_columns(at, s[j] - at, i, in_root, work, blocks, chunks, body, gravity, 1.0)
+            for q in range(STATE):
+                result[j, q] = work[STATE + q]
+            for c in range(chunks):
+                for q in range(WIDE * COLUMN):
+                    result[j, STATE + c * WIDE * COLUMN + q] = blocks[c * BLOCK + WIDE * NEXT + q]
+
+
+@inner
+def linear_equilibrium(
+    tip, load, body, tol, size, work, nodes, blocks, y, contact, turns, derivatives, change
+):
+    """Sweep from a guessed tip, and correct the residual at the base to first order everywhere.
+
+    Args:
+        tip: [t, d], (6,).
+        load: (13,).
+        tol: error allowed a step [rad], relative to size: how far the rod turned in the sweep before, at most 1.
+        work, nodes, blocks, y, contact: as in `sweep`; nodes may be empty, blocks not.
+        turns: (3, k).
+        derivatives: as in `sensitivities`, (15, k + 1): by k parameters at the equilibrium, the last column
+            [base moment, contact's frame] at it; all to first order in the residual.
+        change: rotation of the tip that leads to the equilibrium, in base axes, (3,).
+
+    Returns:
+        Status, residual at the base [rad], stability margin, largest rotation of the rod.
+    """
+    status, _count, margin, size, _steps = sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact)
+    if status != OK:
+        return status, math.inf, -1.0, 1.0
+    sensitivities(y, blocks, contact, body, load, turns, derivatives)
+    k = turns.shape[1]
+    t, d = take(y, T), take(y, D)
+    lack = cross(t, (0.0, 0.0, 1.0))
+    if body.constants[GENERAL] != 0.0:
+        lack = plus(lack, (0.0, 0.0, cross(d, (1.0, 0.0, 0.0))[2]))
+    misfit = math.sqrt(dot(lack, lack)) if t[2] > 0.0 else 2.0
+    tips = _tips_for(blocks, lack)
+    there = contact[STATE : STATE + WIDE * COLUMN]
+    moment, at_base = _turned(blocks, 3, tips), _turned(blocks, 6, tips)
+    theta, at_contact = _turned(there, 0, tips), _turned(there, 6, tips)
+    turned_t, turned_x = cross(theta, take3(derivatives, 3, k)), cross(theta, take3(derivatives, 6, k))
+    turned_y = cross(theta, take3(derivatives, 12, k))
+    e = cross(take(tip, 0), take(tip, 3))
+    for r in range(3):
+        derivatives[r, k] = y[M + r] + moment[r]
+        derivatives[3 + r, k] += turned_t[r]
+        derivatives[6 + r, k] += turned_x[r]
+        derivatives[9 + r, k] += at_contact[r] - at_base[r]
+        derivatives[12 + r, k] += turned_y[r]
+        change[r] = tips[0] * tip[3 + r] + tips[1] * e[r] + tips[2] * tip[r]
+    return status, misfit, margin, size

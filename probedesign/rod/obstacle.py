@@ -15,11 +15,19 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.rod.contact_solver import MIN_FORCE, ContactSolver, SolvedContact, StepFailure
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.obstacle.contact_solver import MIN_FORCE, ContactSolver, SolvedContact, StepFailure
-from probedesign.rod.obstacle.first_contact import FirstContactQuery, NearestPoint, Obstacle
-from probedesign.rod.obstacle.surface import UNKNOWNS, Edge, Rim, SurfacePiece, surface_pieces
 from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
+from probedesign.rod.surface import (
+    UNKNOWNS,
+    Edge,
+    FirstContactQuery,
+    NearestPoint,
+    Obstacle,
+    Rim,
+    SurfacePiece,
+    surface_pieces,
+)
 
 _MAX_DISTANCE = 1e6  # rod lengths: beyond, rounding of the path exceeds the tolerance
 
@@ -151,10 +159,10 @@ def press_against_point(
 ) -> ObstacleContact:
     """Solve for the equilibrium of the rod against a sharp point, without friction.
 
-    The point moves along a straight path, which determines the side from which it presses; its end, which may be far
-    past the rod's axis, does not. From the first contact on, Newton's method follows it over the flank, the edges of a
-    profile, the rim of the blunt tip and its face. Without friction a round rod remains on a sharp point only until it
-    is displaced by about its own radius; then it slips around the point, to either side if pressed centrally.
+    The point moves along a straight path, which determines the side from which it presses. From the first contact on,
+    Newton's method follows it over the flank, the edges of a profile, the rim of the blunt tip and its face. Without
+    friction a round rod remains on a sharp point only until it is displaced by about its own radius; then it slips
+    around the point, to either side if pressed centrally.
 
     Args:
         rod: the rod; its section must be round.
@@ -163,8 +171,7 @@ def press_against_point(
         travel: displacement of the object relative to the base up to now; at point - travel it is clear of the rod
             [m], (3,).
         mode: "fast" or "reference".
-        judged: False follows the contact also where it is unstable and the rod would slip around the point, as if the
-            rod were prevented from it.
+        judged: False follows the contact also where it is unstable and the rod would slip around the point.
 
     Returns:
         The contact; its numbers are finite only with result "ok".
@@ -173,13 +180,8 @@ def press_against_point(
         InputError: an argument is not finite or far out, the path starts in the rod, or its section is not
             round.
     """
-    return _press(
-        rod,
-        gravity,
-        Obstacle(finite_vector("point", point), finite_vector("travel", travel), None),
-        mode,
-        judged,
-    )
+    obstacle = Obstacle(finite_vector("point", point), finite_vector("travel", travel), None)
+    return _press(rod, gravity, obstacle, mode, judged)
 
 
 def press_against_line(
@@ -244,9 +246,9 @@ def _press(rod: Rod, gravity: ArrayLike, obstacle: Obstacle, mode: Mode, judged:
     return ObstacleContact(followed.result, followed.touched * way, followed.reached * way, eq, touch)
 
 
-_MAX_TRIES = 300
-_MIN_STEP = 1e-7  # of the rod's length
-_FIRST_STEP = 0.02  # likewise
+_MAX_TRIES = 300  # steps and refused steps of one path
+_MIN_STEP = 1e-7  # rod lengths: a contact that fails there has reached a fold
+_FIRST_STEP = 0.02  # rod lengths
 _MAX_TURN = 0.2  # rotation of the tip and of the normal in one step [rad]: stays on the branch
 _MAX_SLIDE = 0.02  # of the contact from its prediction, rod lengths
 _NEARBY = 2e-5  # rod lengths: accuracy of the first contact

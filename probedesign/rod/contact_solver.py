@@ -8,21 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.rod.coulomb_equations import Numbers
+from probedesign.rod.contact import Numbers
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.obstacle.first_contact import Obstacle
-from probedesign.rod.obstacle.surface import UNKNOWNS, SurfacePiece, SurfaceState
 from probedesign.rod.rod import Mode, Rod
+from probedesign.rod.surface import UNKNOWNS, Obstacle, SurfacePiece, SurfaceState
 
 MIN_FORCE = 1e-6
 """Without dimension; below it, the residual of forces is absolute."""
-_CLOSE = {
-    "fast": 1e-8,
-    "reference": 1e-12,
-}  # residual: rod lengths, relative force; above the noise of each mode
-_MAX_ITERATIONS = 12
+_CLOSE = {"fast": 1e-8, "reference": 1e-12}
+"""Residual allowed: rod lengths and relative force; above the rounding of each mode."""
+_MAX_ITERATIONS = 12  # Newton's method converges in a few; else the step is shortened
 _MAX_UNKNOWN = 1e6  # without dimension: Newton's method has diverged
-_IMAGINARY = 1e-30
+_IMAGINARY = 1e-30  # complex step of the derivatives: so small that no digit is lost
 _REAL = 1e-6  # relative imaginary part of a double eigenvalue by rounding
 
 
