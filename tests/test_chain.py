@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from probedesign import demo
+from probedesign import pipeline
+from probedesign.cli import demo
 from probedesign.cli.main import run
 from probedesign.design.io import draft_design, render_design
 
@@ -76,8 +77,8 @@ def test_rigid_root_as_long_as_the_probe_is_refused_with_key_and_line(workplace,
 
 
 def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
-    files = [tmp_path / "prediction.json", tmp_path / "prediction.html"]
-    monkeypatch.setattr(demo.pipeline, "predict", lambda design, folder: (None, files))
+    monkeypatch.setattr(demo, "prediction_files", lambda *_: [("prediction.json", b"{}")])
+    monkeypatch.setattr(pipeline, "predict", lambda probe: None)
     skipped: list[str] = []
-    assert list(demo._predict(tmp_path / "demo.toml", tmp_path, skipped)) == [str(file) for file in files]
+    assert list(demo._predict(None, tmp_path, skipped)) == [str(tmp_path / "prediction.json")]
     assert len(skipped) == 1 and "matplotlib" in skipped[0]

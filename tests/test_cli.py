@@ -1,16 +1,15 @@
 """Command line: exit statuses, error messages of one line, JSON documents and printed summaries."""
 
+import importlib
 import json
 import os
 import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-import probedesign
 from probedesign.cli import doctor, main
 from probedesign.cli.main import COMMANDS, run
 from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
@@ -181,9 +180,7 @@ def workplace(tmp_path, monkeypatch):
             "assumptions": design.assumptions,
         }
 
-    stub = SimpleNamespace(summary=summary)
-    monkeypatch.setitem(sys.modules, "probedesign.pipeline", stub)
-    monkeypatch.setattr(probedesign, "pipeline", stub, raising=False)
+    monkeypatch.setattr(importlib.import_module("probedesign.cli.new"), "summary", summary)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

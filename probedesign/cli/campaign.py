@@ -50,6 +50,7 @@ def campaign(
     """
     from probedesign import pipeline
     from probedesign.core.units import MM, MPA
+    from probedesign.simulation.campaign_folder import make_campaign
     from probedesign.simulation.ground_truth import CampaignPlan
 
     def si(value: float | None, unit: float) -> float | None:
@@ -59,7 +60,7 @@ def campaign(
                 si(marker_noise_mm, MM), readings, exact, images,
                 friction, friction_spread)  # fmt: skip
     with show_progress() as on_progress:
-        made = pipeline.campaign(design, out, plan, force, on_progress)
+        made = make_campaign(pipeline.load_probe(design).model, out, plan, force, on_progress)
     if as_json:
         print_json({"folder": made.folder, "files": made.files, "tests": made.tests})
     else:

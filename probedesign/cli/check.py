@@ -22,8 +22,9 @@ def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")]
         as_json: print one JSON document.
     """
     from probedesign import pipeline
+    from probedesign.design import load_design
 
-    found = pipeline.check(design)
+    found = pipeline.check(load_design(design))
     if as_json:
         passed = [finding.as_record() for finding in found.passed]
         print_json(

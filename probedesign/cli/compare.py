@@ -6,7 +6,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, show_progress
-from probedesign.cli.options import TaskOptions
+from probedesign.cli.options import EXPORTS, TaskOptions
+from probedesign.core.files import write_atomically
 
 
 def compare(
@@ -27,17 +28,23 @@ def compare(
         options: the task for which the designs are compared.
         as_json: print one JSON document.
     """
-    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.reports.comparison_page import compare as side_by_side
+    from probedesign.reports.comparison_page import comparison_page, comparison_table
+    from probedesign.reports.html_page import check_page_target
 
-    task = (options or TaskOptions()).task()
+    task, file = (options or TaskOptions()).task(), None
     with show_progress("comparing designs"):
-        compared, file = pipeline.compare(designs, task, out, page)
+        if page and out is not None:
+            check_page_target(out)
+        compared = side_by_side([load_design(path) for path in designs], task)
+        if page:
+            file = out or EXPORTS / f"compare-{'-'.join(one.design.name for one in compared)}.html"
+            write_atomically(file, comparison_page(compared, task))
     if as_json:
         document = [{"name": one.design.name, **one.metrics.as_dict()} for one in compared]
         print_json({"task": task, "designs": document, "page": file})
         return
-    from probedesign.reports.comparison_page import comparison_table
-
     table = comparison_table(compared)
     print(task.text)
     for row in (table.head, *table.rows):

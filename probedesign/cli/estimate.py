@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_note, show_progress
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite, write_atomically
 
 if TYPE_CHECKING:
     from probedesign.live.processing.blocks import WrenchReading
@@ -57,20 +58,18 @@ def estimate(
             the surface; inf: any direction.
         as_json: print one JSON document with the rows and their metadata.
     """
-    from probedesign.cli.options import loaded_estimator
-    from probedesign.core.files import write_atomically
-    from probedesign.live.offline import estimate_recording
+    from probedesign import pipeline
     from probedesign.live.processing.tare import parse_window
     from probedesign.live.run import describe_counts, warm_up
     from probedesign.live.sources.replay import RecordingOptions
 
     _check_out(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None
-    estimator = loaded_estimator(bundle, manifest, exact_model, friction)
+    estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
     options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = estimate_recording(estimator, recording, window, average, _track, mend, options, method)
+    estimates = pipeline.estimate(estimator, recording, window, average, method, mend, options, _track)
     for note in estimates.notes:
         print_note(note)
     if out is not None:
@@ -89,8 +88,6 @@ def _check_out(out: Path | None, recording: Path, force: bool) -> None:
     Raises:
         InputError: otherwise.
     """
-    from probedesign.core.files import check_overwrite
-
     if out is None:
         return
     if out.exists() and recording.exists() and out.samefile(recording):

@@ -1,7 +1,6 @@
 """Options that several commands share, or that form a group of their own.
 
-The field names are the names of the options and the docstrings below them are their help texts. `loaded_estimator`
-applies the options that `estimate` and `live` have in common.
+The field names are the names of the options and the docstrings below them are their help texts.
 """
 
 from collections.abc import Callable
@@ -15,7 +14,6 @@ from probedesign.cli.console import show_progress
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.estimation.estimator import Estimator
     from probedesign.estimation.model import ProbeModel
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
@@ -23,6 +21,8 @@ if TYPE_CHECKING:
     from probedesign.mapping.base_pose import BasePoseUncertainty
     from probedesign.optimization.task import Task
 
+EXPORTS = Path("exports")
+"""Default folder of the files: exports/NAME."""
 Origin = Literal["sensor", "base"]
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 
@@ -259,27 +259,3 @@ class RehearsalOptions:
             errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)
             run = simulate_run(model, touch_targets(), rng, errors)
             return write_run(run, model, folder, rng, force)
-
-
-def loaded_estimator(
-    bundle: Path, manifest: Path | None, exact_model: bool, friction: float | None
-) -> "Estimator":
-    """Return the estimator of a frozen probe with the options of `estimate` and `live` applied.
-
-    Args:
-        bundle: NAME.probe.json.
-        manifest: manifest.json of the printed parts, whose geometry is compared with the bundle's.
-        exact_model: treat probe, mount and bench as exactly known. The drift of the sensor's bias still counts: a
-            reading that the drift alone explains must not be located.
-        friction: standard deviation of the friction prior; None keeps the bundle's.
-
-    Raises:
-        InputError: the file is unreadable, or the friction is NaN or below 0.
-    """
-    from probedesign.estimation.tolerances import Tolerances
-    from probedesign.frozen_probe import load_estimator
-
-    estimator = load_estimator(bundle, manifest)
-    if exact_model:
-        estimator = estimator.with_tolerances(Tolerances.exact_probe(estimator.model))
-    return estimator if friction is None else estimator.with_friction(friction)

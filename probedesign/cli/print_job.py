@@ -1,11 +1,13 @@
 """`probedesign print`: prepare the exported parts in PreForm and send them to a printer."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_table, show_progress
+from probedesign.cli.options import EXPORTS
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,18 +49,27 @@ def print_job(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.printing.preform.job import PrintOrder
+    from probedesign.design import load_design
+    from probedesign.printing.preform import job
+    from probedesign.printing.preform.client import PreForm, connection_to
 
     if send is not None and not (send.strip() and send.isprintable()):
         raise InputError(f"--send {send!r} is not the name of a printer")
     if not 1.0 <= timeout_s <= 86400.0:
         raise InputError(f"--timeout-s {timeout_s:g} is out of range; allowed is 1 ... 86400")
-    errors = [f.message for f in pipeline.check(design).errors if (f.part == "probe") == (parts == "probe")]
+    drawn = load_design(design)
+    errors = [f.message for f in pipeline.check(drawn).errors if (f.part == "probe") == (parts == "probe")]
     if errors and not force:
         raise InputError(f"{design}: the print check found errors: {'; '.join(errors)}. --force continues")
-    order = PrintOrder(parts, folder, server_folder, material, save_form, send, force)
+    order = job.PrintOrder(parts, folder, server_folder, material, save_form, send, force)
     with show_progress() as on_progress:
-        prepared = pipeline.prepare_print(design, preform, order, timeout_s, on_progress)
+        connection = connection_to(preform)
+        exported = job.load_job(drawn, folder or EXPORTS / drawn.name, parts)
+        places = job.path_mapping(exported.folder, server_folder, connection.local, connection.url)
+        if save_form is not None:
+            order = replace(order, form_file=job.check_form_file(save_form, places, force))
+        server = PreForm(connection, timeout_s, on_progress=on_progress)
+        prepared = job.prepare_job(server, exported, places, order)
     if as_json:
         print_json(_document(prepared, send))
     else:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_note, show_progress
-from probedesign.cli.options import TaskOptions
+from probedesign.cli.options import EXPORTS, TaskOptions
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,15 +49,16 @@ def sweep(
         # before the slow imports, so that they overlap
         start_forkserver(("distributed", "probedesign.optimization.sweep"))
 
-    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.optimization import sweep as grid
     from probedesign.optimization.grid import parse_axis
 
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
     try:
         with show_progress() as on_progress:
-            swept = pipeline.sweep(
-                design, axes, task, out, scheduler, workers or os.cpu_count() or 1, on_progress
-            )
+            start = load_design(design)
+            folder, count = out or EXPORTS / start.name / "sweep", workers or os.cpu_count() or 1
+            swept = grid.sweep(start, axes, task, folder, scheduler, count, on_progress)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             "interrupted; all results are kept. Run the same command again to resume"
