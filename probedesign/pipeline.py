@@ -59,13 +59,7 @@ def load_probe(design_path: Path) -> "Probe":
 
 
 def export(design: "Design", folder: Path | None, on_step: Callable[[str], None]) -> dict[str, Any]:
-    """Write solids, adapters, meshes and drawings, and return their manifest. Needs CadQuery.
-
-    Args:
-        design: the design of the probe.
-        folder: of the files; exports/NAME if None.
-        on_step: takes the name of each step.
-    """
+    """Write solids, adapters, meshes and drawings, and return their manifest. Needs CadQuery."""
     from probedesign import cad
 
     return cad.export_parts(design, folder, on_step)
@@ -91,15 +85,9 @@ def sample_prediction(
     checkpoint: Path | None,
     on_progress: "OnProgress",
 ) -> "Prediction":
-    """Return a prediction with a Monte Carlo check of its conditions.
+    """Return a prediction with a Monte Carlo check of so many draws of each of its conditions.
 
-    Args:
-        probe: the predicted probe.
-        prediction: from `predict`.
-        draws: samples of each condition.
-        seed: of the samples.
-        checkpoint: folder from which an interrupted run resumes; None keeps no checkpoint.
-        on_progress: takes the step and its completed fraction.
+    An interrupted run resumes from the folder `checkpoint`; None keeps no checkpoint.
     """
     from probedesign.prediction.fused import shown
     from probedesign.prediction.monte_carlo import MonteCarloPlan, run_monte_carlo

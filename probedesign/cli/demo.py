@@ -1,6 +1,5 @@
 """`probedesign demo`: run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,52 +36,28 @@ def demo(
     """
     result = run_demo(EXPORTS / NAME if out is None else out, force)
     if as_json:
-        print_json(result.as_dict())
+        print_json(result)
         return
     print("wrote")
-    print_table(result.made)
-    for reason in result.skipped:
+    print_table(result["made"])
+    for reason in result["skipped"]:
         print("skipped:", reason)
     print(
-        f"\n{result.located} of {result.touches} touches located; contact error {result.error_mm:.2f} mm RMS, "
-        f"predicted {result.predicted_mm:.2f} mm RMS"
+        f"\n{result['located']} of {result['touches']} touches located; contact error {result['error_mm']:.2f} mm RMS, "
+        f"predicted {result['predicted_mm']:.2f} mm RMS"
     )
 
 
-@dataclass(frozen=True)
-class DemoResult:
-    """Files of the demo, and the error of its estimates.
-
-    Attributes:
-        made: each file with its purpose, in the order of the chain.
-        skipped: reasons for files that could not be written.
-        located: number of located contacts.
-        touches: number of readings with a contact.
-        error_mm: RMS distance between located and true contact points [mm].
-        predicted_mm: the same from the estimates' own covariances [mm].
-    """
-
-    made: dict[str, str]
-    skipped: tuple[str, ...]
-    located: int
-    touches: int
-    error_mm: float
-    predicted_mm: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return dict(vars(self))
-
-
-def run_demo(folder: Path, force: bool) -> DemoResult:
+def run_demo(folder: Path, force: bool) -> dict[str, Any]:
     """Design, predict, export (with CadQuery), deploy, simulate a recording and estimate; all in one folder.
 
-    Args:
-        folder: of all files.
-        force: replace existing files, even those that the demo did not write.
+    Returns:
+        made: each file with its purpose; skipped: reasons for files that could not be written; numbers of located
+        contacts and of touches; error_mm: RMS distance between located and true contact points; predicted_mm: the
+        same from the estimates' own covariances.
 
     Raises:
-        InputError: the folder has an edited design or other files.
+        InputError: the folder has an edited design or other files, and `force` is not set.
     """
     import numpy as np
 
@@ -116,19 +91,19 @@ def run_demo(folder: Path, force: bool) -> DemoResult:
     made[str(recording)] = "a simulated recording: 20 mN, swept along the probe"
     made[str(contacts)] = "the located contacts, one estimate per row"
     made |= _draw(sweep, folder / "contacts.png")
-    error, ok = sweep.error_mm, np.isfinite(sweep.error_mm)
-    predicted = float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2)))
-    rms = float(np.sqrt(np.mean(error[ok] ** 2)))
-    touches = int(np.isfinite(sweep.true_s_mm).sum())
-    return DemoResult(made, tuple(skipped), int(ok.sum()), touches, rms, predicted)
+    ok = np.isfinite(sweep.error_mm)
+    return {
+        "made": made,
+        "skipped": skipped,
+        "located": int(ok.sum()),
+        "touches": int(np.isfinite(sweep.true_s_mm).sum()),
+        "error_mm": float(np.sqrt(np.mean(sweep.error_mm[ok] ** 2))),
+        "predicted_mm": float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2))),
+    }
 
 
 def _check_folder(folder: Path, design: Path, text: str) -> None:
-    """Check that a folder is new, empty, or has the design that the demo writes.
-
-    Raises:
-        InputError: it has other files.
-    """
+    """Refuse a folder that has other files than those of the demo."""
     if (
         folder.is_dir()
         and any(folder.iterdir())

@@ -47,11 +47,10 @@ def deploy(
 
 
 def write_bundle(probe: "Probe", out: Path | None) -> Path:
-    """Write the frozen probe, unless the parts exported beside it have another geometry, and return the file.
+    """Write the frozen probe and return its file, which may replace a frozen probe only.
 
-    Args:
-        probe: the probe to freeze.
-        out: the file, which may replace a frozen probe only; exports/NAME/NAME.probe.json if None.
+    Raises:
+        InputError: another file has that name, or the parts exported beside it have another geometry.
     """
     from probedesign import pipeline
     from probedesign.frozen_probe import check_manifest, check_replaceable

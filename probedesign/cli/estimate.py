@@ -83,11 +83,7 @@ def estimate(
 
 
 def _check_out(out: Path | None, recording: Path, force: bool) -> None:
-    """Check that the output file is new or may be replaced, and is not the recording.
-
-    Raises:
-        InputError: otherwise.
-    """
+    """Refuse an output file that exists and may not be replaced, or that is the recording."""
     if out is None:
         return
     if out.exists() and recording.exists() and out.samefile(recording):

@@ -98,11 +98,7 @@ def explore(
 
 
 def _check_out(out: Path, force: bool) -> None:
-    """Check that the files can be written to a folder.
-
-    Raises:
-        InputError: `out` is a file, cannot be written to, or has one of the files and `force` is not set.
-    """
+    """Refuse a folder that cannot be written to, or that has one of the files if `force` is not set."""
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file; choose a folder")
     check_writable(out / FILES[0])
@@ -138,14 +134,7 @@ def _true_outlines(source: "Source") -> "tuple[Array, ...]":
 
 
 def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
-    """Write table, points, page and picture.
-
-    Args:
-        out: the folder.
-        scene: the points, and the true outlines of a simulation.
-        probe: its name and fingerprint.
-        notes: lines about the origin of the points, for the page.
-    """
+    """Write table, points, page and picture; `notes` on the origin of the points are for the page."""
     from probedesign.mapping.map_files import map_csv, map_ply
     from probedesign.reports.map_page import map_page
     from probedesign.reports.map_picture import map_svg

@@ -100,13 +100,6 @@ def _write_design(
 ) -> "tuple[tuple[Change, ...], Path | None, Path | None]":
     """Write identified parameters into a design file, which keeps its comments, its layout and the former values.
 
-    Args:
-        found: the identified parameters.
-        design_path: the design file.
-        out: another file to write instead.
-        write: write the file; otherwise the changes are computed only.
-        force: replace values that were set or identified before, or the file `out`, of which a backup is made.
-
     Returns:
         The changes; the file written, if any; the backup of the file `out`, if there was one.
     """

@@ -134,14 +134,8 @@ def _print(
 ) -> bool:
     """Print one line per estimate and, after the end or Ctrl-C, the number of estimates per result code.
 
-    Args:
-        updates: the estimates.
-        log: takes the summary.
-        as_json: print each estimate as JSON.
-        live_table: a sink shows the estimates, so no lines are printed.
-
     Returns:
-        True if the estimates ended without an interruption.
+        Whether the estimates ended without an interruption.
     """
     from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
     from probedesign.live.run import count_results, describe_counts

@@ -103,12 +103,7 @@ def new(
 
 
 def summary(design: "Design") -> dict[str, Any]:
-    """Return the main figures of a design.
-
-    Returns:
-        mass_g, sag_mm, thinnest_mm, fits_upright, printer, print_check, expected_error_mm,
-        expected_error_condition, assumptions.
-    """
+    """Return the main figures of a design: mass, sag, print check and expected contact error."""
     from probedesign import pipeline
     from probedesign.prediction.predict import predict_touch, tip_sag_mm
     from probedesign.probe import build_probe

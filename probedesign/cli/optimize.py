@@ -100,16 +100,9 @@ def _run(
     seed: int,
     on_progress: "OnProgress",
 ) -> "OptimizeResult":
-    """Write the optimum, checked by Monte Carlo simulation, with its Pareto front and a comparison with the start.
+    """Write the optimum to `path`, checked by Monte Carlo simulation, with its Pareto front and a comparison.
 
-    Args:
-        search: statement of the problem.
-        path: design file of the optimum.
-        force: replace that file.
-        draws: Monte Carlo samples per case; 0 for no check.
-        trials: cones of the Pareto front; 0 for no front.
-        seed: of both.
-        on_progress: takes the step and its completed fraction.
+    `draws` are the samples per case and `trials` the cones of the front; 0 is for none.
     """
     from probedesign import pipeline
     from probedesign.design.io import write_design

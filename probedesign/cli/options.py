@@ -113,9 +113,6 @@ class ReadingOptions:
     def processing(self, recording: Path | None) -> "ProcessingOptions":
         """Return how the readings are processed.
 
-        Args:
-            recording: the recording, None for a live source.
-
         Raises:
             InputError: there is no input, or more than one; there is no tare; or a value is out of range.
         """
@@ -136,13 +133,7 @@ class ReadingOptions:
     def open(
         self, recording: Path | None, model: "ProbeModel", poses: "BasePoses", log: Callable[[str], None]
     ) -> "Source":
-        """Return the opened recording or live source.
-
-        Args:
-            recording: the recording, None for a live source.
-            model: the probe that the readings are from.
-            poses: poses of the base; their time span is compared with the recording's.
-            log: takes notes for the user.
+        """Return the opened recording, or the live source if `recording` is None.
 
         Raises:
             InputError: it cannot be opened, or its times are not those of the poses.
@@ -182,10 +173,7 @@ class BaseOptions:
     """Standard deviation of the base's rotation about its z axis [deg]. Default: the design's, or 0.5 (assumed)."""
 
     def base(self, model: "ProbeModel") -> "BasePoseUncertainty":
-        """Return the uncertainty of the base's pose.
-
-        Args:
-            model: its tolerances are the defaults.
+        """Return the uncertainty of the base's pose; the tolerances of the model are the defaults.
 
         Raises:
             InputError: a value is out of range.
@@ -197,10 +185,7 @@ class BaseOptions:
         return replace(BasePoseUncertainty.from_model(model), **stated)
 
     def poses(self, log: Callable[[str], None]) -> "BasePoses | None":
-        """Return the poses; None for a fixed base.
-
-        Args:
-            log: takes notes for the user.
+        """Return the poses, None for a fixed base.
 
         Raises:
             InputError: the poses cannot be opened.
@@ -228,16 +213,7 @@ class RehearsalOptions:
     def write(
         self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool
     ) -> tuple[Path, ...]:
-        """Simulate the run and write its files.
-
-        Args:
-            folder: folder of the files.
-            model: the simulated probe.
-            base: uncertainty from which the error of the base's pose is drawn.
-            force: replace existing files.
-
-        Returns:
-            The files.
+        """Simulate the run, write its files and return them; the error of the base's pose is drawn from `base`.
 
         Raises:
             InputError: seed or friction are out of range, the probe cannot touch the house, or files exist already.

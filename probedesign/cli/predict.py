@@ -98,13 +98,7 @@ def predict(
 def prediction_files(
     probe: "Probe", prediction: "Prediction", plots: bool | None = None
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield the names and contents of the files of a prediction.
-
-    Args:
-        probe: the predicted probe.
-        prediction: of the probe.
-        plots: yield page and picture; None yields the picture where matplotlib is installed.
-    """
+    """Yield names and contents of the files of a prediction; for `plots` see `predict`."""
     from probedesign.prediction.predict import along_csv, conditions_csv
 
     yield "prediction.json", json_bytes(prediction.as_dict())
@@ -207,14 +201,7 @@ def _sensitivity_table(prediction: "Prediction") -> str:
 def _print_budget(
     prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str
 ) -> None:
-    """Print the error budget of the worst direction at each located place.
-
-    Args:
-        prediction: it has the places.
-        conditions: of one reading, or of fused touches.
-        force_N: wanted contact force [N]; the nearest force of the grid is used.
-        kind: name of the conditions, before the force.
-    """
+    """Print the error budget of the worst direction at each located place, for the force nearest to `force_N` [N]."""
     worst = _worst_directions(conditions, force_N)
     if not worst:
         print(f"\nError budget of {kind} this force: none, no place is located")
