@@ -84,3 +84,7 @@ def test_an_estimator_loads_no_design_and_no_drawing():
         & loaded
     )
     assert len(loaded) <= 60
+
+
+def test_the_pipeline_loads_nothing_before_a_step_is_used():
+    assert own(modules_after("import probedesign.pipeline")) == {"probedesign", "probedesign.pipeline"}
