@@ -1,6 +1,6 @@
 """`probedesign predict`: predict sensitivity and contact error of a design."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -210,13 +210,14 @@ def _print_budget(
     print(f"\nError budget [mm], RMS of {kind} {force_mN:g} mN by error source, worst direction")
     places = sorted(worst)
     print("  s/L               " + "".join(f"{place:>7g}" for place in places))
-    rows: list[tuple[str, Callable[[AnyCondition], float | None]]] = [
-        (cause, lambda c, cause=cause: (c.budget_mm or {})[cause])  # type: ignore[misc]
-        for cause in next(iter(worst.values())).budget_mm or {}
-    ]
-    rows += [("all", lambda c: c.predicted_error_mm), ("95 % radius", lambda c: c.predicted_error_95_mm)]
-    for name, value in rows:
-        print(f"  {name:<18}" + "".join(_small_cell(value(worst[place]), 7) for place in places))
+    rows: dict[str, list[float | None]] = {
+        cause: [(worst[place].budget_mm or {})[cause] for place in places]
+        for cause in worst[places[0]].budget_mm or {}
+    }
+    rows["all"] = [worst[place].predicted_error_mm for place in places]
+    rows["95 % radius"] = [worst[place].predicted_error_95_mm for place in places]
+    for name, values in rows.items():
+        print(f"  {name:<18}" + "".join(_small_cell(value, 7) for value in values))
     missing = ", ".join(
         f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst))
     )
