@@ -18,121 +18,79 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from probedesign.campaigns import Campaign as Campaign
-    from probedesign.campaigns import read_campaign as read_campaign
-    from probedesign.core.errors import InputError as InputError
-    from probedesign.design import Design as Design
-    from probedesign.design import check_design as check_design
-    from probedesign.design import load_design as load_design
-    from probedesign.design import parse_design as parse_design
-    from probedesign.design.catalog.materials import Resin as Resin
-    from probedesign.design.catalog.sensors import Noise as Noise
+    from probedesign.campaigns import Campaign, read_campaign
+    from probedesign.core.errors import InputError
+    from probedesign.design import Design, check_design, load_design, parse_design
+    from probedesign.design.catalog.materials import Resin
+    from probedesign.design.catalog.sensors import Noise
     from probedesign.design.catalog.sensors import SensorModel as Sensor
-    from probedesign.estimation.detector import Detector as Detector
-    from probedesign.estimation.estimate import Estimate as Estimate
-    from probedesign.estimation.estimator import Estimator as Estimator
-    from probedesign.estimation.fused import FusedEstimate as FusedEstimate
-    from probedesign.estimation.tolerances import Tolerances as Tolerances
+    from probedesign.estimation.detector import Detector
+    from probedesign.estimation.estimate import Estimate
+    from probedesign.estimation.estimator import Estimator
+    from probedesign.estimation.fused import FusedEstimate
+    from probedesign.estimation.tolerances import Tolerances
     from probedesign.estimation.tolerances import Unknowns as Priors
-    from probedesign.estimation.tracker import Tracker as Tracker
-    from probedesign.frozen_probe import load_estimator as load_estimator
-    from probedesign.geometry import CrossSection as CrossSection
-    from probedesign.identification.identify import data_of as data_of
-    from probedesign.identification.identify import identify as identify
-    from probedesign.identification.result import Identification as Identification
-    from probedesign.prediction.fused import PressSchedule as PressSchedule
-    from probedesign.prediction.predict import Prediction as Prediction
-    from probedesign.prediction.predict import predict as predict
-    from probedesign.prediction.predict import predict_touch as predict_touch
-    from probedesign.probe import Probe as Probe
-    from probedesign.probe import build_probe as build_probe
-    from probedesign.rod.batch import solve_batch as solve_batch
-    from probedesign.rod.contact import solve_frictionless as solve_frictionless
-    from probedesign.rod.equilibrium import Equilibrium as Equilibrium
-    from probedesign.rod.rod import Rod as Rod
-    from probedesign.validation.validate import ValidationReport as ValidationReport
-    from probedesign.validation.validate import validate as validate
+    from probedesign.estimation.tracker import Tracker
+    from probedesign.frozen_probe import load_estimator
+    from probedesign.geometry import CrossSection
+    from probedesign.identification.identify import data_of, identify
+    from probedesign.identification.result import Identification
+    from probedesign.prediction.fused import PressSchedule
+    from probedesign.prediction.predict import Prediction, predict, predict_touch
+    from probedesign.probe import Probe, build_probe
+    from probedesign.rod.batch import solve_batch
+    from probedesign.rod.contact import solve_frictionless
+    from probedesign.rod.equilibrium import Equilibrium
+    from probedesign.rod.rod import Rod
+    from probedesign.validation.validate import ValidationReport, validate
 
+_MODULES = {
+    "campaigns": ("Campaign", "read_campaign"),
+    "core.errors": ("InputError",),
+    "design": ("Design", "check_design", "load_design", "parse_design"),
+    "design.catalog.materials": ("Resin",),
+    "design.catalog.sensors": ("Noise", "SensorModel"),
+    "estimation.detector": ("Detector",),
+    "estimation.estimate": ("Estimate",),
+    "estimation.estimator": ("Estimator",),
+    "estimation.fused": ("FusedEstimate",),
+    "estimation.tolerances": ("Tolerances", "Unknowns"),
+    "estimation.tracker": ("Tracker",),
+    "frozen_probe": ("load_estimator",),
+    "geometry": ("CrossSection",),
+    "identification.identify": ("data_of", "identify"),
+    "identification.result": ("Identification",),
+    "prediction.fused": ("PressSchedule",),
+    "prediction.predict": ("Prediction", "predict", "predict_touch"),
+    "probe": ("Probe", "build_probe"),
+    "rod.batch": ("solve_batch",),
+    "rod.contact": ("solve_frictionless",),
+    "rod.equilibrium": ("Equilibrium",),
+    "rod.rod": ("Rod",),
+    "validation.validate": ("ValidationReport", "validate"),
+}
+"""Names of each module."""
+_RENAMED = {"SensorModel": "Sensor", "Unknowns": "Priors"}
 _LOCATIONS = {
-    "Campaign": "probedesign.campaigns:Campaign",
-    "CrossSection": "probedesign.geometry:CrossSection",
-    "Design": "probedesign.design:Design",
-    "Detector": "probedesign.estimation.detector:Detector",
-    "Equilibrium": "probedesign.rod.equilibrium:Equilibrium",
-    "Estimate": "probedesign.estimation.estimate:Estimate",
-    "Estimator": "probedesign.estimation.estimator:Estimator",
-    "FusedEstimate": "probedesign.estimation.fused:FusedEstimate",
-    "Identification": "probedesign.identification.result:Identification",
-    "InputError": "probedesign.core.errors:InputError",
-    "Noise": "probedesign.design.catalog.sensors:Noise",
-    "Prediction": "probedesign.prediction.predict:Prediction",
-    "PressSchedule": "probedesign.prediction.fused:PressSchedule",
-    "Priors": "probedesign.estimation.tolerances:Unknowns",
-    "Probe": "probedesign.probe:Probe",
-    "Resin": "probedesign.design.catalog.materials:Resin",
-    "Rod": "probedesign.rod.rod:Rod",
-    "Sensor": "probedesign.design.catalog.sensors:SensorModel",
-    "Tolerances": "probedesign.estimation.tolerances:Tolerances",
-    "Tracker": "probedesign.estimation.tracker:Tracker",
-    "ValidationReport": "probedesign.validation.validate:ValidationReport",
-    "build_probe": "probedesign.probe:build_probe",
-    "check_design": "probedesign.design:check_design",
-    "data_of": "probedesign.identification.identify:data_of",
-    "identify": "probedesign.identification.identify:identify",
-    "load_design": "probedesign.design:load_design",
-    "load_estimator": "probedesign.frozen_probe:load_estimator",
-    "parse_design": "probedesign.design:parse_design",
-    "predict": "probedesign.prediction.predict:predict",
-    "predict_touch": "probedesign.prediction.predict:predict_touch",
-    "read_campaign": "probedesign.campaigns:read_campaign",
-    "solve_batch": "probedesign.rod.batch:solve_batch",
-    "solve_frictionless": "probedesign.rod.contact:solve_frictionless",
-    "validate": "probedesign.validation.validate:validate",
+    _RENAMED.get(name, name): (f"probedesign.{module}", name)
+    for module, names in _MODULES.items()
+    for name in names
 }
 """Module and attribute of each public name."""
 __all__ = [
-    "Campaign",
-    "CrossSection",
-    "Design",
-    "Detector",
-    "Equilibrium",
-    "Estimate",
-    "Estimator",
-    "FusedEstimate",
-    "Identification",
-    "InputError",
-    "Noise",
-    "Prediction",
-    "PressSchedule",
-    "Priors",
-    "Probe",
-    "Resin",
-    "Rod",
-    "Sensor",
-    "Tolerances",
-    "Tracker",
-    "ValidationReport",
-    "build_probe",
-    "check_design",
-    "data_of",
-    "identify",
-    "load_design",
-    "load_estimator",
-    "parse_design",
-    "predict",
-    "predict_touch",
-    "read_campaign",
-    "solve_batch",
-    "solve_frictionless",
-    "validate",
-]
+    "Campaign", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator", "FusedEstimate",
+    "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe", "Resin", "Rod",
+    "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of", "identify",
+    "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "read_campaign", "solve_batch",
+    "solve_frictionless", "validate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, and keep it."""
     if name not in _LOCATIONS:
         raise AttributeError(f"module 'probedesign' has no attribute '{name}'")
-    module, _, attribute = _LOCATIONS[name].partition(":")
+    module, attribute = _LOCATIONS[name]
     value = globals()[name] = getattr(import_module(module), attribute)
     return value
 

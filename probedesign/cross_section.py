@@ -2,7 +2,7 @@
 
 import warnings
 
-from probedesign.geometry.cross_section import *  # noqa: F403
+from probedesign.geometry.cross_section import *  # noqa: F403  the former path has every name
 
 warnings.warn(
     "probedesign.cross_section was renamed probedesign.geometry.cross_section; the former name is removed in the next "

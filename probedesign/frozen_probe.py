@@ -1,15 +1,18 @@
 """The frozen probe: all that `estimate` and `live` need of a probe, in one JSON file that people can read.
 
-`freeze` writes the model of a probe as plain data, `load_model` and `load_estimator` check a file and read it back.
+`FIELDS` is the file format: one row for each value, with its key, the attribute of `ProbeModel` that has it, and the
+schema from which a file must have it. `freeze` writes a model by this table, and `load_model` reads one back.
 """
 
 import hashlib
 import json
 import math
+from collections import ChainMap
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -27,17 +30,149 @@ from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
 
 KIND = "probedesign frozen probe"
-SCHEMA = 3
-FRICTIONLESS_SCHEMA = 2
-"""Older schema that is still read: without `contact` and with fewer tolerances (`NEW_TOLERANCES`)."""
-ROUND_SCHEMA = 1
-"""Older schema that is still read: as schema 2, with full round sections and one second moment for all directions."""
-NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
-"""Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed."""
+SCHEMAS = (1, 2, 3)
+"""Schemas that are read; the last one is written. 1: full round sections and linear strains only. 2: without `contact`
+and with fewer tolerances."""
+SCHEMA = SCHEMAS[-1]
 SECTION_STATIONS = 17
 """Number of equidistant stations of the section table, beside the knots; for people and for the check on load."""
-_UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
 _MAX_BYTES = 10_000_000
+
+
+# The table
+
+
+class Field(NamedTuple):
+    """One value of the file.
+
+    Attributes:
+        key: its place in the file, with the unit.
+        attribute: of `ProbeModel`, in SI units, or a value that `freeze` computes.
+        read: checks the value of the file and returns that of the model; its errors begin after the key. None: the
+            value is written for people and not read.
+        since: schema from which a file must have it.
+        default: value for an older file that lacks it.
+        assumed: such a default is listed among the assumptions of the probe.
+    """
+
+    key: str
+    attribute: str
+    read: Callable[[Any], Any] | None
+    since: int = 1
+    default: Any = None
+    assumed: bool = False
+
+
+def _array(*shape: int) -> Callable[[Any], Array]:
+    """Return the check of a finite array of a shape; without one it may have any."""
+
+    def read(values: Any) -> Array:
+        array = np.array(values, dtype=float)
+        if not np.isfinite(array).all() or (shape and array.shape != shape):
+            raise InputError(f"must be finite numbers of shape {shape or 'any'}, found {str(values)[:60]}")
+        return array
+
+    return read
+
+
+def _number(lowest: float = -math.inf, highest: float = math.inf) -> Callable[[Any], float]:
+    """Return the check of a finite number between limits."""
+
+    def read(value: Any) -> float:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not (number and lowest <= value <= highest and math.isfinite(value)):
+            limits = f"of {lowest:g} or greater" if math.isinf(highest) else f"in {lowest:g} ... {highest:g}"
+            raise InputError(f"= {str(value)[:60]!a} must be a number {limits}")
+        return float(value)
+
+    return read
+
+
+def _read_friction(value: Any) -> float:
+    """JSON has no infinity, which is the text "inf"."""
+    return math.inf if value == "inf" else _number(0.0)(value)
+
+
+def _read_provenance(value: Any) -> Any:
+    if value not in get_args(Provenance):
+        raise InputError(f"must be one of {', '.join(get_args(Provenance))}")
+    return value
+
+
+def _read_pose(values: Any) -> Array:
+    T = _array(4, 4)(values)
+    if not is_pose(T):
+        raise InputError("is not a rigid pose")
+    return T
+
+
+def _read_flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError("must be true or false")
+    return value
+
+
+NUMBER, POSITIVE, SPREAD = _number(), _number(math.ulp(0.0)), _number(0.0, 0.5)
+OPTIONAL = SCHEMA + 1
+"""`Field.since` of a value that any file may lack."""
+NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
+"""Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed."""
+_UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
+_QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": str, "source": str}
+FIELDS = (
+    Field("name", "name", str),
+    Field("fingerprint", "fingerprint", str),
+    Field("assumptions", "assumptions", tuple),
+    Field("rod.s_m", "rod.s", _array()),
+    Field("rod.radius_m", "rod.radius", _array()),
+    Field("rod.section.bore_ratio", "cross_section.bore_ratio", NUMBER, 2, FULL_ROUND.bore_ratio),
+    Field("rod.section.flatness", "cross_section.flatness", NUMBER, 2, FULL_ROUND.flatness),
+    Field("rod.rigid_length_m", "rod.rigid_length", NUMBER),
+    Field("rod.finite_strain", "rod.finite_strain", _read_flag, 2, False),
+    Field("rod.shear_coefficient", "rod.shear_coefficient", NUMBER),
+    Field("rod.rounded_from_m", "rod.rounded_from", NUMBER, OPTIONAL),
+    Field("flange.diameter_m", "flange.diameter", NUMBER),
+    Field("flange.thickness_m", "flange.thickness", NUMBER),
+    *(
+        Field(f"material.{name}_{unit}.{part}", f"material.{name}.{part}", read)
+        for name, unit in _UNITS.items()
+        for part, read in _QUANTITY.items()
+    ),
+    Field("contact.friction", "friction", _read_friction, 3, ELASTIC_FRICTION.value, True),
+    Field("contact.provenance", "friction_provenance", _read_provenance, 3, ELASTIC_FRICTION.provenance),
+    Field("contact.source", "friction_source", str, 3, ELASTIC_FRICTION.source),
+    Field("spread.stiffness", "stiffness_spread", lambda value: None if value is None else SPREAD(value), 3),
+    Field("spread.creep", "creep_spread", SPREAD, 3, 0.0),
+    *(  # `Tolerances` checks the ranges
+        Field(
+            f"tolerances.{name}",
+            f"tolerances.{name}",
+            _read_flag if isinstance(default, bool) else NUMBER,
+            3,
+            default,
+            name in NEW_TOLERANCES,
+        )
+        for name, default in asdict(Tolerances()).items()
+    ),
+    Field("sections", "sections", None),
+    Field("flexible_mass_kg", "mass", None),
+    Field("hanging.frame", "frame", None),
+    Field("hanging.volume_m3", "payload.volume", NUMBER),
+    Field("hanging.mass_kg", "payload.mass", _number(0.0, 10.0)),
+    Field("hanging.p_com_m", "payload.p_com", _array(3)),
+    Field("hanging.inertia_kg_m2", "payload.inertia", _array(3, 3)),
+    Field("T_sensor_base", "T_sensor_base", _read_pose),
+    Field("gravity_base_m_s2", "gravity_base", _array(3)),
+    Field("sensor.force_range_N", "force_range", _array(3)),
+    Field("sensor.moment_range_Nm", "moment_range", _array(3)),
+    Field("sensor.noise_force_N", "noise.force", POSITIVE),
+    Field("sensor.noise_moment_Nm", "noise.moment", POSITIVE),
+    Field("sensor.averaging_samples", "averaging_samples", int),
+)
+"""Values of the file, in its order."""
+
+
+# Writing
 
 
 def freeze(model: ProbeModel) -> dict[str, Any]:
@@ -46,63 +181,44 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
     Args:
         model: of the probe, `Probe.model`.
     """
-    rod = model.rod
-    data: dict[str, Any] = {
-        "kind": KIND,
-        "schema": SCHEMA,
-        "written_by": f"probedesign {_version()}",
-        "name": model.name,
-        "fingerprint": model.fingerprint,
-        "assumptions": list(model.assumptions),
-        "rod": {
-            "s_m": rod.s.tolist(),
-            "radius_m": rod.radius.tolist(),
-            "section": {
-                "bore_ratio": model.cross_section.bore_ratio,
-                "flatness": model.cross_section.flatness,
-            },
-            "rigid_length_m": rod.rigid_length,
-            "finite_strain": rod.finite_strain,
-            "shear_coefficient": rod.shear_coefficient,
-            **({} if rod.rounded_from is None else {"rounded_from_m": rod.rounded_from}),
-        },
-        "flange": {"diameter_m": model.flange.diameter, "thickness_m": model.flange.thickness},
-        "material": {
-            f"{name}_{_UNITS[name]}": {"value": q.value, "provenance": q.provenance, "source": q.source}
-            for name, q in model.material.items()
-        },
-        "contact": {
-            "friction": "inf" if math.isinf(model.friction) else model.friction,
-            "provenance": model.friction_provenance,
-            "source": model.friction_source,
-        },
-        "spread": {"stiffness": model.stiffness_spread, "creep": model.creep_spread},
+    computed = {
         "tolerances": asdict(Tolerances.of(model)),
-        "sections": _sections(rod),
-        "flexible_mass_kg": model.mass,
-        "hanging": {
-            "frame": "sensor",
-            "volume_m3": model.payload.volume,
-            "mass_kg": model.payload.mass,
-            "p_com_m": model.payload.p_com.tolist(),
-            "inertia_kg_m2": model.payload.inertia.tolist(),
-        },
-        "T_sensor_base": model.T_sensor_base.tolist(),
-        "gravity_base_m_s2": model.gravity_base.tolist(),
-        "sensor": {
-            "force_range_N": model.wrench_range[:3].tolist(),
-            "moment_range_Nm": model.wrench_range[3:].tolist(),
-            "noise_force_N": model.noise.force,
-            "noise_moment_Nm": model.noise.moment,
-            "averaging_samples": model.averaging_samples,
-        },
+        "sections": _sections(model.rod),
+        "mass": model.mass,
+        "frame": "sensor",
+        "force_range": model.wrench_range[:3],
+        "moment_range": model.wrench_range[3:],
     }
+    data: dict[str, Any] = {"kind": KIND, "schema": SCHEMA, "written_by": f"probedesign {_version()}"}
+    for field in FIELDS:
+        value: Any = ChainMap(computed, vars(model))
+        for name in field.attribute.split("."):
+            value = value[name] if isinstance(value, Mapping) else getattr(value, name)
+        if value is None and field.since == OPTIONAL:
+            continue
+        *tables, key = field.key.split(".")
+        table = data
+        for name in tables:
+            table = table.setdefault(name, {})
+        table[key] = _plain(value)
     return {**data, "checksum": _checksum(data)}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it: arrays and tuples as lists, infinity as the text "inf"."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return list(value)
+    return "inf" if value == math.inf else value
 
 
 def write_frozen(model: ProbeModel, path: Path) -> None:
     """Write the frozen probe atomically; an existing file is replaced."""
     write_atomically(path, (json.dumps(freeze(model), indent=2) + "\n").encode())
+
+
+# Reading
 
 
 def load_estimator(path: str | Path, manifest: str | Path | None = None, *, exact: bool = False) -> Estimator:
@@ -126,7 +242,6 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
     data = _read_json(path, "frozen probe")
     _check_identity(data, path)
     try:
-        data = _upgraded(data)
         model = _model_of(data)
         _check_sections(data, model.rod)
     except InputError as error:
@@ -168,147 +283,71 @@ def check_replaceable(path: Path) -> None:
 def _check_identity(data: dict[str, Any], path: Path) -> None:
     if data.get("kind") != KIND:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
-    if data.get("schema") not in (SCHEMA, FRICTIONLESS_SCHEMA, ROUND_SCHEMA):
-        known = f"this version reads {ROUND_SCHEMA} to {SCHEMA}"
+    if data.get("schema") not in SCHEMAS:
+        known = f"this version reads {SCHEMAS[0]} to {SCHEMA}"
         raise InputError(f"{path}: schema {data.get('schema')} is not known here ({known})")
     body = {key: value for key, value in data.items() if key != "checksum"}
     if data.get("checksum") != _checksum(body):
         raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
 
 
-def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a file of any schema in the current schema.
-
-    Values that an older schema lacks take their defaults; numbers among them are added to the assumptions.
-    """
-    if data["schema"] == SCHEMA:
-        return data
-    if data["schema"] == ROUND_SCHEMA:
-        table = data["sections"]
-        data = {
-            **data,
-            "rod": {**data["rod"], "section": asdict(FULL_ROUND), "finite_strain": False},
-            "sections": {**table, **{name: table[old] for name, old in _ROUND_NAMES.items()}},
-        }
-    friction = ELASTIC_FRICTION
-    contact = {"friction": friction.value, "provenance": friction.provenance, "source": friction.source}
-    tolerances = data.get("tolerances")
-    if tolerances is not None:
-        added = {name: getattr(Tolerances, name) for name in (*NEW_TOLERANCES, "youngs_modulus_by_diameter")}
-        tolerances = {**added, **tolerances}
-    assumed = ["contact.friction", *(f"tolerances.{name}" for name in NEW_TOLERANCES)]
-    return {
-        **data,
-        "assumptions": [*data["assumptions"], *assumed],
-        "contact": contact,
-        "spread": data.get("spread", {"stiffness": None, "creep": 0.0}),
-        "tolerances": tolerances,
-    }
-
-
 def _model_of(data: dict[str, Any]) -> ProbeModel:
     """Return the model that the content of a file describes; the inverse of `freeze`."""
-    material = {name: Quantity(**data["material"][f"{name}_{unit}"]) for name, unit in _UNITS.items()}
-    rod, hanging, sensor = data["rod"], data["hanging"], data["sensor"]
-    section = _section(rod["section"])
+    values = {
+        field.attribute: _value_of(data, field, field.read) for field in FIELDS if field.read is not None
+    }
+    unknown = set(data.get("tolerances") or {}) - {entry.name for entry in fields(Tolerances)}
+    if unknown:
+        raise InputError(f"tolerances: {', '.join(sorted(unknown))} is not known")
+
+    def part(head: str) -> dict[str, Any]:
+        start = f"{head}."
+        return {name.removeprefix(start): value for name, value in values.items() if name.startswith(start)}
+
+    material = {name: Quantity(**part(f"material.{name}")) for name in _UNITS}
+    section = CrossSection(**part("cross_section"))
+    stiffness: dict[str, Any] = {name: quantity.value for name, quantity in material.items()}
+    top = {name: value for name, value in values.items() if "." not in name}
+    wrench_range = np.concatenate([top.pop("force_range"), top.pop("moment_range")])
+    frozen_tolerances = data["schema"] == SCHEMA or data.get("tolerances") is not None
+    added = [field.key for field in FIELDS if field.assumed and field.since > data["schema"]]
     model = ProbeModel(
-        name=str(data["name"]),
-        fingerprint=str(data["fingerprint"]),
-        flange=Flange(*map(float, (data["flange"]["diameter_m"], data["flange"]["thickness_m"]))),
-        rod=Rod(
-            s=_numbers(rod["s_m"]),
-            radius=_numbers(rod["radius_m"]),
-            youngs_modulus=material["youngs_modulus"].value,
-            shear_modulus=material["shear_modulus"].value,
-            density=material["density"].value,
-            shear_coefficient=rod["shear_coefficient"],
-            rigid_length=rod["rigid_length_m"],
-            factors=section.factors,
-            finite_strain=rod["finite_strain"] is True,
-            rounded_from=None if rod.get("rounded_from_m") is None else float(rod["rounded_from_m"]),
-        ),
-        gravity_base=_numbers(data["gravity_base_m_s2"], 3),
-        T_sensor_base=_numbers(data["T_sensor_base"], 4, 4),
-        payload=MassProperties(
-            hanging["volume_m3"],
-            hanging["mass_kg"],
-            _numbers(hanging["p_com_m"], 3),
-            _numbers(hanging["inertia_kg_m2"], 3, 3),
-        ),
-        wrench_range=np.concatenate(
-            [_numbers(sensor["force_range_N"], 3), _numbers(sensor["moment_range_Nm"], 3)]
-        ),
-        noise=Noise(sensor["noise_force_N"], sensor["noise_moment_Nm"]),
-        averaging_samples=int(sensor["averaging_samples"]),
+        **(top | {"assumptions": (*top["assumptions"], *added)}),
+        flange=Flange(**part("flange")),
+        rod=Rod(**part("rod"), **stiffness, factors=section.factors),
+        payload=MassProperties(**part("payload")),
+        wrench_range=wrench_range,
+        noise=Noise(**part("noise")),
         material=material,
-        assumptions=tuple(data["assumptions"]),
         cross_section=section,
-        tolerances=_tolerances(data["tolerances"], data["schema"]),
-        **_contact(data["contact"]),
-        **_spread(data["spread"]),
+        tolerances=Tolerances(**part("tolerances")) if frozen_tolerances else None,
     )
     geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
     if geometry.fingerprint != model.fingerprint:
         raise InputError(
             f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})"
         )
-    if not (0.0 <= float(model.payload.mass) < 10.0 and model.averaging_samples >= 1):
-        raise InputError("hanging.mass_kg or sensor.averaging_samples is out of range")
-    if not is_pose(model.T_sensor_base):
-        raise InputError("T_sensor_base is not a rigid pose")
-    if not (
-        0 < model.noise.force < math.inf
-        and 0 < model.noise.moment < math.inf
-        and (model.wrench_range > 0).all()
-    ):
-        raise InputError("sensor: ranges and noise must be positive")
+    if model.averaging_samples < 1 or not (wrench_range > 0).all():
+        raise InputError("sensor: ranges and averaging_samples must be positive")
     return model
 
 
-def _contact(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the friction with its provenance; JSON has no infinity, which is the text "inf"."""
-    value, provenance = data["friction"], data["provenance"]
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if value != "inf" and not (number and 0.0 <= value < math.inf):
-        raise InputError(f'contact.friction = {str(value)[:60]!a} must be a number of 0 or greater, or "inf"')
-    if provenance not in get_args(Provenance):
-        raise InputError(f"contact.provenance must be one of {', '.join(get_args(Provenance))}")
-    return {
-        "friction": float(value),
-        "friction_provenance": provenance,
-        "friction_source": str(data["source"]),
-    }
+def _value_of(data: dict[str, Any], field: Field, read: Callable[[Any], Any]) -> Any:
+    """Return the value of a field, or its default where an older file lacks it.
 
-
-def _spread(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the priors of the material."""
-    stiffness, creep = data["stiffness"], float(data["creep"])
-    spreads = [creep] if stiffness is None else [float(stiffness), creep]
-    if not all(0.0 <= spread <= 0.5 for spread in spreads):
-        raise InputError(f"spread: {spreads} must lie in 0 ... 0.5")
-    return {"stiffness_spread": None if stiffness is None else float(stiffness), "creep_spread": creep}
-
-
-def _tolerances(data: dict[str, Any] | None, schema: int) -> Tolerances | None:
-    """Return the tolerances; None for a file of a time before they were frozen."""
-    if data is None and schema != SCHEMA:
-        return None
-    known = {entry.name for entry in fields(Tolerances)}
-    if not isinstance(data, dict) or set(data) != known or not isinstance(data["tared"], bool):
-        raise InputError(f"tolerances: must hold {', '.join(sorted(known))}")
-    spreads: dict[str, Any] = {name: float(value) for name, value in data.items() if name != "tared"}
-    return Tolerances(**spreads, tared=data["tared"])
-
-
-def _section(data: dict[str, Any]) -> CrossSection:
-    return CrossSection(float(data["bore_ratio"]), float(data["flatness"]))
-
-
-def _numbers(values: Any, *shape: int) -> Array:
-    array = np.array(values, dtype=float)
-    if not np.isfinite(array).all() or (shape and array.shape != shape):
-        raise InputError(f"expected finite numbers of shape {shape or 'any'}, found {str(values)[:60]}")
-    return array
+    Raises:
+        InputError: the value is out of range.
+        KeyError: the file must have it and does not.
+    """
+    found: Any = data
+    for name in field.key.split("."):
+        if field.since > data["schema"] and (not isinstance(found, dict) or name not in found):
+            return field.default
+        found = found[name]
+    try:
+        return read(found)
+    except InputError as error:
+        raise InputError(f"{field.key} {error}") from None
 
 
 def _sections(rod: Rod) -> dict[str, list[float]]:
@@ -339,13 +378,15 @@ _ROUND_NAMES = {
     "EI_xx_Nm2": "EI_Nm2",
     "EI_yy_Nm2": "EI_Nm2",
 }
-"""Names of these columns in files of the round schema."""
+"""Names of these columns in schema 1."""
 
 
 def _check_sections(data: dict[str, Any], rod: Rod) -> None:
+    """Refuse a section table that does not follow from the rod."""
     for name, values in _sections(rod).items():
+        written = data["sections"][_ROUND_NAMES.get(name, name) if data["schema"] == 1 else name]
         # JSON keeps doubles to the last digit; 1e-12 allows for another libm.
-        if not np.allclose(_numbers(data["sections"][name]), values, rtol=1e-12, atol=0.0):
+        if not np.allclose(_array()(written), values, rtol=1e-12, atol=0.0):
             raise InputError(f"sections.{name} does not follow from the rod")
 
 

@@ -1,12 +1,25 @@
 """Sequences of commands: the files they write, and the files they must not replace."""
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from probedesign import demo
+from probedesign import pipeline
+from probedesign.campaigns import read_campaign
+from probedesign.cli import demo
 from probedesign.cli.main import run
 from probedesign.design.io import draft_design, render_design
+from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.recordings.csv import write_recording
+from probedesign.live.sources.replay import RecordingOptions
+from probedesign.live.sources.sim import SimulatedSource
+from probedesign.simulation.campaign_folder import make_campaign
+from probedesign.simulation.ground_truth import CampaignPlan
+
+LARGE = Path(__file__).parents[1] / "designs/large.toml"
 
 SOFT = ("new", "soft", "--length", "400", "--base-d", "0.3")
 """So slender that it has no stable equilibrium under gravity."""
@@ -32,6 +45,40 @@ def test_design_predict_deploy_and_live(workplace, capsys):
     assert all(abs(r["s_contact_mm"] - r["true_s_contact_mm"]) < 6.0 * r["std_s_mm"] for r in located)
     prediction = json.loads((workplace / "exports/a/prediction.json").read_text())
     assert prediction["fingerprint"] == json.loads((workplace / frozen).read_text())["fingerprint"]
+
+
+def test_the_pipeline_is_the_whole_chain_and_writes_no_files(workplace):
+    probe = pipeline.load_probe(LARGE)
+    assert pipeline.check(probe.design).fits
+    assert pipeline.predict(probe).fingerprint == probe.model.fingerprint
+    campaign = read_campaign(make_campaign(probe.model, workplace / "data", CampaignPlan("stage", 1)).folder)
+    inputs = sorted(path for path in workplace.rglob("*") if path.is_file())
+
+    found = pipeline.identify(probe.design, campaign, ["E"])
+    assert found.found[0].identified
+    frozen = pipeline.freeze(probe)
+    assert frozen["fingerprint"] == probe.model.fingerprint
+    assert sorted(path for path in workplace.rglob("*") if path.is_file()) == inputs
+
+    bundle = workplace / "large.probe.json"
+    bundle.write_text(json.dumps(frozen))
+    estimator = pipeline.load_estimator(bundle, exact_model=True, friction=0.0)
+    assert estimator.model.friction == 0.0
+    assert estimator.priors.youngs_modulus == 0.0 and estimator.priors.drift_steps > 0.0
+    report = pipeline.validate(pipeline.load_estimator(bundle), campaign, False, lambda step, share: None)
+    assert report.coverage.touches > 0
+
+    source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
+    readings = list(iter_readings(source))
+    recording = workplace / "recording.csv"
+    write_recording(
+        recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings])
+    )
+    estimates = pipeline.estimate(estimator, recording, None, 5, "ml", False, RecordingOptions())
+    assert len(estimates.rows) == len(readings) // 5
+    source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
+    updates = list(pipeline.live(estimator, source, ProcessingOptions(count=3), print))
+    assert len(updates) == 3
 
 
 def test_deploy_replaces_frozen_probes_only(workplace, capsys):
@@ -76,8 +123,8 @@ def test_rigid_root_as_long_as_the_probe_is_refused_with_key_and_line(workplace,
 
 
 def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
-    files = [tmp_path / "prediction.json", tmp_path / "prediction.html"]
-    monkeypatch.setattr(demo.pipeline, "predict", lambda design, folder: (None, files))
+    monkeypatch.setattr(demo, "prediction_files", lambda *_: [("prediction.json", b"{}")])
+    monkeypatch.setattr(pipeline, "predict", lambda probe: None)
     skipped: list[str] = []
-    assert list(demo._predict(tmp_path / "demo.toml", tmp_path, skipped)) == [str(file) for file in files]
+    assert list(demo._predict(None, tmp_path, skipped)) == [str(tmp_path / "prediction.json")]
     assert len(skipped) == 1 and "matplotlib" in skipped[0]

@@ -1,4 +1,4 @@
-"""The examples of the docs print what stands beside them."""
+"""The examples of the docs print the values in their comments."""
 
 import re
 from contextlib import redirect_stdout
@@ -12,13 +12,13 @@ ROOT = Path(__file__).parent.parent
 
 
 @pytest.mark.parametrize("page", ["mechanics", "estimation", "prediction", "stereo"])
-def test_the_examples_print_what_they_say(page, monkeypatch):
+def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
     monkeypatch.chdir(ROOT)
     text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
     code = "".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
-    said = re.findall(r"^print\(.*\) +# (.*)$", code, re.MULTILINE)
-    assert len(said) == code.count("print(") > 1
+    expected = re.findall(r"^print\(.*\) +# (.*)$", code, re.MULTILINE)
+    assert len(expected) == code.count("print(") > 1
     printed, names = StringIO(), dict[str, Any]()
     with redirect_stdout(printed):
         exec(code, names)
-    assert printed.getvalue().splitlines() == said
+    assert printed.getvalue().splitlines() == expected

@@ -1,4 +1,4 @@
-"""The tutorial of docs/measurements.md: what it runs, and what it says is printed."""
+"""The tutorial of docs/measurements.md: its commands print the output that it shows."""
 
 import re
 import shutil
@@ -18,8 +18,8 @@ def test_the_run_of_the_tutorial_prints_what_the_page_says(tmp_path, monkeypatch
     for command in commands:
         assert run(command.removeprefix("probedesign ").split()) == 0
         out = capsys.readouterr().out
-    said = re.findall(r"<!-- output -->\n```\n(.*?)```", PAGE, re.DOTALL)[0]
-    assert said == out[: out.index("\nwrote")].rstrip() + "\n"
+    expected = re.findall(r"<!-- output -->\n```\n(.*?)```", PAGE, re.DOTALL)[0]
+    assert expected == out[: out.index("\nwrote")].rstrip() + "\n"
 
 
 def test_the_campaign_file_of_the_page_is_one(tmp_path):

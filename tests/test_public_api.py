@@ -45,7 +45,7 @@ def test_each_public_name_has_a_docstring_and_a_signature_without_any_options(na
 def test_type_checkers_see_the_same_names():
     tree = ast.parse(Path(probedesign.__file__).read_text())
     block = next(node for node in tree.body if isinstance(node, ast.If))
-    seen = {a.asname: f"{node.module}:{a.name}" for node in block.body for a in node.names}
+    seen = {a.asname or a.name: (node.module, a.name) for node in block.body for a in node.names}
     assert seen == probedesign._LOCATIONS
     assert list(seen) != [] and set(seen) == set(probedesign.__all__)
     assert (Path(probedesign.__file__).parent / "py.typed").is_file()
@@ -109,3 +109,7 @@ def test_one_estimate_runs_python_code_of_at_most_12_modules():
         sys.setprofile(None)
     assert found.ok and "estimation/estimator.py" in ran
     assert len(ran) <= 12, sorted(ran)
+
+
+def test_the_pipeline_loads_nothing_before_a_step_is_used():
+    assert own(modules_after("import probedesign.pipeline")) == {"probedesign", "probedesign.pipeline"}

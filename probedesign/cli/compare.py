@@ -1,12 +1,18 @@
-"""`probedesign compare`: compare several designs."""
+"""`probedesign compare` and `probedesign sweep`: several designs side by side, and a grid of designs."""
 
+import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, show_progress
-from probedesign.cli.options import TaskOptions
+from probedesign.cli.console import plural, print_json, print_note, show_progress
+from probedesign.cli.options import EXPORTS, TaskOptions
+from probedesign.core.errors import InputError
+from probedesign.core.files import write_atomically
+
+if TYPE_CHECKING:
+    from probedesign.optimization.sweep import SweepResult
 
 
 def compare(
@@ -27,19 +33,104 @@ def compare(
         options: the task for which the designs are compared.
         as_json: print one JSON document.
     """
-    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.reports.comparison_page import compare as side_by_side
+    from probedesign.reports.comparison_page import comparison_page, comparison_table
+    from probedesign.reports.html_page import check_page_target
 
-    task = (options or TaskOptions()).task()
+    task, file = (options or TaskOptions()).task(), None
     with show_progress("comparing designs"):
-        compared, file = pipeline.compare(designs, task, out, page)
+        if page and out is not None:
+            check_page_target(out)
+        compared = side_by_side([load_design(path) for path in designs], task)
+        if page:
+            file = out or EXPORTS / f"compare-{'-'.join(one.design.name for one in compared)}.html"
+            write_atomically(file, comparison_page(compared, task))
     if as_json:
         document = [{"name": one.design.name, **one.metrics.as_dict()} for one in compared]
         print_json({"task": task, "designs": document, "page": file})
         return
-    from probedesign.reports.comparison_page import comparison_table
-
     table = comparison_table(compared)
     print(task.text)
     for row in (table.head, *table.rows):
         print(f"  {row[0]:<16}" + "".join(f"{cell:>18}" for cell in row[1:]))
     print(f"wrote {file}" if file else "no page was written")
+
+
+SHOWN = ("error_mm", "detectable_mN", "sag_mm", "print_errors")
+
+
+def sweep(
+    design: Path,
+    /,
+    *,
+    vary: Annotated[list[str], Parameter(negative=(), consume_multiple=False)],
+    out: Path | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    options: TaskOptions | None = None,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+) -> None:
+    """Evaluate every combination of values of some keys of a design.
+
+    Writes sweep.jsonl during the run, then sweep.csv and sweep.parquet. The same command resumes an interrupted sweep.
+    An invalid design is a row with the reason. Needs the extra 'sweep'. More: docs/search.md.
+
+    Args:
+        design: the design file with the values of all other keys.
+        vary: KEY=START:STOP:STEP or KEY=A,B,C with a key of the design file; repeat the option for more keys.
+        out: output folder. Default: exports/NAME/sweep.
+        scheduler: address of a dask scheduler, tcp://HOST:PORT. Default: processes on this machine.
+        workers: number of processes on this machine. Default: one per processor.
+        options: the task for which the designs are evaluated.
+        as_json: print one JSON document.
+    """
+    from probedesign.core.parallel import start_forkserver
+
+    if workers is not None and not 1 <= workers <= 1024:
+        raise InputError(f"--workers {workers} must lie in 1 ... 1024")
+    if scheduler is None:
+        # before the slow imports, so that they overlap
+        start_forkserver(("distributed", "probedesign.optimization.sweep"))
+
+    from probedesign.design import load_design
+    from probedesign.optimization import sweep as grid
+    from probedesign.optimization.grid import parse_axis
+
+    axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
+    try:
+        with show_progress() as on_progress:
+            start = load_design(design)
+            folder, count = out or EXPORTS / start.name / "sweep", workers or os.cpu_count() or 1
+            swept = grid.sweep(start, axes, task, folder, scheduler, count, on_progress)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "interrupted; all results are kept. Run the same command again to resume"
+        ) from None
+    for note in swept.notes:
+        print_note(note)
+    if as_json:
+        print_json({"task": task, "computed": swept.computed, "files": swept.files, "points": swept.records})
+    else:
+        _print_sweep(swept, [axis.key for axis in axes], task.text)
+
+
+def _print_sweep(swept: "SweepResult", keys: list[str], task: str) -> None:
+    done, failed = len(swept.records), swept.failed
+    print(f"{plural(done, 'design')}, {swept.computed} computed in this run; {task}")
+    good = sorted((r for r in swept.records if r["result"] == "ok"), key=lambda r: r["error_mm"])
+    if good:
+        print("\nsmallest error_mm")
+        wide = {key: max(16, len(key.rpartition(".")[2]) + 2) for key in [*keys, *SHOWN]}
+        print("".join(f"{key.rpartition('.')[2]:>{width}}" for key, width in wide.items()))
+        for record in good[:8]:
+            print("".join(f"{_cell(record[key]):>{width}}" for key, width in wide.items()))
+    for record in failed[:5]:
+        print(f"  point {record['point']}: {record['result']}: {record['reason']}")
+    if len(failed) > 5:
+        print(f"  and {len(failed) - 5} more failed designs; the reasons are in the tables")
+    print("wrote", ", ".join(map(str, swept.files)))
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, int | float) else str(value)

@@ -1,4 +1,4 @@
-"""Console of the commands: results on stdout, notes and progress on stderr, termination signals.
+"""Outputs of the commands: results on stdout, notes and progress on stderr, files; and termination signals.
 
 Progress appears only where stderr is a terminal, so that logs and pipes hold results and notes alone.
 """
@@ -7,15 +7,17 @@ import json
 import math
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-ProgressCallback = Callable[[str, float | None], None]
-"""Takes the name of the current step and the completed fraction of it, None if that is unknown."""
+from probedesign.core.files import write_atomically
+
+if TYPE_CHECKING:
+    from probedesign.core.parallel import OnProgress
 
 
 def print_json(document: Any) -> None:
@@ -36,6 +38,20 @@ def _to_json(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return str(value) if isinstance(value, Path) else value
+
+
+def json_bytes(document: dict[str, Any], indent: int = 1, ascii_only: bool = True) -> bytes:
+    """Return plain data as the content of a JSON file."""
+    return (json.dumps(document, indent=indent, ensure_ascii=ascii_only) + "\n").encode()
+
+
+def write_files(folder: Path, contents: Iterable[tuple[str, bytes]]) -> list[Path]:
+    """Write files of these names and contents to a folder, each as soon as its content is there, and return them."""
+    written = []
+    for name, content in contents:
+        write_atomically(folder / name, content)
+        written.append(folder / name)
+    return written
 
 
 def print_table(rows: dict[str, str]) -> None:
@@ -62,7 +78,7 @@ def print_step(step: str) -> None:
 
 
 @contextmanager
-def show_progress(first_step: str = "") -> Iterator[ProgressCallback]:
+def show_progress(first_step: str = "") -> "Iterator[OnProgress]":
     """Show the current step on a terminal, with the completed fraction where it is known.
 
     Args:

@@ -1,11 +1,16 @@
 """`probedesign deploy`: freeze the estimator of a design with its geometry."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, show_progress
+from probedesign.cli.console import json_bytes, print_json, show_progress
+from probedesign.cli.options import EXPORTS
+from probedesign.core.files import write_atomically
+
+if TYPE_CHECKING:
+    from probedesign.probe import Probe
 
 
 def deploy(
@@ -23,10 +28,13 @@ def deploy(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
+    from probedesign.identification.design_update import design_diff
 
     with show_progress("freezing the probe"):
-        path = pipeline.deploy(design, out)
-        unapplied = pipeline.unapplied_parameters(design)
+        probe = pipeline.load_probe(design)
+        path = write_bundle(probe, out)
+        identified = EXPORTS / probe.design.name / "identification/identification.json"
+        unapplied = design_diff(probe.design, probe.geometry.fingerprint, identified)
     if as_json:
         print_json({"file": path, "identified_apart": unapplied})
         return
@@ -36,3 +44,21 @@ def deploy(
             f"note: the frozen probe has the values of {design}, which differ from the identified ones: {unapplied}. "
             "To write those, run identify with --write or --out"
         )
+
+
+def write_bundle(probe: "Probe", out: Path | None) -> Path:
+    """Write the frozen probe and return its file, which may replace a frozen probe only.
+
+    Raises:
+        InputError: another file has that name, or the parts exported beside it have another geometry.
+    """
+    from probedesign import pipeline
+    from probedesign.frozen_probe import check_manifest, check_replaceable
+
+    path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
+    check_replaceable(path)
+    manifest = path.parent / "manifest.json"
+    if manifest.exists():
+        check_manifest(probe.geometry.fingerprint, manifest)
+    write_atomically(path, json_bytes(pipeline.freeze(probe), indent=2))
+    return path

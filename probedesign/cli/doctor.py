@@ -22,7 +22,7 @@ ENABLES = {
     "view": "live --view: the 3D page of the probe",
     "vision": "markers: detection in photographs",
 }
-"""Features that each extra enables; "" stands for the required packages."""
+"""Features that each extra enables; "" is for the required packages."""
 
 
 def doctor(*, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:

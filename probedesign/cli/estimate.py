@@ -1,4 +1,4 @@
-"""`probedesign estimate`: locate the contacts of a recording."""
+"""`probedesign estimate` and `probedesign recover`: the contacts of a recording, and repair of a recording."""
 
 import sys
 from collections.abc import Iterable
@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_note, show_progress
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite, write_atomically
 
 if TYPE_CHECKING:
     from probedesign.live.processing.blocks import WrenchReading
@@ -57,20 +58,18 @@ def estimate(
             the surface; inf: any direction.
         as_json: print one JSON document with the rows and their metadata.
     """
-    from probedesign.cli.options import loaded_estimator
-    from probedesign.core.files import write_atomically
-    from probedesign.live.offline import estimate_recording
+    from probedesign import pipeline
     from probedesign.live.processing.tare import parse_window
     from probedesign.live.run import describe_counts, warm_up
     from probedesign.live.sources.replay import RecordingOptions
 
     _check_out(out, recording, force)
     window = parse_window(tare_s) if tare_s is not None else None
-    estimator = loaded_estimator(bundle, manifest, exact_model, friction)
+    estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
     options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = estimate_recording(estimator, recording, window, average, _track, mend, options, method)
+    estimates = pipeline.estimate(estimator, recording, window, average, method, mend, options, _track)
     for note in estimates.notes:
         print_note(note)
     if out is not None:
@@ -84,13 +83,7 @@ def estimate(
 
 
 def _check_out(out: Path | None, recording: Path, force: bool) -> None:
-    """Check that the output file is new or may be replaced, and is not the recording.
-
-    Raises:
-        InputError: otherwise.
-    """
-    from probedesign.core.files import check_overwrite
-
+    """Refuse an output file that exists and may not be replaced, or that is the recording."""
     if out is None:
         return
     if out.exists() and recording.exists() and out.samefile(recording):
@@ -106,3 +99,40 @@ def _track(readings: "list[WrenchReading]") -> "Iterable[WrenchReading]":
     from rich.progress import track
 
     return track(readings, "estimating", console=Console(stderr=True), transient=True)
+
+
+def recover(
+    recording: Path,
+    /,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+    as_json: Annotated[bool, Parameter(name="--json")] = False,
+) -> None:
+    """Copy the readable part of an MCAP recording that was cut off into a new file.
+
+    If a recorder is killed or the disk is full, the file has no end. replay and estimate read it up to there; other
+    tools refuse it, but open the new file. The original is not changed. See docs/recording-format.md.
+
+    Args:
+        recording: the MCAP file.
+        out: output file. Default: NAME-recovered.mcap.
+        force: replace an existing output file.
+        as_json: print one JSON document.
+    """
+    from probedesign.live.recordings import require
+
+    require()
+    from probedesign.live.recordings.mcap_read import recover as write_recovered
+
+    recovered = write_recovered(
+        recording, out or recording.with_name(f"{recording.stem}-recovered.mcap"), force
+    )
+    if as_json:
+        print_json(recovered)
+        return
+    extent = f"{recovered.messages} messages over {recovered.seconds:.3f} s"
+    if recovered.path is None:
+        print(f"{recording} is complete: {extent}; no file was written")
+    else:
+        print(f"wrote {recovered.path}: {extent}; damage of {recording}: {recovered.damage}")

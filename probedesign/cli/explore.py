@@ -1,6 +1,5 @@
 """`probedesign explore`: locate touches from a moving base as points of the world."""
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,18 +11,19 @@ from probedesign.cli.console import (
     print_json,
     print_note,
     show_progress,
+    write_files,
 )
 from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
     from probedesign.core.frames import Array
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.poses.base_poses import BasePoses
-    from probedesign.live.processing.scheduler import ProcessingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
-    from probedesign.mapping.explore import Exploration
+    from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.reports.map_picture import MapScene
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg")
@@ -63,25 +63,33 @@ def explore(
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         as_json: print one JSON document with the points and their uncertainty.
     """
-    from probedesign.frozen_probe import load_estimator, load_model
-    from probedesign.mapping.explore import Exploration, parse_min_separation
+    from probedesign import pipeline
+    from probedesign.mapping.explore import parse_min_separation
     from probedesign.reports.map_picture import MapScene
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearsal is not None and rehearsal.rehearse is not None:
-        model = load_model(bundle, manifest)
+        model = pipeline.load_estimator(bundle, manifest).model
         written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
         return print(f"wrote {', '.join(map(str, written))}")
     processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
     if out is not None:
         _check_out(out, force)
-    estimator = load_estimator(bundle, manifest)
+    estimator = pipeline.load_estimator(bundle, manifest)
     model, base_uncertainty = estimator.model, base.base(estimator.model)
     source, poses = _open(estimator, recording, reading, base)
     for note in (source.title, *source.notes, poses.title, *poses.notes, base_uncertainty.notice):
         print_note(note)
-    exploration = Exploration(estimator, base_uncertainty.apply_to(estimator.priors), apart)
-    _run(exploration, source, processing, poses, print_touches=recording is None)
+    priors = base_uncertainty.apply_to(estimator.priors)
+    on_touch = _print_touch if recording is None else lambda touch: None
+    with interrupt_on_termination():
+        exploration = pipeline.explore(
+            estimator, source, processing, poses, print_note, priors, apart, on_touch
+        )
+    if exploration.n_without_pose:
+        print_note(
+            f"{exploration.n_without_pose} of {exploration.n_readings} readings have no base pose and are ignored"
+        )
     cloud, probe = exploration.map(), f"{model.name} {model.fingerprint}"
     if out is not None:
         notes = [source.title, f"probe {probe}", _summary(cloud), base_uncertainty.summary]
@@ -90,13 +98,7 @@ def explore(
 
 
 def _check_out(out: Path, force: bool) -> None:
-    """Check that the files can be written to a folder.
-
-    Raises:
-        InputError: `out` is a file, cannot be written to, or has one of the files and `force` is not set.
-    """
-    from probedesign.core.files import check_overwrite, check_writable
-
+    """Refuse a folder that cannot be written to, or that has one of the files if `force` is not set."""
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file; choose a folder")
     check_writable(out / FILES[0])
@@ -117,30 +119,9 @@ def _open(
         return reading.open(recording, estimator.model, poses, print_note), poses
 
 
-def _run(
-    exploration: "Exploration",
-    source: "Source",
-    processing: "ProcessingOptions",
-    poses: "BasePoses",
-    print_touches: bool,
-) -> None:
-    """Collect touches until the source ends or Ctrl-C; the touches up to then are kept.
-
-    Args:
-        exploration: collects the touches.
-        source: yields the readings.
-        processing: tare, averaging and duration.
-        poses: poses of the base.
-        print_touches: print a note at the end of each touch.
-    """
-    with interrupt_on_termination(), suppress(KeyboardInterrupt):
-        for touch in exploration.run(source, processing, poses, print_note):
-            if print_touches:
-                print_note(f"touch {touch.segment.number} ended: {touch.result}")
-    if exploration.n_without_pose:
-        print_note(
-            f"{exploration.n_without_pose} of {exploration.n_readings} readings have no base pose and are ignored"
-        )
+def _print_touch(touch: "LocatedTouch") -> None:
+    """Print a note at the end of a touch of a live run."""
+    print_note(f"touch {touch.segment.number} ended: {touch.result}")
 
 
 def _true_outlines(source: "Source") -> "tuple[Array, ...]":
@@ -153,23 +134,14 @@ def _true_outlines(source: "Source") -> "tuple[Array, ...]":
 
 
 def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
-    """Write table, points, page and picture.
-
-    Args:
-        out: the folder.
-        scene: the points, and the true outlines of a simulation.
-        probe: its name and fingerprint.
-        notes: lines about the origin of the points, for the page.
-    """
-    from probedesign.core.files import write_atomically
+    """Write table, points, page and picture; `notes` on the origin of the points are for the page."""
     from probedesign.mapping.map_files import map_csv, map_ply
     from probedesign.reports.map_page import map_page
     from probedesign.reports.map_picture import map_svg
 
     contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, f"probedesign explore, probe {probe}"),
                 map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene))  # fmt: skip
-    for name, content in zip(FILES, contents, strict=True):
-        write_atomically(out / name, content)
+    write_files(out, zip(FILES, contents, strict=True))
 
 
 def _print(cloud: "ContactMap", out: Path | None, as_json: bool) -> None:

@@ -27,8 +27,9 @@ def export(
         as_json: print the manifest instead of a summary.
     """
     from probedesign import pipeline
+    from probedesign.design import load_design
 
-    manifest = pipeline.export(design, out, print_step)
+    manifest = pipeline.export(load_design(design), out, print_step)
     if as_json:
         print_json(manifest)
     else:

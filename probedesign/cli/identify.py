@@ -1,11 +1,13 @@
 """`probedesign identify`: identify E, G and other parameters from tests of a print."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import plural, print_json, print_table, show_progress
+from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
+from probedesign.cli.options import EXPORTS
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,19 +43,26 @@ def identify(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
+    from probedesign.campaigns import read_campaign
+    from probedesign.design import load_design
+    from probedesign.identification.parameters import check_requested
 
     if write and out is not None:
         raise InputError("--write changes the design file and --out writes another one; choose one of them")
-    names = [name for name in (part.strip() for part in for_.split(",")) if name]
+    names: Sequence[str] = [name for name in (part.strip() for part in for_.split(",")) if name]
     with show_progress("identifying"):
-        found, files = pipeline.identify(design, data, names, folder, page)
+        start = load_design(design)
+        names = check_requested(names)
+        found = pipeline.identify(start, read_campaign(data), names)
+        place = EXPORTS / start.name / "identification" if folder is None else folder
+        files = write_files(place, _files(found, page))
     if not as_json:
         _print(found)
         print("wrote", ", ".join(map(str, files)))
     changes: tuple[Change, ...] = ()
     path = backup = refused = None
     try:
-        changes, path, backup = pipeline.write_identified(found, design, out, write, force)
+        changes, path, backup = _write_design(found, design, out, write, force)
     except InputError as error:
         if write or out is not None:
             raise
@@ -74,6 +83,47 @@ def identify(
         print(f"kept the former {out} as {backup}")
     if refused is not None:  # raised last, so that all results are printed first
         raise refused
+
+
+def _files(found: "Identification", page: bool) -> Iterator[tuple[str, bytes]]:
+    """Yield the names and contents of the files of an identification."""
+    yield "identification.json", json_bytes(found.as_dict(), ascii_only=False)
+    yield "residuals.csv", found.csv()
+    if page:
+        from probedesign.reports.identification_page import identification_page
+
+        yield "identification.html", identification_page(found)
+
+
+def _write_design(
+    found: "Identification", design_path: Path, out: Path | None, write: bool, force: bool
+) -> "tuple[tuple[Change, ...], Path | None, Path | None]":
+    """Write identified parameters into a design file, which keeps its comments, its layout and the former values.
+
+    Returns:
+        The changes; the file written, if any; the backup of the file `out`, if there was one.
+    """
+    from datetime import date
+
+    from probedesign.core.files import backup
+    from probedesign.design import load_design
+    from probedesign.design.edit import edit_text
+    from probedesign.design.io import write_design
+    from probedesign.identification.design_update import check_overwritable, design_changes
+
+    design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
+    day = date.today().isoformat()
+    changes = design_changes(found, design, day)
+    result = edit_text(text, changes, day, str(design_path))
+    if not write and out is None:
+        return changes, None, None
+    if out is None:
+        check_overwritable(design, text, changes, str(design_path), force)
+        write_design(result, design_path, force=True)
+        return changes, design_path, None
+    kept = backup(out) if force else None
+    write_design(result, out, force=force)
+    return changes, out, kept
 
 
 def _print(found: "Identification") -> None:

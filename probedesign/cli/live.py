@@ -79,18 +79,18 @@ def live(
         lines: print one line per estimate on a terminal, too.
         as_json: print each estimate as one line of JSON.
     """
-    from probedesign.cli.options import loaded_estimator
+    from probedesign import pipeline
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.open_poses import open_poses
     from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
     from probedesign.live.processing.tare import parse_window
-    from probedesign.live.run import estimate_stream, warm_up
+    from probedesign.live.run import warm_up
     from probedesign.live.sources.source import open_source
 
     window = parse_window(tare_s) if tare_s is not None else None
     processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method)
-    estimator = loaded_estimator(bundle, manifest, exact_model, friction)
+    estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     settings = {
         "source": source,
         "tare_s": tare_s or "",
@@ -118,7 +118,7 @@ def live(
             sinks.log(note)
         commands = CommandQueue()
         outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
-        updates = estimate_stream(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
+        updates = pipeline.live(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
         source_ended = _print(updates, sinks.log, as_json, live_table)
         if view and source_ended and _is_terminal():
             sinks.log("the run ended; the page stays open until Ctrl-C")
@@ -134,14 +134,8 @@ def _print(
 ) -> bool:
     """Print one line per estimate and, after the end or Ctrl-C, the number of estimates per result code.
 
-    Args:
-        updates: the estimates.
-        log: takes the summary.
-        as_json: print each estimate as JSON.
-        live_table: a sink shows the estimates, so no lines are printed.
-
     Returns:
-        True if the estimates ended without an interruption.
+        Whether the estimates ended without an interruption.
     """
     from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
     from probedesign.live.run import count_results, describe_counts

@@ -1,7 +1,7 @@
 """Entry point of the command line: the list of commands, error messages and exit statuses.
 
-Each command is a module of this package that is imported when the command is called, so the help of one command never
-waits for the numerics of another.
+The module of a command is imported when the command is called, so the help of one command never waits for the numerics
+of another.
 """
 
 import os
@@ -37,8 +37,14 @@ COMMANDS = {
 """Commands in the order of the chain, each with its line of help. Kept here because reading it from the commands would
 import them all."""
 
-FUNCTIONS = {"print": "print_job"}
-"""Module and function of a command whose name is taken in Python."""
+FUNCTIONS = {
+    "check": "printing:check",
+    "print": "printing:print_job",
+    "sweep": "compare:sweep",
+    "markers": "campaign:markers",
+    "recover": "estimate:recover",
+}
+"""Module and function of a command, where they do not have its name."""
 
 DEBUG = "PROBEDESIGN_DEBUG"
 INTERRUPTED = 130
@@ -59,8 +65,8 @@ def build_app() -> App:
         result_action="return_value",
     )
     for sort_key, (name, line) in enumerate(COMMANDS.items()):
-        function = FUNCTIONS.get(name, name)
-        app.command(f"probedesign.cli.{function}:{function}", name=name, help=line, sort_key=sort_key)
+        function = FUNCTIONS.get(name, f"{name}:{name}")
+        app.command(f"probedesign.cli.{function}", name=name, help=line, sort_key=sort_key)
     return app
 
 

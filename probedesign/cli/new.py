@@ -1,14 +1,20 @@
 """`probedesign new`: write a design file from a few dimensions, and predict its performance."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
 from probedesign.core.errors import InputError
+from probedesign.core.units import MM
+
+if TYPE_CHECKING:
+    from probedesign.design import Design
 
 FOLDER = Path("designs")
+SUMMARY_TOUCH = (0.8, 0.010, "+y")
+"""Fraction of the length, force [N] and direction of the touch that is reported: light, and near the tip."""
 OPTIONS = {
     "probe.length_mm": "--length",
     "probe.base_d_mm": "--base-d",
@@ -88,14 +94,37 @@ def new(
     path = FOLDER / f"{design.name}.toml"
     write_design(render_design(design, notes), path, force)
     with show_progress("predicting its performance"):
-        from probedesign import pipeline
-
-        summary = pipeline.summary(design)
-    document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **summary}
+        figures = summary(design)
+    document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **figures}
     if as_json:
         print_json(document)
     else:
         _print(document, tip_note=notes.get("probe.tip_d_mm"))
+
+
+def summary(design: "Design") -> dict[str, Any]:
+    """Return the main figures of a design: mass, sag, print check and expected contact error."""
+    from probedesign import pipeline
+    from probedesign.prediction.predict import predict_touch, tip_sag_mm
+    from probedesign.probe import build_probe
+
+    probe = build_probe(design)
+    estimator = probe.estimator()
+    fraction, force_N, direction = SUMMARY_TOUCH
+    touch = predict_touch(estimator, fraction, force_N, direction)
+    found = pipeline.check(design)
+    return {
+        "mass_g": 1e3 * probe.mass,
+        "sag_mm": tip_sag_mm(estimator),
+        "thinnest_mm": probe.geometry.thinnest / MM,
+        "fits_upright": found.fits,
+        "printer": found.printer,
+        "print_check": found.as_record(),
+        "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,
+        "expected_error_condition": f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
+        f"of {design.sensor.averaging_samples} samples ({touch.result})",
+        "assumptions": list(design.assumptions),
+    }
 
 
 def _in_options(message: str) -> str:

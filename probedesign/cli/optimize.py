@@ -1,18 +1,21 @@
 """`probedesign optimize`: optimize the shape of a probe for a task."""
 
 import math
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, show_progress
+from probedesign.cli.console import print_json, show_progress, write_files
 from probedesign.cli.options import TaskOptions
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
+    from probedesign.core.parallel import OnProgress
     from probedesign.optimization.confirm import MonteCarloCheck
-    from probedesign.optimization.optimum import Optimum
+    from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult, Optimum
     from probedesign.optimization.pareto import ParetoFront
 
 MAX_SHOWN_CASES = 6
@@ -58,7 +61,6 @@ def optimize(
         force: replace an existing output file.
         as_json: print one JSON document.
     """
-    from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.optimization.constraints import check_limits, parse_limit
     from probedesign.optimization.optimum import OptimizationProblem
@@ -73,12 +75,61 @@ def optimize(
         start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
     )
     with show_progress() as on_progress:
-        found = pipeline.optimize(search, out, force, confirm, pareto, seed, on_progress)
+        found = _run(
+            search,
+            out or Path("designs") / f"{start.name}-best.toml",
+            force,
+            confirm,
+            pareto,
+            seed,
+            on_progress,
+        )
     if as_json:
         print_json(found.as_dict())
     else:
         _print(found.optimum, found.confirmed, found.front)
         print("wrote", ", ".join(map(str, found.files)))
+
+
+def _run(
+    search: "OptimizationProblem",
+    path: Path,
+    force: bool,
+    draws: int,
+    trials: int,
+    seed: int,
+    on_progress: "OnProgress",
+) -> "OptimizeResult":
+    """Write the optimum to `path`, checked by Monte Carlo simulation, with its Pareto front and a comparison.
+
+    `draws` are the samples per case and `trials` the cones of the front; 0 is for none.
+    """
+    from probedesign import pipeline
+    from probedesign.design.io import write_design
+    from probedesign.optimization.optimum import OptimizeResult, design_text
+    from probedesign.optimization.pareto import check_installed, pareto_front
+
+    check_overwrite(path, force)
+    check_writable(path)  # before the search, which takes a minute
+    if trials:
+        check_installed()
+    best = pipeline.optimize(search, path.stem, on_progress)
+    write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
+    files, confirmed = [path], None
+    try:
+        if draws:
+            confirmed = pipeline.confirm(search, best, draws, seed, on_progress)
+        front = pareto_front(search, trials, seed, on_progress, best) if trials else None
+    except InputError as error:
+        raise InputError(f"{path} is written, but {error}") from None
+    if front is not None:
+        files += write_files(path.parent, [(f"{path.stem}-front.csv", front.csv())])
+    if find_spec("matplotlib") is not None:
+        from probedesign.reports.comparison_page import compare, comparison_page
+
+        page = comparison_page(compare([search.start, best.design], best.task), best.task)
+        files += write_files(path.parent, [(f"{path.stem}-compared.html", page)])
+    return OptimizeResult(search, best, confirmed, front, tuple(files))
 
 
 def _print(

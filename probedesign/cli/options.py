@@ -1,7 +1,6 @@
 """Options that several commands share, or that form a group of their own.
 
-The field names are the names of the options and the docstrings below them are their help texts. `loaded_estimator`
-applies the options that `estimate` and `live` have in common.
+The field names are the names of the options and the docstrings below them are their help texts.
 """
 
 from collections.abc import Callable
@@ -15,7 +14,6 @@ from probedesign.cli.console import show_progress
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.estimation.estimator import Estimator
     from probedesign.estimation.model import ProbeModel
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
@@ -23,6 +21,8 @@ if TYPE_CHECKING:
     from probedesign.mapping.base_pose import BasePoseUncertainty
     from probedesign.optimization.task import Task
 
+EXPORTS = Path("exports")
+"""Default folder of the files: exports/NAME."""
 Origin = Literal["sensor", "base"]
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 
@@ -113,9 +113,6 @@ class ReadingOptions:
     def processing(self, recording: Path | None) -> "ProcessingOptions":
         """Return how the readings are processed.
 
-        Args:
-            recording: the recording, None for a live source.
-
         Raises:
             InputError: there is no input, or more than one; there is no tare; or a value is out of range.
         """
@@ -136,13 +133,7 @@ class ReadingOptions:
     def open(
         self, recording: Path | None, model: "ProbeModel", poses: "BasePoses", log: Callable[[str], None]
     ) -> "Source":
-        """Return the opened recording or live source.
-
-        Args:
-            recording: the recording, None for a live source.
-            model: the probe that the readings are from.
-            poses: poses of the base; their time span is compared with the recording's.
-            log: takes notes for the user.
+        """Return the opened recording, or the live source if `recording` is None.
 
         Raises:
             InputError: it cannot be opened, or its times are not those of the poses.
@@ -182,10 +173,7 @@ class BaseOptions:
     """Standard deviation of the base's rotation about its z axis [deg]. Default: the design's, or 0.5 (assumed)."""
 
     def base(self, model: "ProbeModel") -> "BasePoseUncertainty":
-        """Return the uncertainty of the base's pose.
-
-        Args:
-            model: its tolerances are the defaults.
+        """Return the uncertainty of the base's pose; the tolerances of the model are the defaults.
 
         Raises:
             InputError: a value is out of range.
@@ -197,10 +185,7 @@ class BaseOptions:
         return replace(BasePoseUncertainty.from_model(model), **stated)
 
     def poses(self, log: Callable[[str], None]) -> "BasePoses | None":
-        """Return the poses; None for a fixed base.
-
-        Args:
-            log: takes notes for the user.
+        """Return the poses, None for a fixed base.
 
         Raises:
             InputError: the poses cannot be opened.
@@ -228,16 +213,7 @@ class RehearsalOptions:
     def write(
         self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool
     ) -> tuple[Path, ...]:
-        """Simulate the run and write its files.
-
-        Args:
-            folder: folder of the files.
-            model: the simulated probe.
-            base: uncertainty from which the error of the base's pose is drawn.
-            force: replace existing files.
-
-        Returns:
-            The files.
+        """Simulate the run, write its files and return them; the error of the base's pose is drawn from `base`.
 
         Raises:
             InputError: seed or friction are out of range, the probe cannot touch the house, or files exist already.
@@ -259,27 +235,3 @@ class RehearsalOptions:
             errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)
             run = simulate_run(model, touch_targets(), rng, errors)
             return write_run(run, model, folder, rng, force)
-
-
-def loaded_estimator(
-    bundle: Path, manifest: Path | None, exact_model: bool, friction: float | None
-) -> "Estimator":
-    """Return the estimator of a frozen probe with the options of `estimate` and `live` applied.
-
-    Args:
-        bundle: NAME.probe.json.
-        manifest: manifest.json of the printed parts, whose geometry is compared with the bundle's.
-        exact_model: treat probe, mount and bench as exactly known. The drift of the sensor's bias still counts: a
-            reading that the drift alone explains must not be located.
-        friction: standard deviation of the friction prior; None keeps the bundle's.
-
-    Raises:
-        InputError: the file is unreadable, or the friction is NaN or below 0.
-    """
-    from probedesign.estimation.tolerances import Tolerances
-    from probedesign.frozen_probe import load_estimator
-
-    estimator = load_estimator(bundle, manifest)
-    if exact_model:
-        estimator = estimator.with_tolerances(Tolerances.exact_probe(estimator.model))
-    return estimator if friction is None else estimator.with_friction(friction)

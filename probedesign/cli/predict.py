@@ -1,12 +1,14 @@
 """`probedesign predict`: predict sensitivity and contact error of a design."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, print_table, show_progress
+from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
+from probedesign.cli.options import EXPORTS
 from probedesign.core.errors import InputError, MissingDependencyError
 
 if TYPE_CHECKING:
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from probedesign.prediction.predict import Condition, Prediction
     from probedesign.prediction.table_one import AgreementScore, TableOne
     from probedesign.prediction.workspace import Workspace
+    from probedesign.probe import Probe
 
     AnyCondition = Condition | FusedCondition
 
@@ -75,7 +78,13 @@ def predict(
         return
     schedule = PressSchedule(touches, None if forces_too else "sensor")
     with show_progress() as on_progress:
-        prediction, files = pipeline.predict(design, out, plots, monte_carlo, seed, on_progress, schedule)
+        probe = pipeline.load_probe(design)
+        folder = EXPORTS / probe.design.name if out is None else out
+        on_progress("predicting", None)
+        prediction = pipeline.predict(probe, schedule)
+        if monte_carlo is not None:
+            prediction = pipeline.sample_prediction(probe, prediction, monte_carlo, seed, folder, on_progress)
+        files = write_files(folder, prediction_files(probe, prediction, plots))
     if as_json:
         print_json(prediction.as_dict())
         return
@@ -84,6 +93,27 @@ def predict(
     print("wrote", ", ".join(map(str, files)))
     if plots is None and not any(file.suffix == ".png" for file in files):
         print("no picture was written:", MissingDependencyError.of_extra("a plot", "matplotlib", "plots"))
+
+
+def prediction_files(
+    probe: "Probe", prediction: "Prediction", plots: bool | None = None
+) -> Iterator[tuple[str, bytes]]:
+    """Yield names and contents of the files of a prediction; for `plots` see `predict`."""
+    from probedesign.prediction.predict import along_csv, conditions_csv
+
+    yield "prediction.json", json_bytes(prediction.as_dict())
+    yield "prediction.csv", conditions_csv(prediction)
+    yield "prediction-along.csv", along_csv(prediction)
+    if plots is False:
+        return
+    from probedesign.reports.prediction_page import prediction_page
+
+    estimator = probe.estimator()
+    yield "prediction.html", prediction_page(prediction, estimator)
+    if plots or find_spec("matplotlib") is not None:
+        from probedesign.reports.png import draw_prediction
+
+        yield "prediction.png", draw_prediction(prediction, estimator)
 
 
 def _print_properties(prediction: "Prediction") -> None:
@@ -171,14 +201,7 @@ def _sensitivity_table(prediction: "Prediction") -> str:
 def _print_budget(
     prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str
 ) -> None:
-    """Print the error budget of the worst direction at each located place.
-
-    Args:
-        prediction: it has the places.
-        conditions: of one reading, or of fused touches.
-        force_N: wanted contact force [N]; the nearest force of the grid is used.
-        kind: name of the conditions, before the force.
-    """
+    """Print the error budget of the worst direction at each located place, for the force nearest to `force_N` [N]."""
     worst = _worst_directions(conditions, force_N)
     if not worst:
         print(f"\nError budget of {kind} this force: none, no place is located")
@@ -187,13 +210,14 @@ def _print_budget(
     print(f"\nError budget [mm], RMS of {kind} {force_mN:g} mN by error source, worst direction")
     places = sorted(worst)
     print("  s/L               " + "".join(f"{place:>7g}" for place in places))
-    rows: list[tuple[str, Callable[[AnyCondition], float | None]]] = [
-        (cause, lambda c, cause=cause: (c.budget_mm or {})[cause])  # type: ignore[misc]
-        for cause in next(iter(worst.values())).budget_mm or {}
-    ]
-    rows += [("all", lambda c: c.predicted_error_mm), ("95 % radius", lambda c: c.predicted_error_95_mm)]
-    for name, value in rows:
-        print(f"  {name:<18}" + "".join(_small_cell(value(worst[place]), 7) for place in places))
+    rows: dict[str, list[float | None]] = {
+        cause: [(worst[place].budget_mm or {})[cause] for place in places]
+        for cause in worst[places[0]].budget_mm or {}
+    }
+    rows["all"] = [worst[place].predicted_error_mm for place in places]
+    rows["95 % radius"] = [worst[place].predicted_error_95_mm for place in places]
+    for name, values in rows.items():
+        print(f"  {name:<18}" + "".join(_small_cell(value, 7) for value in values))
     missing = ", ".join(
         f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst))
     )

@@ -1,12 +1,16 @@
 """`probedesign validate`: compare a frozen probe's estimates with a reference."""
 
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, print_note, show_progress
+from probedesign.cli.console import json_bytes, print_json, print_note, show_progress, write_files
+from probedesign.cli.options import EXPORTS
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_writable
 
 if TYPE_CHECKING:
     from probedesign.validation.validate import ValidationReport
@@ -33,18 +37,31 @@ def validate(
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
+    from probedesign.campaigns import read_campaign
+    from probedesign.validation.validate import MultiProbeReport, check_names
 
     pairs = _pairs(bundles_and_data)
-    reports: tuple[ValidationReport, ...]
+    found, files = [], list[Path]()
     with show_progress() as on_progress:
-        if len(pairs) == 1:
-            report, files = pipeline.validate(*pairs[0], out, exact_model, plots, on_progress)
-            reports, document = (report,), report.as_dict
-        else:
-            joined, files = pipeline.validate_all(pairs, out, exact_model, plots, on_progress)
-            reports, document = joined.validations, joined.as_dict
+        estimators = [pipeline.load_estimator(bundle) for bundle, _ in pairs]
+        if len(pairs) > 1:
+            check_names([estimator.model.name for estimator in estimators])
+        for estimator, (_, data) in zip(estimators, pairs, strict=True):
+            campaign, name = read_campaign(data), estimator.model.name
+            folder = EXPORTS / name / "validation" if out is None else out / name if len(pairs) > 1 else out
+            check_writable(folder / "validation.json")
+            report = pipeline.validate(estimator, campaign, exact_model, on_progress)
+            on_progress("drawing", None)
+            files += write_files(
+                folder, list(_files(report, plots))
+            )  # all or none, if a picture cannot be drawn
+            found.append(report)
+        reports = tuple(found)
+        joined = MultiProbeReport(reports)
+        if len(pairs) > 1:
+            files += write_files(out or EXPORTS, [("table1.csv", joined.csv())])
     if as_json:
-        print_json(document())
+        print_json(joined.as_dict() if len(pairs) > 1 else reports[0].as_dict())
         return
     _print(reports)
     print("wrote", ", ".join(map(str, files)))
@@ -58,6 +75,20 @@ def _pairs(paths: tuple[Path, ...]) -> list[tuple[Path, Path]]:
         raise InputError(f"{len(paths)} paths are given; validate needs pairs of a bundle and its data folder, "
                          "BUNDLE DATA")  # fmt: skip
     return list(zip(paths[::2], paths[1::2], strict=True))
+
+
+def _files(report: "ValidationReport", plots: bool | None) -> Iterator[tuple[str, bytes]]:
+    """Yield the names and contents of the files of one probe."""
+    yield "validation.json", json_bytes(report.as_dict())
+    yield "validation.csv", report.csv()
+    if plots is not False:
+        from probedesign.reports.validation_page import validation_page
+
+        yield "validation.html", validation_page(report)
+        if plots or find_spec("matplotlib") is not None:
+            from probedesign.reports.png import draw_validation
+
+            yield "validation.png", draw_validation(report)
 
 
 def _prefix(report: "ValidationReport", reports: "tuple[ValidationReport, ...]") -> str:

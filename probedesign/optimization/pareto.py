@@ -56,7 +56,7 @@ def check_installed() -> None:
         MissingDependencyError: optuna is not installed.
     """
     if find_spec("optuna") is None:
-        raise MissingDependencyError("--pareto needs optuna: pip install 'probedesign[optimize]'")
+        raise MissingDependencyError.of_extra("--pareto", "optuna", "optimize")
 
 
 def pareto_front(

@@ -213,7 +213,7 @@ def _require_tables() -> None:
 
 
 def _missing(name: str | None) -> MissingDependencyError:
-    return MissingDependencyError(f"sweep needs {name}: pip install 'probedesign[sweep]'")
+    return MissingDependencyError.of_extra("sweep", str(name), "sweep")
 
 
 def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[Path]:

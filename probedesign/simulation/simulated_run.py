@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import write_atomically
+from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.detector import DRIFT_STEPS
@@ -415,8 +415,7 @@ def write_run(
     """
     paths = tuple(folder / name for name in (recording, *FILES[1:]))
     for path in paths:
-        if path.exists() and not force:
-            raise InputError(f"{path}: exists; add --force to replace it, or name another folder")
+        check_overwrite(path, force)
     file = (
         CsvRecorder(paths[0], force)
         if recording.endswith(".csv")

@@ -1,4 +1,4 @@
-"""Frames: group axioms, and wrenches that do the same work whatever frame tells them."""
+"""Frames: group axioms, and wrenches whose power is the same in every frame."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_wrench_maps_follow_the_poses(T_a_b, T_b_c):
 
 @given(poses(), vectors, vectors, vectors, vectors)
 def test_power_is_the_same_in_every_frame(T_a_b, force_b, moment_b, v_b, w_b):
-    """A rigid body moves with twist (v at b's origin, w); the load's power may not depend on who tells it."""
+    """A rigid body moves with twist (v at b's origin, w); the load's power must not depend on the frame."""
     R, p = T_a_b[:3, :3], T_a_b[:3, 3]
     wrench_a = wrench_map(T_a_b) @ np.concatenate([force_b, moment_b])
     w_a = R @ w_b

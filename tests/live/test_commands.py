@@ -280,7 +280,7 @@ def test_nothing_of_the_design_side_is_imported(bundle, recording, arguments):
         "matplotlib",
         "tomlkit",
         "probedesign.design.schema",
-        "probedesign.pipeline",
+        "probedesign.probe",
     )
     name, *rest = [str(recording) if argument == "RECORDING" else argument for argument in arguments]
     code = (

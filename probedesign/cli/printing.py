@@ -1,15 +1,56 @@
-"""`probedesign print`: prepare the exported parts in PreForm and send them to a printer."""
+"""`probedesign check` and `probedesign print`: the print check of a design, and its print job in PreForm."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, print_table, show_progress
+from probedesign.cli.console import plural, print_json, print_table, show_progress
+from probedesign.cli.options import EXPORTS
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
+    from probedesign.printing.check import PrintCheck
     from probedesign.printing.preform.job import PreparedJob
+
+
+def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
+    """Check a design against the rules of its printer and its resins, before any CAD.
+
+    Exit status 1 if a rule finds an error; warnings do not change it. The rules, their sources and their confidence:
+    docs/printing.md.
+
+    Args:
+        design: the design file.
+        as_json: print one JSON document.
+    """
+    from probedesign import pipeline
+    from probedesign.design import load_design
+
+    found = pipeline.check(load_design(design))
+    if as_json:
+        passed = [finding.as_record() for finding in found.passed]
+        print_json(
+            {"name": found.name, "fingerprint": found.fingerprint, **found.as_record(), "passed": passed}
+        )
+    else:
+        _print_check(found)
+    return 1 if found.errors else 0
+
+
+def _print_check(found: "PrintCheck") -> None:
+    print(f"{found.name}  geometry {found.fingerprint}  {found.resin} on a {found.printer}")
+    for finding in (*found.errors, *found.warnings):
+        print(f"  {finding.severity:<7}  {finding.message}")
+        print(f"           {finding.rule}, {finding.confidence} confidence: {finding.source}")
+    print(
+        f"{plural(len(found.errors), 'error')}, {plural(len(found.warnings), 'warning')}; "
+        f"{len(found.passed)} of {len(found.findings)} checks passed"
+    )
+    print("\nadvice for printing")
+    for advice in found.advice:
+        print(f"  {advice}")
 
 
 def print_job(
@@ -47,22 +88,31 @@ def print_job(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.printing.preform.job import PrintOrder
+    from probedesign.design import load_design
+    from probedesign.printing.preform import job
+    from probedesign.printing.preform.client import PreForm, connection_to
 
     if send is not None and not (send.strip() and send.isprintable()):
         raise InputError(f"--send {send!r} is not the name of a printer")
     if not 1.0 <= timeout_s <= 86400.0:
         raise InputError(f"--timeout-s {timeout_s:g} is out of range; allowed is 1 ... 86400")
-    errors = [f.message for f in pipeline.check(design).errors if (f.part == "probe") == (parts == "probe")]
+    drawn = load_design(design)
+    errors = [f.message for f in pipeline.check(drawn).errors if (f.part == "probe") == (parts == "probe")]
     if errors and not force:
         raise InputError(f"{design}: the print check found errors: {'; '.join(errors)}. --force continues")
-    order = PrintOrder(parts, folder, server_folder, material, save_form, send, force)
+    order = job.PrintOrder(parts, folder, server_folder, material, save_form, send, force)
     with show_progress() as on_progress:
-        prepared = pipeline.prepare_print(design, preform, order, timeout_s, on_progress)
+        connection = connection_to(preform)
+        exported = job.load_job(drawn, folder or EXPORTS / drawn.name, parts)
+        places = job.path_mapping(exported.folder, server_folder, connection.local, connection.url)
+        if save_form is not None:
+            order = replace(order, form_file=job.check_form_file(save_form, places, force))
+        server = PreForm(connection, timeout_s, on_progress=on_progress)
+        prepared = job.prepare_job(server, exported, places, order)
     if as_json:
         print_json(_document(prepared, send))
     else:
-        _print(prepared, preform, send)
+        _print_job(prepared, preform, send)
     return 1 if prepared.problems and not force else 0
 
 
@@ -87,7 +137,7 @@ def _document(prepared: "PreparedJob", printer: str | None) -> dict[str, Any]:
     }
 
 
-def _print(prepared: "PreparedJob", preform: str, printer: str | None) -> None:
+def _print_job(prepared: "PreparedJob", preform: str, printer: str | None) -> None:
     selection, minutes = prepared.selection, round(prepared.print_time_s / 60.0)
     rows = {
         "job": f"{selection.material} on a {selection.printer}, {selection.setting}",
