@@ -24,10 +24,9 @@ from probedesign.design import Design, load_design
 if TYPE_CHECKING:
     from probedesign.design.edit import Change
     from probedesign.identification.result import Identification
-    from probedesign.optimization.grid import GridAxis
+    from probedesign.optimization.objective import Task
     from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult
-    from probedesign.optimization.sweep import SweepResult
-    from probedesign.optimization.task import Task
+    from probedesign.optimization.sweep import GridAxis, SweepResult
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
     from probedesign.prediction.table_one import TableOne
@@ -234,9 +233,14 @@ def optimize(
 ) -> "OptimizeResult":
     """Find the best body for a task; write its design file, checked by Monte Carlo, and a Pareto front."""
     from probedesign.design.io import write_design
-    from probedesign.optimization.confirm import confirm
-    from probedesign.optimization.optimum import OptimizeResult, design_text, optimum
-    from probedesign.optimization.pareto import check_installed, pareto_front
+    from probedesign.optimization.optimum import (
+        OptimizeResult,
+        check_installed,
+        confirm,
+        design_text,
+        optimum,
+        pareto_front,
+    )
 
     path = out or Path("designs") / f"{search.start.name}-best.toml"
     if path.exists() and not force:

@@ -11,9 +11,7 @@ from probedesign.cli.options import TaskOptions
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.optimization.confirm import MonteCarloCheck
-    from probedesign.optimization.optimum import Optimum
-    from probedesign.optimization.pareto import ParetoFront
+    from probedesign.optimization.optimum import MonteCarloCheck, Optimum, ParetoFront
 
 MAX_SHOWN_CASES = 6
 """Cases with a larger error than the start's that are printed."""

@@ -50,7 +50,7 @@ def sweep(
         start_forkserver(("distributed", "probedesign.optimization.sweep"))
 
     from probedesign import pipeline
-    from probedesign.optimization.grid import parse_axis
+    from probedesign.optimization.sweep import parse_axis
 
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
     try:

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array
-from probedesign.optimization.evaluator import SAFETY_FACTOR, DesignEvaluator, differences
+from probedesign.optimization.design_space import SAFETY_FACTOR, DesignEvaluator, differences
 
 Goal = Literal["error-at-force", "force-for-error"]
 LIMITED_METRICS = (

@@ -26,8 +26,8 @@ from probedesign.estimation.observation import covariance
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import radius_95, rms_of
-from probedesign.prediction.thresholds import ACCURACIES_MM, force_for_accuracy
 from probedesign.prediction.touches import Touches
+from probedesign.prediction.workspace import ACCURACIES_MM, force_for_accuracy
 
 MAX_TOUCHES = 20
 

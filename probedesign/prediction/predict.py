@@ -25,9 +25,14 @@ from probedesign.prediction.fused import (
     fused_conditions,
     fused_reach,
 )
-from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_thresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
-from probedesign.prediction.workspace import Workspace, workspace_of
+from probedesign.prediction.workspace import (
+    LADDER_N,
+    ForceThresholds,
+    Workspace,
+    force_thresholds,
+    workspace_of,
+)
 from probedesign.rod.equilibrium import Equilibrium
 
 __all__ = [

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from probedesign.mapping.contact_map import build_map
-from probedesign.mapping.map_files import map_document, map_lines
+from probedesign.mapping.contact_map import build_map, map_document, map_lines
 from probedesign.mapping.touch_point import NEVER_SETTLED, RESULT_MEANINGS, LocatedTouch
 from tests.mapping.synthetic_touches import BY_STIFFNESS, STD_E, touch
 

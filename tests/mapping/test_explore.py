@@ -12,8 +12,7 @@ from probedesign.cli.main import run
 from probedesign.core.units import MM
 from probedesign.frozen_probe import write_frozen
 from probedesign.live.poses.pose_file import POSE_COLUMNS
-from probedesign.mapping.contact_map import CHI2_95
-from probedesign.mapping.map_files import COLUMNS
+from probedesign.mapping.contact_map import CHI2_95, COLUMNS
 
 
 def arguments(probe, folder, *more, poses="poses.csv"):

@@ -10,8 +10,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.mapping.base_pose import BasePoseUncertainty
-from probedesign.mapping.touch_point import ConditionalPoint
+from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
 from probedesign.simulation.card_house import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
 

@@ -11,14 +11,16 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
 from probedesign.design.io import render_design
-from probedesign.optimization.confirm import confirm
 from probedesign.optimization.constraints import Limit, check_limits, parse_limit
-from probedesign.optimization.design_space import DesignSpace
-from probedesign.optimization.evaluator import DesignEvaluator, critical_load_factor, differences
-from probedesign.optimization.grid import design_dict
-from probedesign.optimization.objective import design_metrics, predict_task
-from probedesign.optimization.optimum import OptimizationProblem, optimum
-from probedesign.optimization.task import Task
+from probedesign.optimization.design_space import (
+    DesignEvaluator,
+    DesignSpace,
+    critical_load_factor,
+    differences,
+)
+from probedesign.optimization.objective import Task, design_metrics, predict_task
+from probedesign.optimization.optimum import OptimizationProblem, confirm, optimum
+from probedesign.optimization.sweep import design_dict
 from probedesign.prediction.predict import predict
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
@@ -266,7 +268,7 @@ def test_the_optimum_is_kept_where_no_front_is_found(large, tmp_path, capsys, mo
         raise InputError("none of 1 bodies keeps every limit")
 
     pytest.importorskip("optuna")
-    monkeypatch.setattr("probedesign.optimization.pareto.pareto_front", none)
+    monkeypatch.setattr("probedesign.optimization.optimum.pareto_front", none)
     out = tmp_path / "best.toml"
     arguments = ["--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
     assert run(["optimize", str(LARGE), *arguments]) == 2

@@ -10,10 +10,15 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
 from probedesign.design import load_design
-from probedesign.optimization.grid import design_dict, grid_points, parse_axis, with_values
-from probedesign.optimization.objective import METRICS
-from probedesign.optimization.sweep import _write_tables, evaluate_point
-from probedesign.optimization.task import Task
+from probedesign.optimization.objective import METRICS, Task
+from probedesign.optimization.sweep import (
+    _write_tables,
+    design_dict,
+    evaluate_point,
+    grid_points,
+    parse_axis,
+    with_values,
+)
 from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"

@@ -16,9 +16,14 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import CAUSES
-from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
+from probedesign.prediction.monte_carlo import (
+    MonteCarloPlan,
+    PrintSamples,
+    locate_draws,
+    perturbed_rod,
+    run_monte_carlo,
+)
 from probedesign.prediction.predict import predict, predict_touch
-from probedesign.prediction.print_samples import PrintSamples, perturbed_rod
 from probedesign.prediction.touches import SurfaceRod, slide
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force

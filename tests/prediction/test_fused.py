@@ -14,9 +14,8 @@ from probedesign.core.errors import InputError
 from probedesign.design import load_design
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
-from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
+from probedesign.prediction.monte_carlo import MonteCarloPlan, PrintSamples, locate_draws, run_monte_carlo
 from probedesign.prediction.predict import along_csv, conditions_csv, predict
-from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 
