@@ -24,8 +24,9 @@ from probedesign.design import Design, load_design
 if TYPE_CHECKING:
     from probedesign.design.edit import Change
     from probedesign.identification.result import Identification
+    from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.objective import Task
-    from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult
+    from probedesign.optimization.optimum import OptimizeResult
     from probedesign.optimization.sweep import GridAxis, SweepResult
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction

@@ -58,8 +58,7 @@ def optimize(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.optimization.constraints import check_limits, parse_limit
-    from probedesign.optimization.optimum import OptimizationProblem
+    from probedesign.optimization.constraints import OptimizationProblem, check_limits, parse_limit
 
     for name, count in (("--confirm", confirm), ("--pareto", pareto)):
         if not 0 <= count <= 100_000:

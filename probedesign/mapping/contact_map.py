@@ -104,7 +104,6 @@ def build_map(
         )
         for point, members in groups
     )
-    unlocated = tuple(touch for touch in touches if touch.point is None)
     names = groups[0][0].names if groups else ()
     log_E, var_E = 0.0, 1.0
     if "E" in names:
@@ -112,6 +111,7 @@ def build_map(
         log_E, var_E = float(common[i]), float(cov_common[i, i])
     stiffness = math.exp(youngs_modulus * log_E)
     std_stiffness = stiffness * youngs_modulus * math.sqrt(var_E)
+    unlocated = tuple(touch for touch in touches if touch.point is None)
     return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation)
 
 
@@ -143,6 +143,8 @@ def _closest_pair(points: Sequence[ConditionalPoint], min_separation: float) -> 
             best, smallest = (i, i + 1 + j), float(chi2[j])
     return best
 
+
+# Tables and text
 
 COVARIANCE_ENTRIES = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
 COLUMNS = (
@@ -252,7 +254,7 @@ def _cell(value: object) -> str:
     return f"{value:z.9g}" if isinstance(value, float) else str(value)
 
 
-# colours and PLY
+# Colours and PLY
 
 MIN_RMS_MM, MAX_RMS_MM = 0.2, 5.0
 """RMS errors at the ends of the colour scale, which is logarithmic [mm]."""
@@ -269,7 +271,7 @@ def rms_colour(rms_mm: float) -> tuple[int, int, int]:
     share = np.log(max(rms_mm, 1e-9) / MIN_RMS_MM) / np.log(MAX_RMS_MM / MIN_RMS_MM)
     at = np.clip(share, 0.0, 1.0) * (len(_SCALE) - 1)
     red, green, blue = (
-        round(float(np.interp(at, range(len(_SCALE)), part))) for part in zip(*_SCALE, strict=True)
+        round(float(np.interp(at, range(len(_SCALE)), part))) for part in np.transpose(_SCALE)
     )
     return red, green, blue
 
@@ -282,14 +284,9 @@ def map_ply(contact_map: ContactMap, title: str) -> bytes:
         title: one line for a comment.
     """
     lines = [
-        "ply",
-        "format ascii 1.0",
-        f"comment {' '.join(title.split())}",
-        "comment x y z in mm, world frame",
-        f"element vertex {len(contact_map.points)}",
-        *(f"property {name}" for name in _PLY_PROPERTIES),
-        "end_header",
-    ]
+        "ply", "format ascii 1.0", f"comment {' '.join(title.split())}", "comment x y z in mm, world frame",
+        f"element vertex {len(contact_map.points)}", *(f"property {name}" for name in _PLY_PROPERTIES), "end_header",
+    ]  # fmt: skip
     for point in contact_map.points:
         x, y, z = point.p_world / MM
         rms = point.rms / MM

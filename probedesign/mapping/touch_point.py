@@ -28,7 +28,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.observation import covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.live.processing.touches import BIAS_STEPS
-from probedesign.mapping.segmentation import StationaryInterval, TouchSegment
+from probedesign.mapping.segmentation import TouchSegment
 
 MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
 """Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point
@@ -43,7 +43,7 @@ class BasePoseUncertainty:
         base_offset_mm: of the position, constant for all poses, on each axis.
         base_repeat_mm: of the position at each pose, on each axis.
         tilt_deg: of the rotation about the base's x and y axes, constant for all poses.
-        clocking_deg: of the rotation about its z axis, likewise.
+        clocking_deg: of the rotation about its z axis, constant for all poses.
     """
 
     base_offset_mm: float = Tolerances.base_mm
@@ -71,12 +71,9 @@ class BasePoseUncertainty:
     def apply_to(self, tolerances: Tolerances) -> Tolerances:
         """Return tolerances of probe, sensor and mount with this uncertainty of the base pose."""
         return replace(
-            tolerances,
-            base_mm=self.base_offset_mm,
-            robot_mm=self.base_repeat_mm,
-            tilt_deg=self.tilt_deg,
+            tolerances, base_mm=self.base_offset_mm, robot_mm=self.base_repeat_mm, tilt_deg=self.tilt_deg,
             clocking_deg=self.clocking_deg,
-        )
+        )  # fmt: skip
 
     @property
     def rotation_std(self) -> Array:
@@ -245,23 +242,24 @@ def _fusion(
 ) -> Fusion | None:
     """Return the fusion; None if a wrench exceeds the sensor's range or the free probe has no stable equilibrium."""
     model = estimator.model
-    free = [interval for interval in (segment.free_before, segment.free_after) if interval is not None]
-    used = [(interval, True) for interval in segment.intervals]
-    if segment.free_before is not None:
-        used.insert(0, (segment.free_before, False))
-    if segment.free_after is not None:
-        used.append((segment.free_after, False))
+    around = [
+        (segment.free_before, False),
+        *((one, True) for one in segment.intervals),
+        (segment.free_after, False),
+    ]
+    used = [(interval, contact) for interval, contact in around if interval is not None]
     for interval, _ in used:
         wrench_sensor = model.to_sensor(interval.wrench, interval.gravity)
         if not (np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= model.saturation_limit).all()):
             return None
         if not estimator.free(interval.gravity).ok:
             return None
-    bias = UNKNOWN_BIAS_STEPS if free else BIAS_STEPS
-    readings = tuple(_reading(interval, contact, estimator) for interval, contact in used)
+    bias = BIAS_STEPS if all(contact for _, contact in used) else UNKNOWN_BIAS_STEPS
+    readings = tuple(
+        Reading(
+            interval.wrench, covariance(model, interval.wrench, interval.n_readings), interval.T_world_base,
+            interval.gravity, contact,
+        )
+        for interval, contact in used
+    )  # fmt: skip
     return Fusion(model, readings, replace(priors, drift_steps=bias), channels_of(model, None), gravity_world)
-
-
-def _reading(interval: StationaryInterval, contact: bool, estimator: Estimator) -> Reading:
-    cov = covariance(estimator.model, interval.wrench, interval.n_readings)
-    return Reading(interval.wrench, cov, interval.T_world_base, interval.gravity, contact)

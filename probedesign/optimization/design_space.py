@@ -18,7 +18,6 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
 from probedesign.optimization.objective import Task, predict_task, side_of
-from probedesign.optimization.sweep import design_dict
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import rules as limits
 from probedesign.probe import Probe, build_probe
@@ -39,13 +38,18 @@ DIGITS = 3
 """Decimals of a millimetre in a design file; no printer resolves the thousandth."""
 
 
+def design_dict(design: Design) -> dict[str, Any]:
+    """Return the tables of a design's file as plain data."""
+    tables: dict[str, Any] = design.model_dump(by_alias=True, exclude_none=True, mode="json")
+    return tables
+
+
 @dataclass(frozen=True)
 class DesignSpace:
     """Designs that differ from a start in their flexible part alone.
 
     A point x: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm] and ten times
-        the
-    section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
+    the section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
 
     Attributes:
         start: the design that the others differ from.
@@ -70,10 +74,10 @@ class DesignSpace:
             )
         if "section" in free and start.probe.section == "round":
             raise InputError(
-                "--over section: a round section has nothing to vary; start from a hollow or elliptic one"
+                "--over section: a round section does not vary; start from a hollow or elliptic one"
             )
         if "taper" in free and start.probe.tip == "rounded":
-            raise InputError('--over taper: is of blunt tips; start from tip = "blunt"')
+            raise InputError('--over taper: requires a blunt tip; start from tip = "blunt"')
         return cls(start, CONTROLS if "taper" in free else 2 if "cone" in free else 0, free)
 
     @property
@@ -107,9 +111,9 @@ class DesignSpace:
 
     def length_mm(self, x: Array) -> float:
         """Return the length of a point [mm]."""
-        return (
-            float(x[self.controls] * _UNIT["length"]) if "length" in self.free else self.start.probe.length_mm
-        )
+        if "length" in self.free:
+            return float(x[self.controls] * _UNIT["length"])
+        return self.start.probe.length_mm
 
     def ratio(self, x: Array) -> float | None:
         """Return the section's ratio, None where it is round."""
@@ -153,7 +157,8 @@ class DesignSpace:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
         if self.controls > 2:
-            rules["room for the clamp ring"] = (_max_ring_passage_mm(d[0]) - d) / limits.MIN_THICKNESS
+            passage = max_ring_passage_d(flange_for(d[0] * MM))
+            rules["room for the clamp ring"] = (passage / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
         spare = _ROUNDING_MARGIN if "section" in self.free else 0.0
@@ -187,15 +192,11 @@ class DesignSpace:
         return check_design(self.tables(x, digits))
 
 
-def _max_ring_passage_mm(base_d_mm: float) -> float:
-    """Return the largest diameter that the clamp ring of the flange passes, for a base diameter [mm]."""
-    return max_ring_passage_d(flange_for(base_d_mm * MM)) / MM
-
+# Buckling
 
 _WEAK_N = 1e-6
 _SQUARE = 2.0
-"""Power of the force by which the stiffness falls while it has fallen little; it does not depend on the force's
-sign."""
+"""Power of the force by which the stiffness falls at first: the sign of the force does not matter."""
 _NONE_LOST = 1e-3
 """Smallest relative loss of stiffness that is resolved: far from buckling the critical load needs no precision."""
 _SHORT = 0.97
@@ -260,8 +261,7 @@ _EXACT = 12  # decimals: dimensions are not rounded noticeably
 _SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
 SAFETY_FACTOR = 1.25
 """Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
-print
-may be softer than designed by several times the 3 % standard deviation of E (assumed)."""
+print may be softer than designed by several times the 3 % standard deviation of E (assumed)."""
 _NO_SLIDE_MM = 1e-3
 """Slide below which an object counts as stationary."""
 _MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit
@@ -313,13 +313,13 @@ class DesignEvaluator:
         return self.metrics(x)["error_mm"] < INFEASIBLE["error_mm"]
 
     def _evaluate(self, x: Array) -> dict[str, float]:
-        length = {"length_mm": self.space.length_mm(x)}
+        found = {**INFEASIBLE, "length_mm": self.space.length_mm(x), "mass_g": 1e3}
         try:
             probe = self.probe(x)
             model = probe.model
         except InputError:
-            return INFEASIBLE | length | {"mass_g": 1e3}
-        found = {**INFEASIBLE, **length, "mass_g": 1e3 * probe.mass}
+            return found
+        found["mass_g"] = 1e3 * probe.mass
         task = self.task_at(x)
         touched = predict_task(model, task)
         error = task.combined(touched.errors)
@@ -346,14 +346,10 @@ class DesignEvaluator:
         consists of first derivatives of the rod, so its gradient would need second ones, which the rod lacks.
         """
         if name in ("sag_mm", "reach_mm") and not {"length", "section"} & set(self.space.free):
-            found = np.zeros(len(x))
             exact = self._sag_and_reach_gradients(x)
             if exact is not None:
-                found[: self.space.controls] = exact[name]
-                return found
-        if name in ("mass_g", "length_mm"):
-            return differences(lambda y: self.metrics(y)[name], x, central=True)
-        return differences(lambda y: self.metrics(y)[name], x, central=False)
+                return np.pad(exact[name], (0, len(x) - self.space.controls))
+        return differences(lambda y: self.metrics(y)[name], x, central=name in ("mass_g", "length_mm"))
 
     def _sag_and_reach_gradients(self, x: Array) -> dict[str, Array] | None:
         """Return the gradients of sag and reach by the control diameters [mm/mm]; None without a stable free
@@ -365,9 +361,8 @@ class DesignEvaluator:
             return None
         first = eq.sensitivity.names.index("log_diameter_0")
         by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
-        by_knot[:, 0] = _by_base(
-            rod, gravity
-        )  # the rigid root scales with it, for which the rod has no sensitivity column
+        # The rigid root scales with the base, for which the rod has no sensitivity column.
+        by_knot[:, 0] = _by_base(rod, gravity)
         by_control, tip = by_knot @ self.space.spline, eq.p_at(rod.length)
         down = gravity / max(float(np.linalg.norm(gravity)), 1e-300)
         return {"sag_mm": down @ by_control, "reach_mm": tip @ by_control / np.linalg.norm(tip)}
@@ -385,8 +380,7 @@ def differences(f: Callable[[Array], float | Array], x: Array, central: bool) ->
 
 
 def _by_base(rod: Rod, gravity: Array) -> Array:
-    """Return the derivative of the free tip by the base diameter, the rigid root in proportion, by two solves [m/m],
-    (3,)."""
+    """Return the derivative of the free tip by the base diameter with the rigid root, by two solves, (3,)."""
     ends = list[Array]()
     for factor in (1.0 - _SMALL, 1.0 + _SMALL):
         radius = rod.radius.copy()

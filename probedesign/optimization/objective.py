@@ -25,7 +25,7 @@ from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
 
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Contact positions over the length whose error is averaged: the part that touches, without the tip itself."""
+"""Contact positions over the length whose error is averaged: the outer part without the tip itself."""
 MAX_GRAVITY = 100.0
 """Largest gravity of a task on each axis [m/s²]."""
 Combine = Literal["mean", "worst"]
@@ -104,10 +104,9 @@ class Task:
 
     def priors(self, model: ProbeModel) -> Tolerances:
         """Return the standard deviations of the error sources: the design's, except for those that the task sets."""
-        changed: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
-        return replace(
-            Tolerances.of(model), **{name: value for name, value in changed.items() if value is not None}
-        )
+        stated: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
+        changed = {name: value for name, value in stated.items() if value is not None}
+        return replace(Tolerances.of(model), **changed)
 
     def models(self, model: ProbeModel) -> Iterator[ProbeModel]:
         """Yield the probe under each gravity of the task."""
@@ -133,12 +132,8 @@ class Task:
         schedule = self.schedule
         if schedule is None:
             return f"one reading at {forces} mN, all causes, {where}"
-        changed = "".join(
-            f", {name} {value:g} {unit}"
-            for name, value, unit in (("base repeats to", self.base_repeat_mm, "mm"),
-                                      ("bias walks", self.bias_walk_steps, "steps"))
-            if value is not None
-        )  # fmt: skip
+        changed = "" if self.base_repeat_mm is None else f", base repeats to {self.base_repeat_mm:g} mm"
+        changed += "" if self.bias_walk_steps is None else f", bias walks {self.bias_walk_steps:g} steps"
         counts = schedule.text.split(", ")[1]
         return f"{self.touches} touches up to {forces} mN fused, {counts}{changed}, all causes, {where}"
 
@@ -163,7 +158,7 @@ class TaskErrors:
     Attributes:
         cases: of the task.
         errors: RMS error of the touched point in each case, by all error sources [m]; infinite where the probe buckles.
-        sensor_use: largest fraction of a channel's range that a reading takes; infinite likewise.
+        sensor_use: largest fraction of a channel's range that a reading takes; infinite where the probe buckles.
         slide: largest distance that the object slides along the probe while the base presses on along a straight line,
             without friction [m]; 0 for single touches, infinite where it slips off or the probe buckles.
     """
@@ -257,12 +252,10 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
         on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
         sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
         for fraction in task.fractions:
-            found = _errors_at(estimator, on, sources, fraction, task) if sources is not None else None
+            found = {} if sources is None else _errors_at(estimator, on, sources, fraction, task)
             for force in task.forces_N:
-                cases.append(Case(fraction, force, _vector(under.gravity_base)))
-                error, used = (
-                    (math.inf, math.inf) if found is None else found.get(force, (math.inf, math.inf))
-                )
+                cases.append(Case(fraction, force, tuple(under.gravity_base.tolist())))
+                error, used = found.get(force, (math.inf, math.inf))
                 errors.append(error)
                 use = max(use, used)
             if slipping and task.schedule is not None and free.ok:
@@ -295,24 +288,15 @@ def _errors_at(
             cov = error_budget(touch, lin[None], D[None], sources, model.friction).total[0]
             wrench = lin[0:6, 0]
         else:
-            fused = LinearizedPresses(
-                model, estimator.priors, on.gravity, np.array([reached[p] for p in of]), schedule
-            )
+            pressed = np.array([reached[part] for part in of])
+            fused = LinearizedPresses(model, estimator.priors, on.gravity, pressed, schedule)
             if not fused.converged:
                 continue
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
-            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), _sensor_use(model, wrench)
+            use = np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range
+            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), float(use.max())
     return found
-
-
-def _sensor_use(model: ProbeModel, wrench: Array) -> float:
-    return float((np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range).max())
-
-
-def _vector(gravity: Array) -> tuple[float, float, float]:
-    x, y, z = (float(part) for part in gravity)
-    return x, y, z
 
 
 def _detectable_mN(model: ProbeModel, task: Task) -> float | None:

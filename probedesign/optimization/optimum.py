@@ -18,8 +18,8 @@ from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel
-from probedesign.optimization.constraints import FORCES, SPARE, Goal, Limit, NonlinearProgram, check_limits
-from probedesign.optimization.design_space import DIGITS, DesignEvaluator, DesignSpace, FreeParameter
+from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
+from probedesign.optimization.design_space import DIGITS, DesignEvaluator, DesignSpace, design_dict
 from probedesign.optimization.objective import (
     DesignMetrics,
     Task,
@@ -28,12 +28,10 @@ from probedesign.optimization.objective import (
     predict_task,
     side_of,
 )
-from probedesign.optimization.sweep import design_dict
 from probedesign.prediction.monte_carlo import PrintSamples, locate_draws
 from probedesign.probe import build_probe
 
 if TYPE_CHECKING:
-    from optuna.trial import FrozenTrial
     from optuna.trial import Trial as Drawn
 
 
@@ -45,64 +43,6 @@ AROUND = (0.5, 1.0, 2.0)
 """Factors on the task's forces at which they are compared."""
 _THICKER, _TIMES = 1.25, 8
 """Factor on the diameters of a start that gives way, and how often: nothing leads a search out of there."""
-
-
-@dataclass(frozen=True)
-class OptimizationProblem:
-    """Statement of an optimisation.
-
-    Attributes:
-        start: the design to improve.
-        free: what of it may change.
-        task: by which designs are judged.
-        goal: what is minimised.
-        error_mm: to be reached, for the goal "force-for-error".
-        limits: on metrics, in addition to the print rules and the sensor's range.
-    """
-
-    start: Design
-    free: tuple[FreeParameter, ...]
-    task: Task
-    goal: Goal = "error-at-force"
-    error_mm: float | None = None
-    limits: tuple[Limit, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Raises InputError where the options contradict."""
-        if self.goal == "force-for-error" and self.error_mm is None:
-            raise InputError("--goal force-for-error needs --error-mm, the error to be reached")
-        if self.goal == "error-at-force" and self.error_mm is not None:
-            raise InputError(
-                f"--error-mm {self.error_mm:g} contradicts --goal error-at-force, which minimises the error; "
-                "use --goal force-for-error, or --subject-to 'error_mm<=...'"
-            )
-        if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
-            raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
-        check_limits([*self.all_limits])
-        self._check_length()
-
-    def _check_length(self) -> None:
-        """Raises InputError where a limit requires another length although the length is fixed."""
-        length_mm = self.start.probe.length_mm
-        for limit in self.limits:
-            if limit.metric == "length_mm" and "length" not in self.free and limit.margin(length_mm) < 0.0:
-                raise InputError(
-                    f"--subject-to {limit.text}: the length stays {length_mm:g} mm; name it too: --over ... length"
-                )
-
-    @property
-    def all_limits(self) -> tuple[Limit, ...]:
-        """All limits on metrics, including the sensor's range and the error to be reached."""
-        wanted = () if self.error_mm is None else (Limit("error_mm", True, self.error_mm),)
-        return (*self.limits, Limit("sensor_use", True, 1.0), *wanted)
-
-    @property
-    def problem(self) -> NonlinearProgram:
-        """The problem in the form of the solver."""
-        space = DesignSpace.of(self.start, self.free)
-        return NonlinearProgram(
-            DesignEvaluator(space, self.task, self.goal == "force-for-error"), self.all_limits
-        )
 
 
 @dataclass(frozen=True)
@@ -326,12 +266,7 @@ class _Chunk(NamedTuple):
 
 
 def confirm(
-    design: Design,
-    task: Task,
-    draws: int,
-    seed: int,
-    on_progress: OnProgress,
-    workers: int | None = None,
+    design: Design, task: Task, draws: int, seed: int, on_progress: OnProgress, workers: int | None = None
 ) -> MonteCarloCheck:
     """Locate drawn touches in each of the task's cases.
 
@@ -352,9 +287,8 @@ def confirm(
     predicted = predict_task(model, task, slipping=False)
     for case, error in zip(predicted.cases, predicted.errors, strict=True):
         if not math.isfinite(error):
-            raise InputError(
-                f"{design.name}: buckles at {case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
-            )
+            where = f"{case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
+            raise InputError(f"{design.name}: buckles at {where}")
     cases = [(under, fraction, force) for under in task.models(model)
              for fraction in task.fractions for force in task.forces_N]  # fmt: skip
     chunks = [
@@ -381,16 +315,16 @@ def _errors(chunk: _Chunk) -> Array:
     model, task = chunk.model, chunk.task
     rng = np.random.default_rng(chunk.seed)
     samples = PrintSamples.draw(model, task.priors(model), chunk.draws, int(rng.integers(2**31)))
-    results = locate_draws(
-        samples, chunk.fraction, chunk.force, side_of(model.gravity_base), task.schedule, rng
-    )
-    return np.array(
-        [
-            (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside)
-            for a in results
-        ],
-        dtype=float,
-    )
+    side = side_of(model.gravity_base)
+    results = locate_draws(samples, chunk.fraction, chunk.force, side, task.schedule, rng)
+    rows = [
+        (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside)
+        for a in results
+    ]
+    return np.array(rows, dtype=float)
+
+
+# Pareto front
 
 
 POPULATION = 40
@@ -432,11 +366,7 @@ def check_installed() -> None:
 
 
 def pareto_front(
-    search: OptimizationProblem,
-    trials: int,
-    seed: int,
-    on_progress: OnProgress,
-    best: Optimum | None = None,
+    search: OptimizationProblem, trials: int, seed: int, on_progress: OnProgress, best: Optimum | None = None
 ) -> ParetoFront:
     """Return feasible cones of any length: smallest error, smallest force, largest reach.
 
@@ -455,10 +385,8 @@ def pareto_front(
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    problem = NonlinearProgram(
-        DesignEvaluator(DesignSpace.of(search.start, ("cone", "length")), search.task, True),
-        search.all_limits,
-    )
+    space = DesignSpace.of(search.start, ("cone", "length"))
+    problem = NonlinearProgram(DesignEvaluator(space, search.task, True), search.all_limits)
     sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
     study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
     if best is not None and best.design.probe.shape == "cone":
@@ -471,9 +399,8 @@ def pareto_front(
         raise InputError(
             f"none of {trials} designs satisfies every limit; evaluate more, or relax --subject-to"
         )
-    return ParetoFront(
-        sorted((_row(trial) for trial in kept.values()), key=lambda row: row["error_mm"]), trials
-    )
+    rows = [{name: float(t.user_attrs["row"][name]) for name in _VARIABLES} for t in kept.values()]
+    return ParetoFront(sorted(rows, key=lambda row: row["error_mm"]), trials)
 
 
 def _known(design: Design, force: float) -> dict[str, float]:
@@ -502,8 +429,3 @@ def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, 
     force_mN = 1e3 * problem.evaluator.task_at(x).force_N
     drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **kept})
     return metrics["error_mm"], force_mN, metrics["reach_mm"]
-
-
-def _row(trial: "FrozenTrial") -> dict[str, float]:
-    row: dict[str, Any] = trial.user_attrs["row"]
-    return {name: float(row[name]) for name in _VARIABLES}

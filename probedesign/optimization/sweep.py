@@ -16,6 +16,7 @@ from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
 from probedesign.design import Design, check_design
 from probedesign.design.diagnostics import known_keys
+from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.objective import METRICS, Task, design_metrics
 
 if TYPE_CHECKING:
@@ -91,12 +92,6 @@ def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
-def design_dict(design: Design) -> dict[str, Any]:
-    """Return the tables of a design's file as plain data."""
-    tables: dict[str, Any] = design.model_dump(by_alias=True, exclude_none=True, mode="json")
-    return tables
-
-
 def numbers_of(what: str, text: str) -> tuple[float | int, ...]:
     """Return the numbers of START:STOP:STEP, the end included; integers stay integers.
 
@@ -157,14 +152,9 @@ class SweepResult:
 
 
 def sweep(
-    design: Design,
-    axes: list[GridAxis],
-    task: Task,
-    folder: Path,
-    scheduler: str | None,
-    workers: int,
+    design: Design, axes: list[GridAxis], task: Task, folder: Path, scheduler: str | None, workers: int,
     on_progress: OnProgress,
-) -> SweepResult:
+) -> SweepResult:  # fmt: skip
     """Compute the points that the folder does not contain yet, then write sweep.csv and sweep.parquet.
 
     Args:
@@ -193,33 +183,31 @@ def sweep(
                 appender.add(record)
                 on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
     records = [journal.results[i] for i in range(len(grid))]
-    return SweepResult(
-        records, len(missing), _write_tables(records, [axis.key for axis in axes], folder), journal.notes
-    )
+    files = _write_tables(records, [axis.key for axis in axes], folder)
+    return SweepResult(records, len(missing), files, journal.notes)
 
 
 def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:
     """Return the record of one design; an invalid or unstable one gives the reason and does not stop the sweep."""
-    record: Record = {"point": number, **point, "result": "ok", "reason": ""}
+    result, reason = "ok", ""
     try:
         found = design_metrics(check_design(with_values(base, point)), task)
     except InputError as error:
-        return record | {"result": "refused", "reason": str(error)} | dict.fromkeys(METRICS)
+        return _without_metrics(number, point, "refused", str(error))
     except Exception as error:  # the failure of one design must not end the sweep
-        reason = f"{type(error).__name__}: {error}"
-        return record | {"result": "failed", "reason": reason} | dict.fromkeys(METRICS)
+        return _without_metrics(number, point, "failed", f"{type(error).__name__}: {error}")
     if found.error_mm is None:
-        record |= {
-            "result": "gives_way",
-            "reason": "the probe buckles under the force at one position or more",
-        }
+        result, reason = "gives_way", "the probe buckles under the force at one position or more"
     elif not found.is_observable:
+        result = "unobservable"
         reason = f"the largest error, {found.worst_error_mm:.3g} mm, is not smaller than without a reading"
-        record |= {"result": "unobservable", "reason": reason}
     elif found.sensor_use is not None and found.sensor_use > 1.0:
-        reason = f"the readings take {found.sensor_use:.3g} times the sensor's range"
-        record |= {"result": "out_of_range", "reason": reason}
-    return record | found.as_dict()
+        result, reason = "out_of_range", f"the readings take {found.sensor_use:.3g} times the sensor's range"
+    return {"point": number, **point, "result": result, "reason": reason, **found.as_dict()}
+
+
+def _without_metrics(number: int, point: dict[str, Any], result: str, reason: str) -> Record:
+    return {"point": number, **point, "result": result, "reason": reason, **dict.fromkeys(METRICS)}
 
 
 def _evaluate_chunk(
@@ -234,9 +222,8 @@ def _computed(
     """Yield records in the order of completion."""
     from distributed import as_completed
 
-    chunks = [
-        [(i, grid[i]) for i in missing[start : start + _CHUNK]] for start in range(0, len(missing), _CHUNK)
-    ]
+    points = [(i, grid[i]) for i in missing]
+    chunks = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
     futures = [client.submit(_evaluate_chunk, base, chunk, task, pure=False) for chunk in chunks]
     by_key = {future.key: chunk for future, chunk in zip(futures, chunks, strict=True)}
     for future in as_completed(futures):
@@ -245,8 +232,7 @@ def _computed(
             yield from future.result()
         else:  # the worker process died repeatedly
             for number, point in by_key[future.key]:
-                lost = {"result": "failed", "reason": f"worker lost: {error or future.status}"}
-                yield {"point": number, **point, **lost, **dict.fromkeys(METRICS)}
+                yield _without_metrics(number, point, "failed", f"worker lost: {error or future.status}")
         future.release()
 
 
@@ -263,26 +249,21 @@ def _client(scheduler: str | None, workers: int, on_progress: OnProgress) -> Ite
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
         raise _missing(error.name) from None
-    with dask.config.set(
-        {
-            "distributed.worker.daemon": True,
-            "distributed.worker.multiprocessing-method": start_method(),
-            "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
-        }
-    ):
+    settings = {
+        "distributed.worker.daemon": True, "distributed.worker.multiprocessing-method": start_method(),
+        "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
+    }  # fmt: skip
+    with dask.config.set(settings):
         if scheduler is not None:
             on_progress(f"reaching {scheduler}", None)
+            how = "start one with: dask scheduler, or omit --scheduler"
             try:
                 client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
-            except (OSError, ValueError, TypeError) as error:
-                reason = (
-                    f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
-                    if isinstance(error, OSError)
-                    else error
-                )
-                raise InputError(
-                    f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or omit --scheduler"
-                ) from None
+            except OSError:
+                reason = f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
+                raise InputError(f"--scheduler {scheduler}: {reason}; {how}") from None
+            except (ValueError, TypeError) as error:
+                raise InputError(f"--scheduler {scheduler}: {error}; {how}") from None
             with client:
                 _await_workers(client, scheduler)
                 yield client
@@ -304,9 +285,8 @@ def _await_workers(client: "Client", scheduler: str) -> None:
     try:
         client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
     except TimeoutError:
-        raise InputError(
-            f"--scheduler {scheduler}: has no workers; start some with: dask worker {scheduler}"
-        ) from None
+        how = f"start some with: dask worker {scheduler}"
+        raise InputError(f"--scheduler {scheduler}: has no workers; {how}") from None
 
 
 def _plain(task: Task) -> dict[str, Any]:

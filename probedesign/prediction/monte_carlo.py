@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,26 +83,12 @@ class PrintSample:
         root = rod.rigid_length + tolerances.root_radii * base * rng.normal()
         rod = replace(rod, rigid_length=min(max(root, -0.99 * base), 0.9 * rod.length))
         gain = tolerances.gain * rng.normal(size=6)
-        creep = tolerances.creep * rng.normal()
-        return cls(
-            model,
-            rod,
-            R.T @ gravity_in_model,
-            gravity_in_model,
-            R,
-            turns[0:3],
-            gain,
-            float(creep),
-            tolerances.tared,
-        )
+        creep = float(tolerances.creep * rng.normal())
+        at_base = R.T @ gravity_in_model
+        return cls(model, rod, at_base, gravity_in_model, R, turns[0:3], gain, creep, tolerances.tared)
 
     def press(
-        self,
-        fraction: float,
-        phi: float,
-        forces: Sequence[float],
-        ratios: Array,
-        log_stiffness: Array,
+        self, fraction: float, phi: float, forces: Sequence[float], ratios: Array, log_stiffness: Array
     ) -> tuple[Array, Array]:
         """Press one point of the surface.
 
@@ -122,50 +107,40 @@ class PrintSample:
         ramp = np.ones(1) if k == 1 else np.linspace(0.0, 1.0, k)
         wrenches, points = np.full((k, 6), np.nan), np.full((k, 3), np.nan)
         for j, force in enumerate(forces):
-            on = self._softened(float(ramp[j] * self.creep + log_stiffness[j]))
-            press = on.begin_press(fraction * on.rod.length, phi, (float(ratios[j, 0]), float(ratios[j, 1])))
+            # The sensor counts as tared with the changed stiffness, as in the error sources.
+            factor = math.exp(ramp[j] * self.creep + log_stiffness[j])
+            E, G = factor * self.rod.youngs_modulus, factor * self.rod.shear_modulus
+            rod = replace(self.rod, youngs_modulus=E, shear_modulus=G)
+            mass = replace(self.model, rod=rod).mass
+            on = SurfaceRod(rod, self.gravity, mass, rod.solve(self.gravity))
+            press = on.begin_press(fraction * on.rod.length, phi, ratios[j])
             if press.increase_to(float(force)) is None or press.lin is None:
                 break
-            wrenches[j] = self.reading(on.free, press.lin[0:6, VALUE], on)
-            points[j] = self.point_in_model(press.lin[POINT : POINT + 3, VALUE])
+            wrenches[j] = self.reading(on.free, press.lin[0:6, VALUE])
+            points[j] = self.R @ press.lin[POINT : POINT + 3, VALUE] + self.translation
         return wrenches, points
 
-    def point_in_model(self, point: Array) -> Array:
-        """Transform a point of the true base frame to the model's base frame [m], (3,)."""
-        return np.asarray(self.R @ point + self.translation)
-
-    def reading(self, free: Equilibrium, wrench: Array, on: SurfaceRod) -> Array:
+    def reading(self, free: Equilibrium, wrench: Array) -> Array:
         """Return the reading at the model's base, without noise, of a wrench (6,) at the true base."""
         model = self.model
         seen = self._in_nominal_frame(wrench)
-        base_from_sensor = wrench_map(inverse(model.T_sensor_base))
+        to_sensor, base_from_sensor = (
+            wrench_map(model.T_sensor_base),
+            wrench_map(inverse(model.T_sensor_base)),
+        )
         if self.tared:
             zero = self._in_nominal_frame(free.wrench_base)
             at = model.rod.solve(model.gravity_base).wrench_base
             change = seen - zero
-            return np.asarray(at + change + base_from_sensor @ (self.gain * (self._to_sensor @ change)))
+            return np.asarray(at + change + base_from_sensor @ (self.gain * (to_sensor @ change)))
         hanging = base_from_sensor @ model.gravity_wrench_sensor(self.gravity_in_model - model.gravity_base)
         whole = seen + base_from_sensor @ model.gravity_wrench_sensor(self.gravity_in_model)
-        return np.asarray(seen + hanging + base_from_sensor @ (self.gain * (self._to_sensor @ whole)))
-
-    @cached_property
-    def _to_sensor(self) -> Array:
-        return wrench_map(self.model.T_sensor_base)
+        return np.asarray(seen + hanging + base_from_sensor @ (self.gain * (to_sensor @ whole)))
 
     def _in_nominal_frame(self, wrench: Array) -> Array:
         """Transform a wrench of the true base frame to the model's base frame, (6,)."""
         force, moment = self.R @ wrench[0:3], self.R @ wrench[3:6]
         return np.concatenate([force, moment + np.cross(self.translation, force)])
-
-    def _softened(self, log_stiffness: float) -> SurfaceRod:
-        """Return the rod with changed stiffness; the sensor counts as tared with it, as in the error sources."""
-        factor = math.exp(log_stiffness)
-        rod = replace(
-            self.rod,
-            youngs_modulus=factor * self.rod.youngs_modulus,
-            shear_modulus=factor * self.rod.shear_modulus,
-        )
-        return SurfaceRod(rod, self.gravity, replace(self.model, rod=rod).mass, rod.solve(self.gravity))
 
 
 @dataclass(frozen=True)
@@ -202,8 +177,8 @@ class PrintSamples:
         ratios = friction * rng.normal(size=(n, k, 2))
         log_stiffness = self.tolerances.stiffness_scatter * rng.normal(size=(n, k))
         found = [
-            sample.press(fraction, phi, forces, ratios[i], log_stiffness[i])
-            for i, sample in enumerate(self.samples)
+            sample.press(fraction, phi, forces, of_touch, change)
+            for sample, of_touch, change in zip(self.samples, ratios, log_stiffness, strict=True)
         ]
         wrenches, points = (np.array(part) for part in zip(*found, strict=True))
         return wrenches, points
@@ -243,14 +218,12 @@ def perturbed_rod(rod: Rod, by: Array) -> Rod:
 
 
 MAX_DIFFERENCE = 0.10
-"""Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors of Monte
-Carlo."""
+"""Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors."""
 SAVE_EVERY_S = 2.0
+"""Interval at which the checkpoint is saved."""
 MAX_DRAWS = 1_000_000
 LOCATED_RESULTS = ("ok", "inconsistent")
-"""Results whose best candidate is counted. "inconsistent" is included: without it the errors would be those of the
-draws
-that pass the consistency test."""
+"""Results whose best candidate is counted; without "inconsistent" the draws would be selected by their error."""
 Touch = tuple[float, float, str, int]
 """Contact fraction, force [N], direction, and number of fused touches."""
 
@@ -302,10 +275,15 @@ class MonteCarloPlan:
         fraction, force, direction, touches = touch
         schedule = self.pressing if touches > 1 else None
         results = locate_draws(samples, fraction, force, DIRECTIONS[direction], schedule, rng)
-        off = [result.error for result in results if result.error is not None]
+        off = np.array([result.error for result in results if result.error is not None])
         located = [result for result in results if result.result == "ok"]
-        inside = sum(result.inside for result in located)
-        return _summary(np.array(off), len(located)) | {"inside": inside}
+        counts = {"located": len(located), "inside": sum(result.inside for result in located)}
+        if len(off) < 2:
+            return counts | {"error": None, "error_95": None, "standard_error": None}
+        rms = float(np.sqrt((off**2).mean()))
+        # The standard error of an RMS is that of the mean square over twice the RMS.
+        spread = float((off**2).std(ddof=1) / math.sqrt(len(off)) / (2.0 * max(rms, 1e-300)))
+        return counts | {"error": rms, "error_95": float(np.quantile(off, 0.95)), "standard_error": spread}
 
 
 class DrawResult(NamedTuple):
@@ -323,13 +301,9 @@ class DrawResult(NamedTuple):
 
 
 def locate_draws(
-    samples: PrintSamples,
-    fraction: float,
-    force: float,
-    angle: float,
-    schedule: PressSchedule | None,
+    samples: PrintSamples, fraction: float, force: float, angle: float, schedule: PressSchedule | None,
     rng: np.random.Generator,
-) -> list[DrawResult]:
+) -> list[DrawResult]:  # fmt: skip
     """Touch one position of every print sample and locate it with the real estimator.
 
     Args:
@@ -352,6 +326,7 @@ def locate_draws(
 
 
 def _located(estimator: Estimator, wrench: Array, point: Array) -> DrawResult:
+    """Locate a touch from a single reading."""
     found = estimator.estimate(wrench)
     best = found.candidates[0] if found.candidates else None
     if best is None or found.result not in LOCATED_RESULTS:
@@ -371,9 +346,8 @@ def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, place
     if found.result not in LOCATED_RESULTS or not len(found.candidates_world):
         return DrawResult(found.result, None)
     off = found.candidates_world[0]
-    return DrawResult(
-        found.result, float(np.linalg.norm(off)), found.ok and _contains(found.cov_surface_world, off)
-    )
+    inside = found.ok and _contains(found.cov_surface_world, off)
+    return DrawResult(found.result, float(np.linalg.norm(off)), inside)
 
 
 def _contains(cov: Array, off: Array) -> bool:
@@ -413,9 +387,10 @@ def run_monte_carlo(
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
     try:
         names = list(left)
-        for i, row in process_map(
+        computed = process_map(
             _sample_in_worker, left.values(), workers, _initialize, (plan,), preload=[__name__]
-        ):
+        )
+        for i, row in computed:
             done[names[i]] = row
             progress(len(done) / max(len(wanted), 1))
             if path and time.monotonic() - saved > SAVE_EVERY_S:
@@ -446,19 +421,6 @@ def _sample_in_worker(touch: Touch) -> dict[str, Any]:
     assert _worker_state is not None, "the worker is initialised with its plan"
     plan, samples = _worker_state
     return plan.sample_condition(touch, samples)
-
-
-def _summary(off: np.ndarray[Any, Any], located: int) -> dict[str, Any]:
-    if len(off) < 2:
-        return {"located": located, "error": None, "error_95": None, "standard_error": None}
-    rms = float(np.sqrt((off**2).mean()))
-    spread = float((off**2).std(ddof=1) / math.sqrt(len(off)) / (2.0 * max(rms, 1e-300)))
-    return {
-        "located": located,
-        "error": rms,
-        "error_95": float(np.quantile(off, 0.95)),
-        "standard_error": spread,
-    }
 
 
 def _result(
@@ -502,17 +464,13 @@ def _load_checkpoint(path: Path | None) -> dict[str, dict[str, Any]]:
     try:
         found = json.loads(path.read_bytes())["conditions"]
         for row in found.values():
-            _ = (
-                int(row["located"]),
-                int(row["inside"]),
-                *(float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")),
-            )
+            _ = int(row["located"]), int(row["inside"])
+            _ = [float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")]
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         raise InputError(f"{path}: is not a Monte Carlo checkpoint; remove it to start again") from None
     return dict(found)
 
 
 def _save_checkpoint(path: Path, done: dict[str, dict[str, Any]]) -> None:
-    write_atomically(
-        path, (json.dumps({"schema": 1, "unit": "m", "conditions": done}, indent=0) + "\n").encode()
-    )
+    document = {"schema": 1, "unit": "m", "conditions": done}
+    write_atomically(path, (json.dumps(document, indent=0) + "\n").encode())

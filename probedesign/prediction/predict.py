@@ -217,11 +217,10 @@ def predict(
     end = model.rod.flank_end / model.rod.length
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
-    workspace, reach, detection = (
-        NO_WORKSPACE,
-        _nothing(lines),
-        tuple(Detection(*line, None) for line in lines),
-    )
+    # What holds for a probe without a stable free equilibrium.
+    workspace = NO_WORKSPACE
+    reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
+    detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
                   for line in lines for force in forces_N}  # fmt: skip
     fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
@@ -233,10 +232,9 @@ def predict(
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, reach[i].greatest_force_N) for i, line in enumerate(lines)
         )
-        by_force = {force: conditions_of(touches[force], lines) for force in forces_N}
-        conditions = {
-            (*line, force): by_force[force][i] for i, line in enumerate(lines) for force in forces_N
-        }
+        for force in forces_N:
+            for line, condition in zip(lines, conditions_of(touches[force], lines), strict=True):
+                conditions[(*line, force)] = condition
         fused = fused_conditions(lines, touches, forces_N, pressing)
         workspace = workspace_of(reach, touches, model.gravity_base)
     return Prediction(
@@ -281,11 +279,8 @@ def predict_touch(
 
 def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
     """Return the conditions of some lines at one force."""
-    results = touches.results()
-    return [
-        _condition(touches, i, line, result)
-        for i, (line, result) in enumerate(zip(lines, results, strict=False))
-    ]
+    results = zip(lines, touches.results(), strict=False)
+    return [_condition(touches, i, line, result) for i, (line, result) in enumerate(results)]
 
 
 def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -> Condition:
@@ -297,10 +292,7 @@ def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -
     rms = touches.budget.rms[i] / MM
     error, within = _finite(touches.rms[0][i] / MM), _finite(touches.within_95[0][i] / MM)
     return Condition(
-        line[0],
-        force,
-        line[1],
-        result,
+        line[0], force, line[1], result,
         predicted_error_mm=error,
         predicted_error_95_mm=within,
         noise_error_mm=_finite(touches.rms[1][i] / MM),
@@ -315,7 +307,7 @@ def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -
         budget_mm=dict(zip(CAUSES, rms.tolist(), strict=True)) if np.isfinite(rms).all() else None,
         total_error_mm=error,
         total_error_95_mm=within,
-    )
+    )  # fmt: skip
 
 
 def tip_sag_mm(estimator: Estimator) -> float | None:
@@ -339,37 +331,32 @@ def tip_sag(free: Equilibrium, length: float, gravity: Array) -> float:
     return float((free.p_at(length) - [0.0, 0.0, length]) @ gravity / np.linalg.norm(gravity))
 
 
-def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | None) -> Detection:
+def _detection(touches: Touches, i: int, line: tuple[float, str], max_force: float | None) -> Detection:
     """Return the detection limit, which is proportional to a weak push; None where the probe buckles before."""
-    if not touches.ok[i] or most is None:
+    if not touches.ok[i] or max_force is None:
         return Detection(*line, None)
     felt = touches.estimator.detectable(touches.wrench_by_force[i])
-    return Detection(*line, 1e3 * felt if felt <= most else None)
-
-
-def _nothing(lines: Sequence[tuple[float, str]]) -> tuple[ForceThresholds, ...]:
-    """Return the thresholds of a probe without a stable free equilibrium."""
-    return tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
+    return Detection(*line, 1e3 * felt if felt <= max_force else None)
 
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-Row = Mapping[str, Any]
-
-
 def conditions_csv(prediction: Prediction) -> bytes:
     """Return a CSV table with a row per condition, single (touches = 1) and fused; the error sources are its last
     columns."""
-    single = [{"touches": 1, **asdict(c)} for c in prediction.conditions]
-    rows = [_spread(row) for row in [*single, *(asdict(c) for c in prediction.fused)]]
     first = ["contact_fraction", "force_N", "direction", "touches", "result"]
-    causes = [_column(cause) for cause in FUSED_CAUSES]
-    between = [
-        name for name in dict.fromkeys(k for row in rows for k in row) if name not in (*first, *causes)
-    ]
-    return _csv([*first, *between, *causes], rows)
+    sources = {cause: f"budget_{cause.replace(' ', '_')}_mm" for cause in FUSED_CAUSES}
+    rows = []
+    for row in [{"touches": 1, **asdict(c)} for c in prediction.conditions] + [
+        *map(asdict, prediction.fused)
+    ]:
+        budget = row.pop("budget_mm") or {}
+        rows.append(row | {sources[cause]: value for cause, value in budget.items()})
+    known = {*first, *sources.values()}
+    between = [name for name in dict.fromkeys(k for row in rows for k in row) if name not in known]
+    return _csv([*first, *between, *sources.values()], rows)
 
 
 def along_csv(prediction: Prediction) -> bytes:
@@ -384,21 +371,10 @@ def along_csv(prediction: Prediction) -> bytes:
         rows[fused.contact_fraction, fused.direction].update(forces)
     for path in prediction.workspace.paths:
         rows[path.contact_fraction, path.direction]["pressed_mm"] = path.pressed_mm
-    names = list(dict.fromkeys(k for row in rows.values() for k in row))
-    return _csv(names, list(rows.values()))
+    return _csv(list(dict.fromkeys(k for row in rows.values() for k in row)), list(rows.values()))
 
 
-def _spread(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the row with the error sources as columns of their own."""
-    budget = row.pop("budget_mm") or {}
-    return row | {_column(cause): value for cause, value in budget.items()}
-
-
-def _column(cause: str) -> str:
-    return f"budget_{cause.replace(' ', '_')}_mm"
-
-
-def _csv(names: Sequence[str], rows: Sequence[Row]) -> bytes:
+def _csv(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> bytes:
     text = io.StringIO()
     table = csv.DictWriter(text, names, lineterminator="\n")
     table.writeheader()

@@ -59,16 +59,11 @@ def force_thresholds(
     found = []
     for i, (fraction, direction) in enumerate(lines):
         tip = lines.index((end, direction))
-        max_force, limit = _max_force(
-            forces, use[:, i], max_stable_force[i], _slip_force(forces, depth[:, tip], depth[0, i], i == tip)
-        )
-        needed = (
-            force_for_accuracy(forces, errors[:, i], accuracy * MM, use[:, i] <= 1.0)
-            for accuracy in ACCURACIES_MM
-        )
-        for_1, for_2, for_5 = (
-            1e3 * force if force is not None and force <= max_force else None for force in needed
-        )
+        slips = _slip_force(forces, depth[:, tip], depth[0, i], i == tip)
+        max_force, limit = _max_force(forces, use[:, i], max_stable_force[i], slips)
+        usable = use[:, i] <= 1.0
+        needed = (force_for_accuracy(forces, errors[:, i], mm * MM, usable) for mm in ACCURACIES_MM)
+        for_1, for_2, for_5 = (None if f is None or f > max_force else 1e3 * f for f in needed)
         there = np.isfinite(bent[:, i]) & (forces <= 1.3 * max_force)
         deflection = float(np.interp(max_force, forces[there], bent[there, i])) / MM if there.any() else None
         found.append(ForceThresholds(fraction, direction, for_1, for_2, for_5, max_force, limit, deflection))
@@ -78,7 +73,7 @@ def force_thresholds(
 def _slip_force(forces: Array, tip_depth: Array, depth: float, at_tip: bool) -> float:
     """Return the force at which the tip, pushed itself, is as near to the base as the object; infinite if it never is.
 
-    An object slides along the probe as the probe bends away; at the moment of slipping off it touches the tip.
+    An object slides along the probe as the probe bends away; when it slips off it touches the tip.
     """
     good = np.isfinite(tip_depth)
     below = np.flatnonzero(good & (tip_depth <= depth))
@@ -188,33 +183,31 @@ def workspace_of(
     free = touches[forces[0]].free_centre[: len(reach)] / MM
     points = np.array([touches[f].centre[: len(reach)] for f in forces]) / MM
     paths = tuple(
-        _path(row, forces, points[:, i], free[i])
+        _path(row, row.greatest_force_N, forces, points[:, i], free[i])
         for i, row in enumerate(reach)
         if row.greatest_force_N is not None
     )
-    sheets = {
-        side: _sheet(paths, side) for side in DIRECTIONS if any(path.direction == side for path in paths)
-    }
+    found = {path.direction for path in paths}
+    sheets = {side: _sheet(paths, side) for side in DIRECTIONS if side in found}
     if "+y" in sheets and "-y" not in sheets and abs(gravity[1]) <= _MIRRORED * np.linalg.norm(gravity):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
     return Workspace(paths, {side: _area(sheet) for side, sheet in sheets.items()}, _volume(sheets))
 
 
-def _path(row: ForceThresholds, forces: Array, points: Array, free: Array) -> PressPath:
-    """Return the path of one line; it is linear between the forces."""
-    assert row.greatest_force_N is not None, "only positions with a largest force have a path"
-    there = np.isfinite(points[:, 0]) & (forces <= row.greatest_force_N)
+def _path(row: ForceThresholds, max_force: float, forces: Array, points: Array, free: Array) -> PressPath:
+    """Return the path of one line up to its largest force; it is linear between the forces."""
+    there = np.isfinite(points[:, 0]) & (forces <= max_force)
     way = np.vstack([free, points[there]])
     if there.any() and not there[-1]:
         after = int(np.flatnonzero(there)[-1]) + 1
         if np.isfinite(points[after, 0]):
-            share = (row.greatest_force_N - forces[after - 1]) / (forces[after] - forces[after - 1])
+            share = (max_force - forces[after - 1]) / (forces[after] - forces[after - 1])
             way = np.vstack([way, (1.0 - share) * points[after - 1] + share * points[after]])
     gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     even = np.linspace(0.0, gone[-1], STEPS)
     x, y, z = (tuple(np.interp(even, gone, part).tolist()) for part in way.T)
     pressed = float(np.linalg.norm(way[-1] - free))
-    return PressPath(row.contact_fraction, row.direction, row.greatest_force_N, row.limit, pressed, x, y, z)
+    return PressPath(row.contact_fraction, row.direction, max_force, row.limit, pressed, x, y, z)
 
 
 def _sheet(paths: Sequence[PressPath], side: str) -> Array:
@@ -231,19 +224,14 @@ def _area(sheet: Array) -> float:
 
 
 def _volume(sheets: Mapping[str, Array]) -> float | None:
-    """Return the swept volume [mm³]; a position's paths are a Fourier series of the angle through the four
-    directions."""
+    """Return the swept volume [mm³]; a position's paths are a Fourier series of the angle through the directions."""
     if set(sheets) != set(DIRECTIONS) or len({len(sheet) for sheet in sheets.values()}) > 1:
         return None
     plus, minus, left, right = (sheets[side] for side in ("+x", "-x", "+y", "-y"))
     mean, twice = (plus + minus + left + right) / 4.0, (plus + minus - left - right) / 4.0
     angle = np.linspace(0.0, 2.0 * np.pi, _TURNS + 1)[:, None, None, None]
-    p = (
-        mean
-        + (plus - minus) / 2.0 * np.cos(angle)
-        + (left - right) / 2.0 * np.sin(angle)
-        + twice * np.cos(2.0 * angle)
-    )
+    once = (plus - minus) / 2.0 * np.cos(angle) + (left - right) / 2.0 * np.sin(angle)
+    p = mean + once + twice * np.cos(2.0 * angle)
     by = [_between(np.diff(p, axis=axis), axis) for axis in range(3)]
     return float(np.abs(np.einsum("...i,...i->...", by[0], np.cross(by[1], by[2]))).sum())
 

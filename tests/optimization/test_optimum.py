@@ -11,16 +11,16 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
 from probedesign.design.io import render_design
-from probedesign.optimization.constraints import Limit, check_limits, parse_limit
+from probedesign.optimization.constraints import Limit, OptimizationProblem, check_limits, parse_limit
 from probedesign.optimization.design_space import (
     DesignEvaluator,
     DesignSpace,
     critical_load_factor,
+    design_dict,
     differences,
 )
 from probedesign.optimization.objective import Task, design_metrics, predict_task
-from probedesign.optimization.optimum import OptimizationProblem, confirm, optimum
-from probedesign.optimization.sweep import design_dict
+from probedesign.optimization.optimum import confirm, optimum
 from probedesign.prediction.predict import predict
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe

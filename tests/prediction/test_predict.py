@@ -15,8 +15,8 @@ from probedesign.design.catalog.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.objective import Task, design_metrics
-from probedesign.optimization.sweep import design_dict
 from probedesign.prediction.budget import radius_95
 from probedesign.prediction.fused import LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import Condition, predict, predict_touch
