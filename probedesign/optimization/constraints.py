@@ -255,10 +255,10 @@ class NonlinearProgram:
 
     def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
                bounds: list[tuple[float, float]], constraints: list[dict[str, Any]]) -> Array:  # fmt: skip
-        options: Any = _OPTIONS
-        solution: Any = minimize(
-            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=options
-        )  # type: ignore[call-overload]
+        solve: Any = minimize  # its stubs have no overload for a list of constraints
+        solution = solve(
+            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=_OPTIONS
+        )
         low, high = np.array(bounds).T
         found: Array = np.clip(solution.x, low, high)
         return found

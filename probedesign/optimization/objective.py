@@ -139,8 +139,7 @@ class Task:
 
 
 def side_of(gravity: Array) -> float:
-    """Return the direction in which an object pushes across gravity, as an angle about the axis [rad]; +y without
-    gravity."""
+    """Return the angle about the axis of a push across gravity [rad]; that of +y without gravity."""
     return math.atan2(gravity[1], gravity[0]) + math.pi / 2.0
 
 

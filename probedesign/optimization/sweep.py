@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -171,7 +172,8 @@ def sweep(
         MissingDependencyError: dask or pyarrow is not installed.
     """
     grid, base = grid_points(axes), design_dict(design)
-    _require_tables()
+    if find_spec("pyarrow") is None:
+        raise _missing("pyarrow")
     request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
     journal = Journal.open(folder / PROGRESS, request)
@@ -292,13 +294,6 @@ def _await_workers(client: "Client", scheduler: str) -> None:
 def _plain(task: Task) -> dict[str, Any]:
     lists = {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
     return asdict(task) | lists | {"gravities": [list(gravity) for gravity in task.gravities]}
-
-
-def _require_tables() -> None:
-    try:
-        import pyarrow  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise _missing(error.name) from None
 
 
 def _missing(name: str | None) -> MissingDependencyError:

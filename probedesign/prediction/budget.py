@@ -25,15 +25,7 @@ from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.observation import covariance
-from probedesign.estimation.surface_contact_kernel import (
-    ALONG,
-    BY_TOUCH,
-    CENTRE,
-    POINT,
-    UNKNOWNS,
-    VALUE,
-    S,
-)
+from probedesign.estimation.surface_contact_kernel import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
 from probedesign.rod.rod import Rod
 
 CAUSES = (*SOURCES, "friction")
@@ -115,6 +107,7 @@ class _LinearizedTouches:
 
     @classmethod
     def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_LinearizedTouches":
+        """Return the linearisations of touches; the arguments are those of `error_budget`."""
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
         by_s = np.array([by_s_of(sources.model.rod, float(s)) for s in touch[:, S]])
         noise = np.array([covariance(sources.model, wrench) for wrench in lin[:, 0:6, VALUE]])

@@ -246,8 +246,7 @@ def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedForceThresho
 
 
 def shown(conditions: Sequence[FusedCondition], force_N: float = SHOWN_N) -> list[FusedCondition]:
-    """Return one condition per position: the located direction with the largest error, at the force nearest to
-    `force_N`."""
+    """Return the located direction with the largest error at each position, at the force nearest to `force_N`."""
     nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
     here = [c for c in conditions if c.force_N == nearest and c.result == "ok"]
     places = sorted({c.contact_fraction for c in here})

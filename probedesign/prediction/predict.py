@@ -344,8 +344,7 @@ def _finite(value: float) -> float | None:
 
 
 def conditions_csv(prediction: Prediction) -> bytes:
-    """Return a CSV table with a row per condition, single (touches = 1) and fused; the error sources are its last
-    columns."""
+    """Return a CSV table with a row per condition, single (touches = 1) and fused, the error sources at the end."""
     first = ["contact_fraction", "force_N", "direction", "touches", "result"]
     sources = {cause: f"budget_{cause.replace(' ', '_')}_mm" for cause in FUSED_CAUSES}
     rows = []
@@ -360,8 +359,7 @@ def conditions_csv(prediction: Prediction) -> bytes:
 
 
 def along_csv(prediction: Prediction) -> bytes:
-    """Return a CSV table with a row per position and direction: detection, thresholds, limits; fused_ is of fused
-    touches."""
+    """Return a CSV table with detection, thresholds and limits by position and direction; fused_: of fused touches."""
     rows: dict[tuple[float, str], dict[str, Any]] = {}
     shown: tuple[Detection | ForceThresholds, ...] = (*prediction.detection, *prediction.reach)
     for one in shown:
