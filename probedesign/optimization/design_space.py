@@ -74,7 +74,7 @@ class DesignSpace:
             )
         if "section" in free and start.probe.section == "round":
             raise InputError(
-                "--over section: a round section does not vary; start from a hollow or elliptic one"
+                "--over section: a round section has nothing to vary; start from a hollow or elliptic one"
             )
         if "taper" in free and start.probe.tip == "rounded":
             raise InputError('--over taper: requires a blunt tip; start from tip = "blunt"')

@@ -42,7 +42,7 @@ PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
 AROUND = (0.5, 1.0, 2.0)
 """Factors on the task's forces at which they are compared."""
 _THICKER, _TIMES = 1.25, 8
-"""Factor on the diameters of a start that gives way, and how often: nothing leads a search out of there."""
+"""Factor on the diameters of a start that buckles, and maximum number of times: its metrics have no gradient."""
 
 
 @dataclass(frozen=True)

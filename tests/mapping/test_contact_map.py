@@ -1,4 +1,4 @@
-"""Tests of the map: common errors are counted once, vague touches stay apart."""
+"""Tests of the map: common errors are counted once, vague touches remain separate."""
 
 from types import SimpleNamespace
 
@@ -34,10 +34,10 @@ def test_one_point_with_two_lever_arms_makes_the_stiffness_observable():
 def test_touches_are_compared_by_their_independent_errors():
     """Common errors, although far larger, neither separate two touches of one point nor join two points."""
     same = [touch(1, (0, 0, 0), 0.1e-3), touch(2, (0.15e-3, 0, 0), 0.1e-3)]
-    apart = [touch(1, (0, 0, 0), 0.01e-3), touch(2, (0.15e-3, 0, 0), 0.01e-3)]
+    separate = [touch(1, (0, 0, 0), 0.01e-3), touch(2, (0.15e-3, 0, 0), 0.01e-3)]
     assert len(build_map(same, STD_E).points) == 1
     assert (
-        len(build_map(apart, STD_E).points) == 2
+        len(build_map(separate, STD_E).points) == 2
     )  # 10 of their standard deviations apart, of the base's only two
 
 

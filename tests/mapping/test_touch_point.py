@@ -87,7 +87,7 @@ def test_the_rotation_is_a_common_error_source(estimator, houses):
     assert located.covariance(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
 
 
-def test_the_robot_is_taught_by_feel(houses):
+def test_the_simulated_robot_stops_at_a_force(houses):
     """A rotation changes the force only through the direction of the push relative to the probe: by a hundredth."""
     (still,), (turned,) = (house.touches for house in houses)
     assert turned.force == pytest.approx(still.force, rel=0.02)
