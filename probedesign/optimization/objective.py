@@ -19,7 +19,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import error_budget
 from probedesign.prediction.fused import MAX_TOUCHES, LinearizedPresses, PressSchedule
-from probedesign.prediction.predict import tip_sag
+from probedesign.prediction.predict import finite_or_none, tip_sag
 from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
@@ -128,14 +128,18 @@ class Task:
         where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
         if len(self.gravities) > 1:
             where += f" and {len(self.gravities)} directions of gravity"
+        return f"{self.touches_text}, all error sources, {where}"
+
+    @property
+    def touches_text(self) -> str:
+        """Description of the touches, for users."""
         forces = ", ".join(f"{1e3 * force:g}" for force in self.forces_N)
-        schedule = self.schedule
-        if schedule is None:
-            return f"one reading at {forces} mN, all causes, {where}"
+        if self.schedule is None:
+            return f"one reading at {forces} mN"
         changed = "" if self.base_repeat_mm is None else f", base repeats to {self.base_repeat_mm:g} mm"
         changed += "" if self.bias_walk_steps is None else f", bias walks {self.bias_walk_steps:g} steps"
-        counts = schedule.text.split(", ")[1]
-        return f"{self.touches} touches up to {forces} mN fused, {counts}{changed}, all causes, {where}"
+        counted = self.schedule.text.split(", ")[1]
+        return f"{self.touches} touches up to {forces} mN fused, {counted}{changed}"
 
 
 def side_of(gravity: Array) -> float:
@@ -221,13 +225,13 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     found = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
     free = probe.rod.solve(probe.model.gravity_base)
     return DesignMetrics(
-        error_mm=_finite(task.combined(touched.errors) / MM),
-        worst_error_mm=_finite(max(touched.errors) / MM),
+        error_mm=finite_or_none(task.combined(touched.errors) / MM),
+        worst_error_mm=finite_or_none(max(touched.errors) / MM),
         detectable_mN=_detectable_mN(probe.model, task),
         sag_mm=tip_sag(free, probe.length, probe.model.gravity_base) / MM if free.ok else None,
         reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
-        sensor_use=_finite(touched.sensor_use),
-        slide_mm=_finite(touched.slide / MM) if task.touches > 1 else None,
+        sensor_use=finite_or_none(touched.sensor_use),
+        slide_mm=finite_or_none(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
         length_mm=probe.length / MM,
         thinnest_mm=probe.geometry.thinnest / MM,
@@ -304,7 +308,3 @@ def _detectable_mN(model: ProbeModel, task: Task) -> float | None:
         return None
     weak = touches_of(estimator, [(DETECTION_FRACTION, "+y")], [_WEAK_N])[_WEAK_N]
     return 1e3 * estimator.detectable(weak.wrench_by_force[0]) if weak.ok[0] else None
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -175,60 +175,7 @@ def _stable_start(problem: NonlinearProgram, x: Array) -> Array:
     return x
 
 
-@dataclass(frozen=True)
-class OptimizeResult:
-    """Result of `optimize`.
-
-    Attributes:
-        search: statement of the problem.
-        optimum: the best design.
-        confirmed: Monte Carlo check of start and optimum; None if not requested, or for a start that buckles.
-        front: Pareto front; None if not requested.
-        files: written.
-    """
-
-    search: OptimizationProblem
-    optimum: Optimum
-    confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None"
-    front: "ParetoFront | None"
-    files: tuple[Path, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        best, confirmed = self.optimum, self.confirmed
-        return {
-            "schema": 1,
-            "goal": self.search.goal,
-            "task": asdict(best.task),
-            "subject_to": [limit.text for limit in self.search.limits],
-            "start": best.before.as_dict(),
-            "best": best.after.as_dict(),
-            "design": design_dict(best.design),
-            "binding": list(best.active_constraints),
-            "bodies_looked_at": best.n_evaluations,
-            "worse_than_start": [asdict(row) for row in best.worse],
-            "confirmed": None
-            if confirmed is None
-            else {
-                name: None if one is None else asdict(one)
-                for name, one in zip(("start", "best"), confirmed, strict=True)
-            },
-            "front": None if self.front is None else self.front.rows,
-            "files": [str(file) for file in self.files],
-        }
-
-
-def design_text(search: OptimizationProblem, found: Optimum) -> str:
-    """Return the design file of the optimum; its first lines describe the task and the result."""
-    before, after = found.before.error_mm, found.after.error_mm
-    was = "none: it buckles" if before is None else f"{before:.3g} mm"
-    kept = ", ".join(limit.text for limit in search.limits) or "no further limits"
-    about = (
-        f"Optimised for {search.goal} from {search.start.name}; {kept}.\n"
-        f"{found.task.text}:\npredicted error {after:.3g} mm by all error sources; {search.start.name}: {was}."
-    )
-    return render_design(found.design, {"": about})
-
+# Monte Carlo check
 
 _CHUNK = 10
 """Draws that a worker takes at a time: a few seconds."""
@@ -429,3 +376,57 @@ def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, 
     force_mN = 1e3 * problem.evaluator.task_at(x).force_N
     drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **kept})
     return metrics["error_mm"], force_mN, metrics["reach_mm"]
+
+
+# Result
+
+
+@dataclass(frozen=True)
+class OptimizeResult:
+    """Result of `optimize`.
+
+    Attributes:
+        search: statement of the problem.
+        optimum: the best design.
+        confirmed: Monte Carlo check of start and optimum; None if not requested, or for a start that buckles.
+        front: Pareto front; None if not requested.
+        files: written.
+    """
+
+    search: OptimizationProblem
+    optimum: Optimum
+    confirmed: tuple[MonteCarloCheck | None, MonteCarloCheck] | None
+    front: ParetoFront | None
+    files: tuple[Path, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        best, checks = self.optimum, zip(("start", "best"), self.confirmed or (), strict=False)
+        confirmed = {name: None if one is None else asdict(one) for name, one in checks}
+        return {
+            "schema": 1,
+            "goal": self.search.goal,
+            "task": asdict(best.task),
+            "subject_to": [limit.text for limit in self.search.limits],
+            "start": best.before.as_dict(),
+            "best": best.after.as_dict(),
+            "design": design_dict(best.design),
+            "binding": list(best.active_constraints),
+            "bodies_looked_at": best.n_evaluations,
+            "worse_than_start": [asdict(row) for row in best.worse],
+            "confirmed": confirmed or None,
+            "front": None if self.front is None else self.front.rows,
+            "files": [str(file) for file in self.files],
+        }
+
+
+def design_text(search: OptimizationProblem, found: Optimum) -> str:
+    """Return the design file of the optimum; its first lines describe the task and the result."""
+    before, after = found.before.error_mm, found.after.error_mm
+    was = "none: it buckles" if before is None else f"{before:.3g} mm"
+    kept = ", ".join(limit.text for limit in search.limits) or "no further limits"
+    about = (
+        f"Optimised for {search.goal} from {search.start.name}; {kept}.\n"
+        f"{found.task.text}:\npredicted error {after:.3g} mm by all error sources; {search.start.name}: {was}."
+    )
+    return render_design(found.design, {"": about})

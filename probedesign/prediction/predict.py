@@ -245,7 +245,7 @@ def predict(
         tip_sag_mm=tip_sag_mm(estimator),
         noise_force_mN=1e3 * model.noise.force,
         noise_moment_Nmm=1e3 * model.noise.moment,
-        friction=_finite(model.friction),
+        friction=finite_or_none(model.friction),
         conditions=tuple(
             conditions[fraction, direction, force]
             for fraction in fractions for force in forces_N for direction in directions
@@ -290,19 +290,19 @@ def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -
     per_N, press = touches.wrench_by_force[i], float(touches.press_per_N[i])
     by_moment, by_force = float(np.linalg.norm(per_N[3:6])), float(np.linalg.norm(per_N[0:3]))
     rms = touches.budget.rms[i] / MM
-    error, within = _finite(touches.rms[0][i] / MM), _finite(touches.within_95[0][i] / MM)
+    error, within = finite_or_none(touches.rms[0][i] / MM), finite_or_none(touches.within_95[0][i] / MM)
     return Condition(
         line[0], force, line[1], result,
         predicted_error_mm=error,
         predicted_error_95_mm=within,
-        noise_error_mm=_finite(touches.rms[1][i] / MM),
-        noise_error_95_mm=_finite(touches.within_95[1][i] / MM),
-        std_s_mm=_finite(touches.budget.std_s[i] / MM),
+        noise_error_mm=finite_or_none(touches.rms[1][i] / MM),
+        noise_error_95_mm=finite_or_none(touches.within_95[1][i] / MM),
+        std_s_mm=finite_or_none(touches.budget.std_s[i] / MM),
         deflection_mm=float(touches.deflection[i] / MM),
         moment_per_N_Nmm=1e3 * by_moment,
         force_per_N_N=by_force,
-        moment_per_mm_Nmm=_finite(1e3 * by_moment / press * MM) if press > 0 else None,
-        force_per_mm_N=_finite(by_force / press * MM) if press > 0 else None,
+        moment_per_mm_Nmm=finite_or_none(1e3 * by_moment / press * MM) if press > 0 else None,
+        force_per_mm_N=finite_or_none(by_force / press * MM) if press > 0 else None,
         sensor_use=float(touches.sensor_use[i]),
         budget_mm=dict(zip(CAUSES, rms.tolist(), strict=True)) if np.isfinite(rms).all() else None,
         total_error_mm=error,
@@ -339,7 +339,8 @@ def _detection(touches: Touches, i: int, line: tuple[float, str], max_force: flo
     return Detection(*line, 1e3 * felt if felt <= max_force else None)
 
 
-def _finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
+    """Return the number, None where it is infinite or NaN."""
     return float(value) if math.isfinite(value) else None
 
 

@@ -179,6 +179,14 @@ class Chart:
     legend: list[LegendEntry] = field(default_factory=list)
     _elements: list[_Line | _Area | _Rectangle | _Label] = field(default_factory=list)
 
+    @classmethod
+    def side_view(cls, points: ArrayLike, across: int) -> "Chart":
+        """Return an empty chart of points (n, 3) [mm] along z and along the axis `across`; x grows downwards."""
+        p = np.asarray(points, dtype=float)
+        z = ChartAxis.spanning("z, along the undeformed axis [mm]", p[:, 2])
+        lateral = ChartAxis.spanning(f"{'xyz'[across]} [mm]", p[:, across])
+        return cls(z, lateral, square=True, down=across == 0)
+
     def __post_init__(self) -> None:
         """Extend the axes of a square chart to the same scale."""
         if self.square:

@@ -87,10 +87,10 @@ def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
 
 def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     """Return the page of a comparison."""
-    touched = task.text.split(", all causes")[0] + ", all error sources included"
     force = ChartAxis("contact force [mN]", 0.9, 55.0, log=True)
     sections = [
-        _lines("Error along the probe", f"{touched}. A line ends where the probe buckles.", compared,
+        _lines("Error along the probe",
+               f"{task.touches_text}, all error sources. A line ends where the probe buckles.", compared,
                lambda one: (PLACES, _in_mm(one.along.errors)), _PLACE, _ERROR),
         _lines("Error by force", "As before, over the task's positions, by the largest force.", compared,
                lambda one: ([1e3 * f for f in FORCES_N], _in_mm(one.by_force)), force, _ERROR),
@@ -102,13 +102,13 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
         _lines("Detection limit", "Force detected with probability 0.5 at one false alarm an hour.", compared,
                lambda one: _rows(one.prediction.detection, lambda d: d.detectable_force_mN), _PLACE,
                "smallest detectable force [mN]"),
-        _lines("Maximum force", "Until the probe buckles, an object slips off the tip or the sensor's range ends, "
-               "pushed sideways.", compared,
+        _lines("Maximum force", "Force at which the probe buckles, an object slips off the tip or the sensor's range "
+               "ends; pushed sideways.", compared,
                lambda one: _rows(one.prediction.reach, lambda r: r.greatest_force_N, 1e3), _PLACE,
                "maximum force [mN]"),
         _lines("Diameter", "Diameter along the undeformed axis.", compared,
                lambda one: ([s for s, _ in one.design.probe.knots_mm], [d for _, d in one.design.probe.knots_mm]),
-               "s, base to tip [mm]", "diameter [mm]", from_zero=True),
+               "arclength s [mm]", "diameter [mm]", from_zero=True),
         Section("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
                 _sag_chart(compared).svg()),
     ]  # fmt: skip
@@ -156,9 +156,7 @@ def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
         free = probe.rod.solve(probe.model.gravity_base)
         s = np.linspace(0.0, probe.length, 60)
         shapes.append(free.p_at(s) / MM if free.ok else np.full((1, 3), np.nan))
-    points = np.concatenate(shapes)
-    z = ChartAxis.spanning("z, along the undeformed axis [mm]", points[:, 2])
-    chart = Chart(z, ChartAxis.spanning("x [mm]", points[:, 0]), square=True, down=True)
+    chart = Chart.side_view(np.concatenate(shapes), 0)
     for one, p, colour, dashes in zip(compared, shapes, COLOURS, DASHES, strict=False):
         chart.line(p[:, 2], p[:, 0], colour, dashes, name=one.design.name)
     return chart

@@ -34,10 +34,11 @@ def identification_page(found: Identification) -> bytes:
         *found.caveats,
         *found.notes,
     ]
-    sections = [_by_test(found), _normal(found)] if any(one.kind in KINDS for one in found.residuals) else []
-    if any(one.kind == "markers" for one in found.residuals):
+    kinds = {one.kind for one in found.residuals}
+    sections = [_by_test(found), _normal(found)] if kinds & set(KINDS) else []
+    if "markers" in kinds:
         sections.append(_along(found))
-    if any(one.kind == "wrenches" for one in found.residuals):
+    if "wrenches" in kinds:
         sections += [_wrenches(found, "forces"), _wrenches(found, "moments")]
     if len(found.correlated) > 1:
         sections.append(_correlation(found))
@@ -120,9 +121,9 @@ def _along(found: Identification) -> Section:
     scatter = [v.std(axis=0, ddof=1) / math.sqrt(len(v)) if len(v) > 1 else np.zeros(3) for v in each]
     margins = 2.0 * np.array(scatter).reshape(-1, 3)
     chart = Chart(
-        ChartAxis.spanning("s [mm]", places),
+        ChartAxis.spanning("arclength s [mm]", places),
         ChartAxis.spanning(
-            "measured - fitted, mean [mm]", [*(means - margins).flat, *(means + margins).flat, 0]
+            "mean residual, measured - fitted [mm]", [*(means - margins).flat, *(means + margins).flat, 0]
         ),
     )
     for i, (axis, colour, dashes, mark) in enumerate(zip(_AXES, COLOURS[1:], DASHES, MARKS, strict=False)):
@@ -130,7 +131,7 @@ def _along(found: Identification) -> Section:
             chart.line([s, s], [at - margin, at + margin], colour, width=1.0)
         chart.line(places, means[:, i], colour, dashes, mark, f"along world {axis}")
     caption = (
-        "Mean over the tests with two standard deviations of it. A bow that is common to all tests indicates that the "
+        "Mean over the tests with two standard deviations of it. A curve common to all tests indicates that the "
         "taper, the root or a camera differs from its model."
     )
     return Section("Residuals along the probe", caption, chart.svg())
@@ -142,7 +143,7 @@ def _wrenches(found: Identification, what: str) -> Section:
     off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
     chart = Chart(
         ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
-        ChartAxis.spanning(f"measured - fitted [{unit}]", [*off.flat, 0.0]),
+        ChartAxis.spanning(f"residual, measured - fitted [{unit}]", [*off.flat, 0.0]),
     )
     chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
     colour, mark = _SIGNS["wrenches"]

@@ -256,7 +256,7 @@ def sensitivity_chart(prediction: Prediction) -> Chart:
     rows = [c for c in prediction.conditions if (c.force_N, c.direction) == (smallest, side)]
     moments = [c.moment_per_mm_Nmm or math.nan for c in rows]
     forces = [1e3 * (c.force_per_mm_N or math.nan) for c in rows]
-    chart = _along("per millimetre of indentation", [*moments, *forces])
+    chart = _along("sensitivity [N·mm/mm, mN/mm]", [*moments, *forces])
     places = [c.contact_fraction for c in rows]
     chart.line(places, moments, COLOURS[1], "", "o", "base moment [N·mm/mm]")
     chart.line(places, forces, COLOURS[2], "7 4", "s", "force [mN/mm]")
@@ -356,20 +356,12 @@ def bending_chart(estimator: Estimator) -> Chart:
                 lines.append((contact.equilibrium.p_at(s), colour, dashes, name))
                 dots.append((contact.equilibrium.p_contact_base, colour))
     shapes = np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3))
-    chart = _side_view(shapes / MM, 0)
+    chart = Chart.side_view(shapes / MM, 0)
     for points, colour, dashes, name in lines:
         chart.line(points[:, 2] / MM, points[:, 0] / MM, colour, dashes, name=name, width=2.4)
     for dot, colour in dots:
         chart.points(dot[2] / MM, dot[0] / MM, colour, "o")
     return chart
-
-
-def _side_view(points: Array, across: int) -> Chart:
-    """Return an empty chart that shows points (n, 3) [mm] along z and along the axis `across`."""
-    z = ChartAxis.spanning("z, along the undeformed axis [mm]", points[:, 2])
-    return Chart(
-        z, ChartAxis.spanning(f"{'xy'[across]} [mm]", points[:, across]), square=True, down=across == 0
-    )
 
 
 def workspace_chart(workspace: Workspace, across: int) -> Chart:
@@ -386,7 +378,7 @@ def workspace_chart(workspace: Workspace, across: int) -> Chart:
         sheets[side] = np.array([path.points for path in paths]).reshape(-1, STEPS, 3)
     if across and not len(sheets["-y"]) and "-y" in (workspace.area_mm2 or {}):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
-    chart = _side_view(
+    chart = Chart.side_view(
         np.concatenate([*(s.reshape(-1, 3) for s in sheets.values()), np.zeros((1, 3))]), across
     )
     for side, colour in sides.items():

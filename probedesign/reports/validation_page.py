@@ -1,4 +1,4 @@
-"""Page and charts of a validation: measured beside estimated, as the paper's figures 3 to 6 and its Table I."""
+"""Page and charts of a validation: measured and estimated, as the paper's figures 3 to 6 and its Table I."""
 
 import math
 from collections.abc import Sequence
@@ -47,7 +47,8 @@ def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
     expected = (chi2.ppf((np.arange(n) + 0.5) / max(n, 1), dof) / dof).tolist()
     high = max([*scaled, *expected, 1.0]) * 1.1
     chart = Chart(
-        ChartAxis("expected quantile", 0.0, high), ChartAxis("NEES per degree of freedom", 0.0, high)
+        ChartAxis("expected quantile of the NEES per degree of freedom", 0.0, high),
+        ChartAxis("NEES per degree of freedom", 0.0, high),
     )
     chart.line([0.0, high], [0.0, high], "#888", "5 2", name="consistent")
     chart.line(expected, scaled, ESTIMATED, mark="o", name="touches")
@@ -76,7 +77,7 @@ def internal_load(shape: Equilibrium, what: str) -> tuple[Array, Array]:
 
 
 def lateral_axis(trial: ValidatedTest) -> int:
-    """Return the axis drawn beside z: that of the larger load, 0 for x, 1 for y; x for a free probe."""
+    """Return the axis drawn against z: that of the larger load, 0 for x, 1 for y; x for a free probe."""
     if trial.test.direction[1:] in ("x", "y"):
         return "xy".index(trial.test.direction[1:])
     if trial.shape is None or trial.kind == "free":
@@ -124,9 +125,7 @@ def shape_chart(trial: ValidatedTest, model: ProbeModel) -> Chart:
     estimate = estimated_contact(trial)
     contacts = [p[None] for p in (trial.contact_base, estimate) if p is not None]
     points = np.concatenate([body, trial.markers_on_axis, *contacts, np.zeros((1, 3))]) / MM
-    z = ChartAxis.spanning("z, along the undeformed axis [mm]", points[:, 2])
-    lateral = ChartAxis.spanning(f"{'xy'[across]} [mm]", points[:, across])
-    chart = Chart(z, lateral, square=True, down=across == 0)
+    chart = Chart.side_view(points, across)
     if len(body):
         chart.area([(float(p[2]) / MM, float(p[across]) / MM) for p in body], ESTIMATED, 0.15)
     seen = trial.markers_on_axis / MM
