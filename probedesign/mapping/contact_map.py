@@ -43,17 +43,17 @@ class MapPoint:
 
     @property
     def rms(self) -> float:
-        """RMS distance to the true point [m]."""
+        """Return the RMS distance to the true point [m]."""
         return math.sqrt(float(np.trace(self.cov_world)))
 
     @property
     def force(self) -> float:
-        """Largest contact force [N]."""
+        """Return the largest contact force [N]."""
         return max(touch.force for touch in self.touches)
 
     @property
     def direction(self) -> Array | None:
-        """Direction of that force on the probe in the world, the outward normal of the object, unit vector, (3,)."""
+        """Return the direction of that force on the probe in the world, the outward normal of the object, (3,)."""
         return max(self.touches, key=lambda touch: touch.force).direction
 
 

@@ -77,12 +77,12 @@ class BasePoseUncertainty:
 
     @property
     def rotation_std(self) -> Array:
-        """Standard deviations of the rotation about the base axes [rad], (3,)."""
+        """Return the standard deviations of the rotation about the base axes [rad], (3,)."""
         return np.radians([self.tilt_deg, self.tilt_deg, self.clocking_deg])
 
     @property
     def summary(self) -> str:
-        """The standard deviations in one line."""
+        """Return the standard deviations in one line."""
         return (
             f"base pose uncertainty: {self.base_offset_mm:g} mm common, {self.base_repeat_mm:g} mm per pose, "
             f"tilt {self.tilt_deg:g}°, clocking {self.clocking_deg:g}°"
@@ -90,7 +90,7 @@ class BasePoseUncertainty:
 
     @property
     def notice(self) -> str:
-        """The same line with the options that change it."""
+        """Return the same line with the options that change it."""
         return (
             f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
         )
@@ -154,13 +154,11 @@ class ConditionalPoint:
 
     def position(self, common: Array) -> Array:
         """Return the point for given common error sources (J,) [m], (3,)."""
-        point: Array = self.mean + self.sensitivity @ common
-        return point
+        return np.asarray(self.mean + self.sensitivity @ common)
 
     def covariance(self, cov_common: Array) -> Array:
         """Return the covariance of the point for a covariance of the common error sources (J, J) [m²], (3, 3)."""
-        cov: Array = self.cov + self.sensitivity @ cov_common @ self.sensitivity.T
-        return cov
+        return np.asarray(self.cov + self.sensitivity @ cov_common @ self.sensitivity.T)
 
     def fused_with(self, other: "ConditionalPoint") -> "ConditionalPoint":
         """Return both as one point."""

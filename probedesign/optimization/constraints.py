@@ -53,7 +53,7 @@ class Limit:
 
     @property
     def text(self) -> str:
-        """The limit as it is written on the command line."""
+        """Return the limit as it is written on the command line."""
         return f"{self.metric} {'<=' if self.is_upper else '>='} {self.value:g}"
 
     def margin(self, figure: float) -> float:
@@ -147,33 +147,30 @@ class NonlinearProgram:
     def slope(self, x: Array) -> Array:
         """Return the gradient of the objective, (n,)."""
         if self.evaluator.with_force:
-            last: Array = np.eye(len(x))[-1]
-            return last
-        by_error: Array = self.evaluator.gradient("error_mm", x) / self.evaluator.metrics(x)["error_mm"]
-        return by_error
+            return np.asarray(np.eye(len(x))[-1])
+        return np.asarray(self.evaluator.gradient("error_mm", x) / self.evaluator.metrics(x)["error_mm"])
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """Lower and upper bound of each coordinate."""
+        """Return the lower and upper bound of each coordinate."""
         low, high = (float(np.log(force)) for force in FORCES)
         return [*self.evaluator.space.bounds, *([(low, high)] if self.evaluator.with_force else [])]
 
     def clip(self, x: Array) -> Array:
         """Return the point within its bounds."""
         low, high = np.array(self.bounds).T
-        found: Array = np.clip(x, low, high)
-        return found
+        return np.asarray(np.clip(x, low, high))
 
     @cached_property
     def constraints(self) -> list[Constraint]:
-        """One constraint per limit and per print rule, and those conflicts buckling and slipping."""
+        """Return one constraint for each limit and print rule, for buckling and for slipping."""
         rules = self.evaluator.space.printable(self.evaluator.space.x_of(self.evaluator.space.start))
         slips = [self._slip_constraint] if self.evaluator.task.touches > 1 else []
         return [*map(self._limit, self.limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
 
     @property
     def _slip_constraint(self) -> Constraint:
-        """Constraint that the object does not slip off the tip while the base presses on."""
+        """Return the constraint that the object does not slip off the tip while the base presses on."""
         metrics, outermost = self.evaluator.metrics, max(self.evaluator.task.fractions)
 
         def margin(x: Array) -> Array:
@@ -185,7 +182,7 @@ class NonlinearProgram:
 
     @property
     def _buckling_constraint(self) -> Constraint:
-        """Constraint that the critical load exceeds the task's force by the safety factor."""
+        """Return the constraint that the critical load exceeds the task's force by the safety factor."""
         metrics, name = self.evaluator.metrics, f"bears {SAFETY_FACTOR:g} x the force"
 
         def margin(x: Array) -> Array:
@@ -260,8 +257,7 @@ class NonlinearProgram:
             f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=_OPTIONS
         )
         low, high = np.array(bounds).T
-        found: Array = np.clip(solution.x, low, high)
-        return found
+        return np.asarray(np.clip(solution.x, low, high))
 
 
 @dataclass(frozen=True)
@@ -305,13 +301,13 @@ class OptimizationProblem:
 
     @property
     def all_limits(self) -> tuple[Limit, ...]:
-        """All limits on metrics, including the sensor's range and the error to be reached."""
+        """Return all limits on metrics, including the sensor's range and the error to be reached."""
         wanted = () if self.error_mm is None else (Limit("error_mm", True, self.error_mm),)
         return (*self.limits, Limit("sensor_use", True, 1.0), *wanted)
 
     @property
     def problem(self) -> NonlinearProgram:
-        """The problem in the form of the solver."""
+        """Return the problem in the form of the solver."""
         space = DesignSpace.of(self.start, self.free)
         evaluator = DesignEvaluator(space, self.task, self.goal == "force-for-error")
         return NonlinearProgram(evaluator, self.all_limits)

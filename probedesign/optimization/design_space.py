@@ -82,21 +82,20 @@ class DesignSpace:
 
     @property
     def size(self) -> int:
-        """Dimension of x."""
+        """Return the dimension of x."""
         return self.controls + ("length" in self.free) + ("section" in self.free)
 
     @property
     def ratio_key(self) -> str:
-        """Key of the section's ratio in the design file."""
+        """Return the key of the section's ratio in the design file."""
         return "bore_ratio" if self.start.probe.section == "hollow" else "flatness"
 
     @cached_property
     def spline(self) -> Array:
-        """Matrix from control diameters to diameters at the knots, (knots, controls)."""
+        """Return the matrix from control diameters to diameters at the knots, (knots, controls)."""
         at = np.linspace(0.0, 1.0, self.controls)
         to = at if self.controls == 2 else np.linspace(0.0, 1.0, FRUSTA + 1)
-        drawn: Array = make_interp_spline(at, np.eye(self.controls), k=min(3, self.controls - 1))(to)
-        return drawn
+        return np.asarray(make_interp_spline(at, np.eye(self.controls), k=min(3, self.controls - 1))(to))
 
     def x_of(self, design: Design) -> Array:
         """Return the nearest point to a design: its diameters at the controls."""
@@ -131,7 +130,7 @@ class DesignSpace:
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """Lower and upper bound of each coordinate."""
+        """Return the lower and upper bound of each coordinate."""
         found = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
         for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
             if name in self.free:
@@ -287,7 +286,7 @@ class DesignEvaluator:
 
     @property
     def n_evaluations(self) -> int:
-        """Number of designs that were computed."""
+        """Return the number of designs that were computed."""
         return len(self._cache)
 
     def design(self, x: Array) -> Design:
@@ -387,5 +386,4 @@ def _by_base(rod: Rod, gravity: Array) -> Array:
         radius[0] *= factor
         other = replace(rod, radius=radius, rigid_length=factor * rod.rigid_length)
         ends.append(other.solve(gravity, mode="reference").p_at(rod.length))
-    difference: Array = (ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0])
-    return difference
+    return np.asarray((ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0]))

@@ -94,12 +94,12 @@ class Task:
 
     @property
     def force_N(self) -> float:
-        """Largest force."""
+        """Return the largest force."""
         return max(self.forces_N)
 
     @property
     def schedule(self) -> PressSchedule | None:
-        """How several touches are made; None: one reading."""
+        """Return how several touches are made; None: one reading."""
         return None if self.touches == 1 else PressSchedule(self.touches, self.moments_about)
 
     def priors(self, model: ProbeModel) -> Tolerances:
@@ -123,7 +123,7 @@ class Task:
 
     @property
     def text(self) -> str:
-        """Description in one line, for users."""
+        """Return the description in one line, for users."""
         over = "RMS over" if self.combine == "mean" else "worst of"
         where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
         if len(self.gravities) > 1:
@@ -132,7 +132,7 @@ class Task:
 
     @property
     def touches_text(self) -> str:
-        """Description of the touches, for users."""
+        """Return the description of the touches, for users."""
         forces = ", ".join(f"{1e3 * force:g}" for force in self.forces_N)
         if self.schedule is None:
             return f"one reading at {forces} mN"
@@ -207,7 +207,7 @@ class DesignMetrics:
 
     @property
     def is_observable(self) -> bool:
-        """Whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
+        """Return whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
         return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * BETTER_THAN_NOTHING
 
     def as_dict(self) -> dict[str, Any]:

@@ -256,9 +256,7 @@ def confirm(
 
 
 def _errors(chunk: _Chunk) -> Array:
-    """Return, for each draw, the error [m] (NaN without a candidate), whether it is located, and whether the 95 %
-    ellipsoid contains the true point, (n, 3).
-    """
+    """Return error [m] (NaN without a candidate), located and inside the 95 % ellipsoid for each draw, (n, 3)."""
     model, task = chunk.model, chunk.task
     rng = np.random.default_rng(chunk.seed)
     samples = PrintSamples.draw(model, task.priors(model), chunk.draws, int(rng.integers(2**31)))

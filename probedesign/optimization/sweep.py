@@ -148,7 +148,7 @@ class SweepResult:
 
     @property
     def failed(self) -> list[Record]:
-        """Points without the result "ok"."""
+        """Return the points without the result "ok"."""
         return [record for record in self.records if record["result"] != "ok"]
 
 

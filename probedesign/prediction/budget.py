@@ -52,7 +52,7 @@ class ErrorBudget:
 
     @property
     def rms(self) -> Array:
-        """RMS error by source [m], (n, causes)."""
+        """Return the RMS error by source [m], (n, causes)."""
         return rms_of(self.cov)
 
 

@@ -60,7 +60,7 @@ class PressSchedule:
 
     @property
     def text(self) -> str:
-        """Description for users."""
+        """Return the description for users."""
         about = self.moments_about
         counted = f"moments about the {about} alone" if about else "forces and moments"
         return f"{self.touches} touches fused as the base presses on, {counted}"
@@ -89,7 +89,7 @@ class FusedErrorBudget:
 
     @property
     def rms(self) -> Array:
-        """RMS error by source [m], (causes,)."""
+        """Return the RMS error by source [m], (causes,)."""
         return rms_of(self.cov)
 
 
@@ -103,12 +103,14 @@ class LinearizedPresses:
     def __init__(
         self, model: ProbeModel, priors: Tolerances, gravity: Array, touches: Array, schedule: PressSchedule
     ) -> None:
-        """Args:
-        model: of the probe.
-        priors: standard deviations of the error sources.
-        gravity: base axes [m/s²], (3,).
-        touches: unknowns, dead loads and tip of each, in the order of time, (k, TOUCH).
-        schedule: how they are made.
+        """Linearise touches of one point.
+
+        Args:
+            model: of the probe.
+            priors: standard deviations of the error sources.
+            gravity: base axes [m/s²], (3,).
+            touches: unknowns, dead loads and tip of each, in the order of time, (k, TOUCH).
+            schedule: how they are made.
         """
         cov, none = model.noise_base(), np.zeros(6)
         readings = tuple(Reading(none, cov, np.eye(4), gravity, True) for _ in touches)
@@ -130,7 +132,7 @@ class LinearizedPresses:
 
     @property
     def wrenches(self) -> Array:
-        """Wrenches at the base without noise, (k, 6)."""
+        """Return the wrenches at the base without noise, (k, 6)."""
         return np.array([reading.wrench for reading in self.fusion.readings])
 
     def cov(

@@ -258,7 +258,7 @@ class MonteCarloPlan:
 
     @property
     def key(self) -> str:
-        """Hash of the plan, twelve hex digits."""
+        """Return the hash of the plan, twelve hex digits."""
         model, rod = self.model, self.model.rod
         numbers = [*rod.body, rod.rigid_length, model.gravity_base, model.T_sensor_base, model.wrench_range,
                    model.noise.force, model.noise.moment, model.averaging_samples, model.payload.mass,

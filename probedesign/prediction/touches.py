@@ -156,7 +156,7 @@ class ForceContinuation:
 
     @property
     def force(self) -> float:
-        """Normal force reached so far [N]."""
+        """Return the normal force reached so far [N]."""
         return float(self.touch[NORMAL])
 
 
@@ -229,63 +229,63 @@ class Touches:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Which touches have an equilibrium, (n,)."""
+        """Return which touches have an equilibrium, (n,)."""
         return np.asarray(np.isfinite(self.lin[:, 0, VALUE]))
 
     @property
     def wrench(self) -> Array:
-        """Wrenches at the base without noise [N, N·m], (n, 6)."""
+        """Return the wrenches at the base without noise [N, N·m], (n, 6)."""
         return self.lin[:, 0:6, VALUE]
 
     @property
     def centre(self) -> Array:
-        """Points of the centreline where the forces act without a couple [m], (n, 3)."""
+        """Return the points of the centreline where the forces act without a couple [m], (n, 3)."""
         return self.lin[:, CENTRE : CENTRE + 3, VALUE]
 
     @property
     def wrench_by_force(self) -> Array:
-        """Derivative of the base wrench by the normal force, (n, 6)."""
+        """Return the derivative of the base wrench by the normal force, (n, 6)."""
         return self.lin[:, 0:6, BY_TOUCH + NORMAL]
 
     @cached_property
     def budget(self) -> ErrorBudget:
-        """Error budget of each touch."""
+        """Return the error budget of each touch."""
         return error_budget(self.touch, self.lin, self.D, self.sources, self.estimator.model.friction)
 
     @cached_property
     def rms(self) -> tuple[Array, Array]:
-        """RMS error of the touched point by all error sources, and by sensor noise alone [m], (n,) each."""
+        """Return the RMS error of the touched point by all error sources, and by sensor noise alone [m], (n,) each."""
         return rms_of(self.budget.total), rms_of(self.budget.cov_noise)
 
     @cached_property
     def within_95(self) -> tuple[Array, Array]:
-        """Radius that contains 95 % of these errors [m], (n,) each."""
+        """Return the radius that contains 95 % of these errors [m], (n,) each."""
         return radii_95(self.budget.total), radii_95(self.budget.cov_noise)
 
     @cached_property
     def sensor_use(self) -> Array:
-        """Largest fraction of a channel's range that each reading takes, (n,)."""
+        """Return the largest fraction of a channel's range that each reading takes, (n,)."""
         model = self.estimator.model
         read = model.to_sensor(self.wrench, model.gravity_base)
         return np.asarray((np.abs(read) / model.wrench_range).max(axis=1))
 
     @cached_property
     def press_per_N(self) -> Array:
-        """Derivative of the indentation along the force by the normal force [m/N], (n,)."""
+        """Return the derivative of the indentation along the force by the normal force [m/N], (n,)."""
         force = self.touch[:, DEAD : DEAD + 3]
         by = self.lin[:, POINT : POINT + 3, BY_TOUCH + NORMAL]
         return np.asarray(np.einsum("ni,ni->n", force, by) / np.linalg.norm(force, axis=1))
 
     @cached_property
     def free_centre(self) -> Array:
-        """Touched points of the centreline on the free probe [m], (n, 3)."""
+        """Return the touched points of the centreline on the free probe [m], (n, 3)."""
         rod = self.estimator.model.rod
         at = [s - float(rod.radius_at(s)) * rod.taper_at(s) for s in np.nan_to_num(self.touch[:, S])]
         return self.estimator.free().p_at(np.clip(at, 0.0, rod.length))
 
     @cached_property
     def deflection(self) -> Array:
-        """Distance of each point from its place on the free probe [m], (n,)."""
+        """Return the distance of each point from its place on the free probe [m], (n,)."""
         return np.asarray(np.linalg.norm(self.centre - self.free_centre, axis=1))
 
     def results(self) -> list[str]:

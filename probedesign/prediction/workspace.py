@@ -149,7 +149,7 @@ class PressPath:
 
     @property
     def points(self) -> Array:
-        """Points of the path [mm], (STEPS, 3)."""
+        """Return the points of the path [mm], (STEPS, 3)."""
         return np.stack([self.x_mm, self.y_mm, self.z_mm], axis=-1)
 
 

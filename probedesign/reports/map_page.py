@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -51,19 +51,19 @@ class MapScene:
 
     @property
     def centre_mm(self) -> Array:
-        """Centre of everything shown [mm], (3,)."""
+        """Return the centre of everything shown [mm], (3,)."""
         corners = self._corners_mm
         return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
 
     @property
     def radius_mm(self) -> float:
-        """Radius about the centre [mm]."""
+        """Return the radius about the centre [mm]."""
         distances = np.linalg.norm(self._corners_mm - self.centre_mm, axis=1)
         return max(float(distances.max()), 0.5 * MIN_SPAN_MM)
 
     @property
     def magnification(self) -> int:
-        """Initial magnification of ellipsoids: the smallest with which half of them are visible."""
+        """Return the initial magnification of ellipsoids: the smallest with which half of them are visible."""
         longest = [np.linalg.eigvalsh(point.cov_world)[-1] for point in self.contact_map.points]
         half = math.sqrt(CHI2_95 * float(np.median(longest))) / MM if longest else self.radius_mm
         visible = (times for times in MAGNIFICATIONS if times * half >= MIN_VISIBLE * self.radius_mm)
@@ -90,7 +90,7 @@ class ParallelProjection:
 
     @property
     def axes(self) -> Array:
-        """Directions to the right and up in the picture, in the world, (2, 3)."""
+        """Return the directions to the right and up in the picture, in the world, (2, 3)."""
         a, e = self.azimuth, self.elevation
         right = (math.cos(a), math.sin(a), 0.0)
         up = (-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e))
@@ -98,8 +98,7 @@ class ParallelProjection:
 
     def project(self, points: Array) -> Array:
         """Return points (n, 3) in the picture, right and up, (n, 2)."""
-        flat: Array = np.asarray(points) @ self.axes.T
-        return flat
+        return np.asarray(np.asarray(points) @ self.axes.T)
 
     def ellipse(self, cov: Array) -> tuple[float, float, float]:
         """Return the outline of the ellipsoid of a covariance (3, 3), at one standard deviation.
@@ -118,53 +117,34 @@ SYMBOL_SIZE = (34, 14)
 """Width and height of a symbol of the legend, in units of SVG."""
 
 
-class MapSymbol(NamedTuple):
-    """A symbol of the legend: SVG within `SYMBOL_SIZE`, and its meaning as plain text."""
-
-    svg: str
-    meaning: str
-
-
-def map_symbols(ellipsoids: str, truth: bool) -> tuple[MapSymbol, ...]:
-    """Return the symbols of the legend.
+def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
+    """Return the symbols of the legend: SVG within `SYMBOL_SIZE`, and its meaning as plain text.
 
     Args:
         ellipsoids: magnification of the ellipsoids, as text.
         truth: whether the simulated truth is shown.
     """
-    blue = hex_colour(MIN_RMS_MM)
-    symbols = (
-        MapSymbol(f'<circle cx="17" cy="7" r="2" fill="{blue}"/>', "point of the surface, with its number"),
-        MapSymbol(
-            f'<ellipse cx="17" cy="7" rx="12" ry="5" fill="{blue}" fill-opacity="0.25" stroke="{blue}"/>',
-            f"its 95 % ellipsoid, {ellipsoids}",
-        ),
-        MapSymbol(
-            _colour_bar(),
-            f"RMS error from {MIN_RMS_MM:g} mm or less (blue) to {MAX_RMS_MM:g} mm or more (red)",
-        ),
-        MapSymbol(
-            f'<path d="M6 7H28" stroke="{STROKE_COLOUR}"/>',
-            "outward normal of the object, from the force on the probe; its length has no meaning",
-        ),
-    )
-    outline = f'<path d="M5 12L12 3H30L23 12Z" fill="none" stroke="{TRUTH_COLOUR}" stroke-width="0.8"/>'
-    edge = f'<path d="M5 12L12 3" stroke="{TRUTH_COLOUR}" stroke-width="2"/>'
-    known = MapSymbol(
-        outline + edge, "the simulated truth, not measured: touched objects, touched edges thick"
-    )
-    return (*symbols, known) if truth else symbols
-
-
-def _colour_bar() -> str:
-    """Return the colour scale as adjacent rectangles."""
-    steps = 8
+    blue, steps = hex_colour(MIN_RMS_MM), 8
     width = (SYMBOL_SIZE[0] - 4) / steps
     shades = [MIN_RMS_MM * (MAX_RMS_MM / MIN_RMS_MM) ** (i / (steps - 1)) for i in range(steps)]
-    return "".join(
+    colour_scale = "".join(
         f'<rect x="{2 + i * width:.2f}" y="4" width="{width:.2f}" height="6" fill="{hex_colour(shade)}"/>'
         for i, shade in enumerate(shades)
     )
+    symbols = [
+        (f'<circle cx="17" cy="7" r="2" fill="{blue}"/>', "point of the surface, with its number"),
+        (f'<ellipse cx="17" cy="7" rx="12" ry="5" fill="{blue}" fill-opacity="0.25" stroke="{blue}"/>',
+         f"its 95 % ellipsoid, {ellipsoids}"),
+        (colour_scale, f"RMS error from {MIN_RMS_MM:g} mm or less (blue) to {MAX_RMS_MM:g} mm or more (red)"),
+        (f'<path d="M6 7H28" stroke="{STROKE_COLOUR}"/>',
+         "outward normal of the object, from the force on the probe; its length has no meaning"),
+    ]  # fmt: skip
+    if truth:
+        outline = f'<path d="M5 12L12 3H30L23 12Z" fill="none" stroke="{TRUTH_COLOUR}" stroke-width="0.8"/>'
+        edge = f'<path d="M5 12L12 3" stroke="{TRUTH_COLOUR}" stroke-width="2"/>'
+        meaning = "the simulated truth, not measured: touched objects, touched edges thick"
+        symbols.append((outline + edge, meaning))
+    return symbols
 
 
 def hex_colour(rms_mm: float) -> str:
@@ -195,8 +175,7 @@ def map_svg(scene: MapScene) -> bytes:
 
     def at(flat: Array) -> Array:
         centre = np.array([0.5 * WIDTH, 0.5 * (HEIGHT + LEGEND_HEIGHT - MARGIN)])
-        pixels: Array = (flat - origin) * (scale, -scale) + centre
-        return pixels
+        return np.asarray((flat - origin) * (scale, -scale) + centre)
 
     body = [_polygon(at(polygon)) for polygon in polygons]
     placed = [(point, at(flat)) for point, flat in zip(points, p, strict=True)]
@@ -320,9 +299,8 @@ def _magnification_form(initial: int) -> str:
 def _legend(truth: bool) -> str:
     width, height = SYMBOL_SIZE
     lines = "".join(
-        f'<li><svg width="{width}" height="{height}" aria-hidden="true">{symbol.svg}</svg> '
-        f"{escape(symbol.meaning)}</li>"
-        for symbol in map_symbols("magnified as chosen above", truth)
+        f'<li><svg width="{width}" height="{height}" aria-hidden="true">{svg}</svg> {escape(meaning)}</li>'
+        for svg, meaning in map_symbols("magnified as chosen above", truth)
     )
     return f'<ul class="legend">{lines}</ul>'
 
