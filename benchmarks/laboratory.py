@@ -14,7 +14,7 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import DEGREE, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
-from probedesign.prediction.print_samples import perturbed_rod
+from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.rod.rod import Rod

@@ -6,13 +6,10 @@ from time import perf_counter
 
 from benchmarks.timing import print_table
 from probedesign.design import Design, check_design, load_design
-from probedesign.optimization.confirm import MonteCarloCheck, confirm
-from probedesign.optimization.constraints import Limit
-from probedesign.optimization.design_space import FreeParameter
-from probedesign.optimization.grid import design_dict
-from probedesign.optimization.objective import DesignMetrics, design_metrics
-from probedesign.optimization.optimum import OptimizationProblem, optimum
-from probedesign.optimization.task import Task
+from probedesign.optimization.constraints import Limit, OptimizationProblem
+from probedesign.optimization.design_space import FreeParameter, design_dict
+from probedesign.optimization.objective import DesignMetrics, Task, design_metrics
+from probedesign.optimization.optimum import MonteCarloCheck, confirm, optimum
 
 START = Path(__file__).parents[1] / "designs/large.toml"
 SAG = Limit("sag_mm", True, 60.0)

@@ -11,7 +11,7 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.print_samples import PrintSamples
+from probedesign.prediction.monte_carlo import PrintSamples
 from probedesign.prediction.touches import DIRECTIONS
 
 DRAWS = 300

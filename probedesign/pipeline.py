@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from probedesign.live.sources.source import Source
     from probedesign.mapping.explore import Exploration
     from probedesign.mapping.touch_point import LocatedTouch
-    from probedesign.optimization.confirm import MonteCarloCheck
-    from probedesign.optimization.optimum import OptimizationProblem, Optimum
+    from probedesign.optimization.optimum import MonteCarloCheck, OptimizationProblem, Optimum
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
     from probedesign.prediction.table_one import TableOne
@@ -123,7 +122,7 @@ def confirm(
     search: "OptimizationProblem", best: "Optimum", draws: int, seed: int, on_progress: "OnProgress"
 ) -> "tuple[MonteCarloCheck | None, MonteCarloCheck]":
     """Check start and optimum by Monte Carlo simulation; None for a start that buckles."""
-    from probedesign.optimization.confirm import confirm as run
+    from probedesign.optimization.optimum import confirm as run
 
     start_buckles = best.before.error_mm is None
     before = None if start_buckles else run(search.start, best.task, draws, seed, on_progress)

@@ -95,7 +95,7 @@ def sweep(
 
     from probedesign.design import load_design
     from probedesign.optimization import sweep as grid
-    from probedesign.optimization.grid import parse_axis
+    from probedesign.optimization.sweep import parse_axis
 
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
     try:

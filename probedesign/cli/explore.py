@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
     from probedesign.mapping.touch_point import LocatedTouch
-    from probedesign.reports.map_picture import MapScene
+    from probedesign.reports.map_page import MapScene
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg")
 ELLIPSOIDS = (
@@ -65,7 +65,7 @@ def explore(
     """
     from probedesign import pipeline
     from probedesign.mapping.explore import parse_min_separation
-    from probedesign.reports.map_picture import MapScene
+    from probedesign.reports.map_page import MapScene
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearsal is not None and rehearsal.rehearse is not None:
@@ -135,9 +135,8 @@ def _true_outlines(source: "Source") -> "tuple[Array, ...]":
 
 def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
     """Write table, points, page and picture; `notes` on the origin of the points are for the page."""
-    from probedesign.mapping.map_files import map_csv, map_ply
-    from probedesign.reports.map_page import map_page
-    from probedesign.reports.map_picture import map_svg
+    from probedesign.mapping.contact_map import map_csv, map_ply
+    from probedesign.reports.map_page import map_page, map_svg
 
     contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, f"probedesign explore, probe {probe}"),
                 map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene))  # fmt: skip
@@ -146,7 +145,7 @@ def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
 
 def _print(cloud: "ContactMap", out: Path | None, as_json: bool) -> None:
     """Print one JSON document, or one line per point and a summary."""
-    from probedesign.mapping.map_files import map_document, map_lines
+    from probedesign.mapping.contact_map import map_document, map_lines
 
     if as_json:
         print_json(map_document(cloud))

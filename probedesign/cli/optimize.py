@@ -14,9 +14,13 @@ from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
     from probedesign.core.parallel import OnProgress
-    from probedesign.optimization.confirm import MonteCarloCheck
-    from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult, Optimum
-    from probedesign.optimization.pareto import ParetoFront
+    from probedesign.optimization.optimum import (
+        MonteCarloCheck,
+        OptimizationProblem,
+        OptimizeResult,
+        Optimum,
+        ParetoFront,
+    )
 
 MAX_SHOWN_CASES = 6
 """Cases with a larger error than the start's that are printed."""
@@ -62,8 +66,7 @@ def optimize(
         as_json: print one JSON document.
     """
     from probedesign.design import load_design
-    from probedesign.optimization.constraints import check_limits, parse_limit
-    from probedesign.optimization.optimum import OptimizationProblem
+    from probedesign.optimization.constraints import OptimizationProblem, check_limits, parse_limit
 
     for name, count in (("--confirm", confirm), ("--pareto", pareto)):
         if not 0 <= count <= 100_000:
@@ -106,8 +109,7 @@ def _run(
     """
     from probedesign import pipeline
     from probedesign.design.io import write_design
-    from probedesign.optimization.optimum import OptimizeResult, design_text
-    from probedesign.optimization.pareto import check_installed, pareto_front
+    from probedesign.optimization.optimum import OptimizeResult, check_installed, design_text, pareto_front
 
     check_overwrite(path, force)
     check_writable(path)  # before the search, which takes a minute

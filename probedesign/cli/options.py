@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.scheduler import ProcessingOptions
     from probedesign.live.sources.source import Source
-    from probedesign.mapping.base_pose import BasePoseUncertainty
-    from probedesign.optimization.task import Task
+    from probedesign.mapping.touch_point import BasePoseUncertainty
+    from probedesign.optimization.objective import Task
 
 EXPORTS = Path("exports")
 """Default folder of the files: exports/NAME."""
@@ -62,8 +62,8 @@ class TaskOptions:
         Raises:
             InputError: a value is out of range or cannot be read.
         """
-        from probedesign.optimization.grid import numbers_of
-        from probedesign.optimization.task import Task
+        from probedesign.optimization.objective import Task
+        from probedesign.optimization.sweep import numbers_of
 
         moments = None if self.forces_too else self.moments_about
         places = self.at if self.at is not None else numbers_of("--places", self.places)
@@ -178,7 +178,7 @@ class BaseOptions:
         Raises:
             InputError: a value is out of range.
         """
-        from probedesign.mapping.base_pose import BasePoseUncertainty
+        from probedesign.mapping.touch_point import BasePoseUncertainty
 
         given = {entry.name: getattr(self, entry.name) for entry in fields(BasePoseUncertainty)}
         stated = {name: value for name, value in given.items() if value is not None}

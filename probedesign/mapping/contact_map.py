@@ -1,19 +1,21 @@
-"""Map of the touched points: touches of the same point are recognised and fused, common errors are estimated jointly.
+"""Map of the touched points, and its files: CSV, JSON, lines of text and a PLY point cloud.
 
-Two touches may belong to one point if their Mahalanobis distance, with common error sources counted as common, is
-small, and if their uncertainty is small enough to distinguish another point: vague touches agree with everything and
-stay apart.
+Touches of the same point are recognised and fused, and common errors are estimated jointly. Two touches may belong to
+one point if their Mahalanobis distance, with common error sources counted as common, is small, and if their uncertainty
+is small enough to distinguish another point: vague touches agree with everything and remain separate.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
 
 from probedesign.core.frames import Array
-from probedesign.mapping.touch_point import ConditionalPoint, LocatedTouch
+from probedesign.core.units import MILLINEWTON, MM
+from probedesign.mapping.touch_point import RESULT_MEANINGS, ConditionalPoint, LocatedTouch
 
 MIN_SEPARATION = 5e-3
 """Default distance below which points of an object are not distinguished [m]."""
@@ -41,17 +43,17 @@ class MapPoint:
 
     @property
     def rms(self) -> float:
-        """RMS distance to the true point [m]."""
+        """Return the RMS distance to the true point [m]."""
         return math.sqrt(float(np.trace(self.cov_world)))
 
     @property
     def force(self) -> float:
-        """Largest contact force [N]."""
+        """Return the largest contact force [N]."""
         return max(touch.force for touch in self.touches)
 
     @property
     def direction(self) -> Array | None:
-        """Direction of that force on the probe in the world, the outward normal of the object, unit vector, (3,)."""
+        """Return the direction of that force on the probe in the world, the outward normal of the object, (3,)."""
         return max(self.touches, key=lambda touch: touch.force).direction
 
 
@@ -102,7 +104,6 @@ def build_map(
         )
         for point, members in groups
     )
-    unlocated = tuple(touch for touch in touches if touch.point is None)
     names = groups[0][0].names if groups else ()
     log_E, var_E = 0.0, 1.0
     if "E" in names:
@@ -110,6 +111,7 @@ def build_map(
         log_E, var_E = float(common[i]), float(cov_common[i, i])
     stiffness = math.exp(youngs_modulus * log_E)
     std_stiffness = stiffness * youngs_modulus * math.sqrt(var_E)
+    unlocated = tuple(touch for touch in touches if touch.point is None)
     return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation)
 
 
@@ -140,3 +142,156 @@ def _closest_pair(points: Sequence[ConditionalPoint], min_separation: float) -> 
         if chi2[j] < smallest:
             best, smallest = (i, i + 1 + j), float(chi2[j])
     return best
+
+
+# Tables and text
+
+COVARIANCE_ENTRIES = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
+COLUMNS = (
+    "point", "result", "x_world_mm", "y_world_mm", "z_world_mm",
+    *(f"cov_world_{name}_mm2" for name, _, _ in COVARIANCE_ENTRIES),
+    "rms_mm", "common_rms_mm", "touches", "touch_numbers", "time_s", "force_N", "s_contact_mm",
+)  # fmt: skip
+"""A row is a point, or a touch that was not located: it has a result code, but neither number nor position."""
+Row = dict[str, Any]
+CONTRADICTORY = ("inconsistent", "not_converged")
+"""Results of touches whose poses are wrong."""
+MIN_CONTRADICTORY = 3
+"""Minimum number of contradictory touches from which the poses are questioned (assumed)."""
+
+
+def map_rows(contact_map: ContactMap) -> list[Row]:
+    """Return a row for each point, then one for each touch that was not located; unknown values are None."""
+    points = [_point_row(number, point) for number, point in enumerate(contact_map.points, 1)]
+    return points + [_unlocated_row(touch) for touch in contact_map.unlocated]
+
+
+def map_csv(contact_map: ContactMap) -> bytes:
+    """Return the rows as CSV with a header."""
+    lines = [",".join(COLUMNS)]
+    lines += [",".join(_cell(row[name]) for name in COLUMNS) for row in map_rows(contact_map)]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def map_document(contact_map: ContactMap) -> dict[str, Any]:
+    """Return the map as a JSON document."""
+    rows = map_rows(contact_map)
+    return {
+        "schema": 1,
+        "points": [row for row in rows if row["point"] is not None],
+        "not_located": [row for row in rows if row["point"] is None],
+        "stiffness_factor": contact_map.stiffness,
+        "std_stiffness_factor": contact_map.std_stiffness,
+        "apart_mm": contact_map.min_separation / MM,
+        "doubts": _warnings(contact_map),
+    }
+
+
+def map_lines(contact_map: ContactMap) -> list[str]:
+    """Return the map as lines of text."""
+    points = [point_line(number, point) for number, point in enumerate(contact_map.points, 1)]
+    return points + unlocated_lines(contact_map)
+
+
+def point_line(number: int, point: MapPoint) -> str:
+    """Return a point as a line of text."""
+    x, y, z = point.p_world / MM
+    position = f"point {number:3d}  ({x:z8.2f}, {y:z8.2f}, {z:z8.2f}) mm  ± {point.rms / MM:.2f} mm"
+    return f"{position}, up to {point.force / MILLINEWTON:.1f} mN, touch {touch_numbers(point)}"
+
+
+def unlocated_lines(contact_map: ContactMap) -> list[str]:
+    """Return the touches that were not located: a line for each result with their numbers and times, and warnings."""
+    lines = []
+    for result in dict.fromkeys(touch.result for touch in contact_map.unlocated):
+        segments = [touch.segment for touch in contact_map.unlocated if touch.result == result]
+        which = ", ".join(f"{segment.number} at {segment.start:.2f} s" for segment in segments)
+        lines.append(f"not located: touch {which}: {result}, {RESULT_MEANINGS[result]}")
+    return lines + _warnings(contact_map)
+
+
+def touch_numbers(point: MapPoint, separator: str = " ") -> str:
+    """Return the numbers of the touches of a point."""
+    return separator.join(str(touch.segment.number) for touch in point.touches)
+
+
+def _warnings(contact_map: ContactMap) -> list[str]:
+    """Return a line if most touches are contradictory: the poses are wrong then, and located points are accidental."""
+    n_located = sum(len(point.touches) for point in contact_map.points)
+    n_contradictory = sum(touch.result in CONTRADICTORY for touch in contact_map.unlocated)
+    if n_contradictory < MIN_CONTRADICTORY or n_contradictory <= n_located:
+        return []
+    return [
+        f"{n_contradictory} touches are inconsistent, more than were located; the located points are unreliable. Check "
+        "that the poses belong to this base and this run, and that rotations are in the order qx, qy, qz, qw"
+    ]
+
+
+def _point_row(number: int, point: MapPoint) -> Row:
+    s_contact = np.concatenate([touch.s_contact for touch in point.touches if touch.s_contact is not None])
+    return {
+        "point": number, "result": "ok", **dict(zip(COLUMNS[2:5], (point.p_world / MM).tolist(), strict=True)),
+        **_covariance(point.cov_world), "rms_mm": point.rms / MM,
+        "common_rms_mm": float(np.sqrt(np.trace(point.cov_common))) / MM, "touches": len(point.touches),
+        "touch_numbers": touch_numbers(point), "time_s": point.touches[0].segment.start, "force_N": point.force,
+        "s_contact_mm": float(s_contact.mean()) / MM,
+    }  # fmt: skip
+
+
+def _unlocated_row(touch: LocatedTouch) -> Row:
+    row: Row = dict.fromkeys(COLUMNS)
+    return row | {"result": touch.result, "touches": 1, "touch_numbers": str(touch.segment.number),
+                  "time_s": touch.segment.start}  # fmt: skip
+
+
+def _covariance(cov: Array) -> Row:
+    return {f"cov_world_{name}_mm2": float(cov[i, j]) / MM**2 for name, i, j in COVARIANCE_ENTRIES}
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:z.9g}" if isinstance(value, float) else str(value)
+
+
+# Colours and PLY
+
+MIN_RMS_MM, MAX_RMS_MM = 0.2, 5.0
+"""RMS errors at the ends of the colour scale, which is logarithmic [mm]."""
+_SCALE = ((31, 95, 168), (120, 120, 120), (217, 115, 13), (178, 24, 43))
+"""Red, green and blue, evenly along the scale: blue for accurate points to red for uncertain ones."""
+_PLY_PROPERTIES = (
+    "float x", "float y", "float z", "uchar red", "uchar green", "uchar blue", "float rms_mm", "float force_N",
+    "int touches",
+)  # fmt: skip
+
+
+def rms_colour(rms_mm: float) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, for the RMS error of a point [mm]."""
+    share = np.log(max(rms_mm, 1e-9) / MIN_RMS_MM) / np.log(MAX_RMS_MM / MIN_RMS_MM)
+    at = np.clip(share, 0.0, 1.0) * (len(_SCALE) - 1)
+    red, green, blue = (
+        round(float(np.interp(at, range(len(_SCALE)), part))) for part in np.transpose(_SCALE)
+    )
+    return red, green, blue
+
+
+def map_ply(contact_map: ContactMap, title: str) -> bytes:
+    """Return the located points as PLY in millimetres, which viewers and trimesh open.
+
+    Args:
+        contact_map: the map.
+        title: one line for a comment.
+    """
+    lines = [
+        "ply", "format ascii 1.0", f"comment {' '.join(title.split())}", "comment x y z in mm, world frame",
+        f"element vertex {len(contact_map.points)}", *(f"property {name}" for name in _PLY_PROPERTIES), "end_header",
+    ]  # fmt: skip
+    for point in contact_map.points:
+        x, y, z = point.p_world / MM
+        rms = point.rms / MM
+        assert math.isfinite(rms), "a located point has a finite covariance"
+        red, green, blue = rms_colour(rms)
+        vertex = f"{x:z.4f} {y:z.4f} {z:z.4f} {red} {green} {blue} {rms:.4f} {point.force:.6f}"
+        lines.append(f"{vertex} {len(point.touches)}")
+    return ("\n".join(lines) + "\n").encode("ascii", "replace")

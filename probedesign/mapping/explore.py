@@ -44,7 +44,7 @@ class LoadedRecording:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Times of the first and the last reading [s]."""
+        """Return the times of the first and the last reading [s]."""
         times = [block.time for block in self.blocks if len(block)]
         return float(times[0][0]), float(times[-1][-1])
 

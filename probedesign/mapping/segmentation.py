@@ -54,13 +54,12 @@ class StationaryInterval:
 
     @property
     def wrench(self) -> Array:
-        """Mean wrench [N, N·m], (6,)."""
-        mean: Array = self.total / self.n_readings
-        return mean
+        """Return the mean wrench [N, N·m], (6,)."""
+        return np.asarray(self.total / self.n_readings)
 
     @property
     def is_valid(self) -> bool:
-        """Whether it is long enough not to be the end of a move."""
+        """Return whether it is long enough not to be the end of a move."""
         return self.n_readings >= MIN_READINGS and self.end - self.start >= MIN_DURATION
 
     def contains(self, T_world_base: Array) -> bool:

@@ -13,20 +13,87 @@ the same terms, and their difference is an observation of m. The bias, and the s
 belong to each touch alone.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
-from probedesign.estimation.model import covariance
+from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.live.processing.touches import BIAS_STEPS
-from probedesign.mapping.segmentation import StationaryInterval, TouchSegment
+from probedesign.mapping.segmentation import TouchSegment
+
+MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
+"""Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point
+no longer lie near each other. Assumed; the `[tolerances]` of a design allow as many degrees."""
+
+
+@dataclass(frozen=True)
+class BasePoseUncertainty:
+    """Standard deviations of the reported base pose, in the units of the command line.
+
+    Attributes:
+        base_offset_mm: of the position, constant for all poses, on each axis.
+        base_repeat_mm: of the position at each pose, on each axis.
+        tilt_deg: of the rotation about the base's x and y axes, constant for all poses.
+        clocking_deg: of the rotation about its z axis, constant for all poses.
+    """
+
+    base_offset_mm: float = Tolerances.base_mm
+    base_repeat_mm: float = Tolerances.robot_mm
+    tilt_deg: float = Tolerances.tilt_deg
+    clocking_deg: float = Tolerances.clocking_deg
+
+    def __post_init__(self) -> None:
+        """Raise InputError where a standard deviation is out of range."""
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            largest = MAX_STD_MM if entry.name.endswith("_mm") else MAX_STD_DEG
+            if not 0.0 <= value <= largest:
+                option = entry.name.replace("_", "-")
+                raise InputError(
+                    f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {largest:g}"
+                )
+
+    @classmethod
+    def from_model(cls, model: ProbeModel) -> "BasePoseUncertainty":
+        """Return the uncertainty that the tolerances of a probe state."""
+        tolerances = Tolerances.of(model)
+        return cls(tolerances.base_mm, tolerances.robot_mm, tolerances.tilt_deg, tolerances.clocking_deg)
+
+    def apply_to(self, tolerances: Tolerances) -> Tolerances:
+        """Return tolerances of probe, sensor and mount with this uncertainty of the base pose."""
+        return replace(
+            tolerances, base_mm=self.base_offset_mm, robot_mm=self.base_repeat_mm, tilt_deg=self.tilt_deg,
+            clocking_deg=self.clocking_deg,
+        )  # fmt: skip
+
+    @property
+    def rotation_std(self) -> Array:
+        """Return the standard deviations of the rotation about the base axes [rad], (3,)."""
+        return np.radians([self.tilt_deg, self.tilt_deg, self.clocking_deg])
+
+    @property
+    def summary(self) -> str:
+        """Return the standard deviations in one line."""
+        return (
+            f"base pose uncertainty: {self.base_offset_mm:g} mm common, {self.base_repeat_mm:g} mm per pose, "
+            f"tilt {self.tilt_deg:g}°, clocking {self.clocking_deg:g}°"
+        )
+
+    @property
+    def notice(self) -> str:
+        """Return the same line with the options that change it."""
+        return (
+            f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
+        )
+
 
 MIN_INFORMATION = 1e-9
 """Information on a common error source, relative to its prior, below which it is a rounding error."""
@@ -86,13 +153,11 @@ class ConditionalPoint:
 
     def position(self, common: Array) -> Array:
         """Return the point for given common error sources (J,) [m], (3,)."""
-        point: Array = self.mean + self.sensitivity @ common
-        return point
+        return np.asarray(self.mean + self.sensitivity @ common)
 
     def covariance(self, cov_common: Array) -> Array:
         """Return the covariance of the point for a covariance of the common error sources (J, J) [m²], (3, 3)."""
-        cov: Array = self.cov + self.sensitivity @ cov_common @ self.sensitivity.T
-        return cov
+        return np.asarray(self.cov + self.sensitivity @ cov_common @ self.sensitivity.T)
 
     def fused_with(self, other: "ConditionalPoint") -> "ConditionalPoint":
         """Return both as one point."""
@@ -174,23 +239,24 @@ def _fusion(
 ) -> Fusion | None:
     """Return the fusion; None if a wrench exceeds the sensor's range or the free probe has no stable equilibrium."""
     model = estimator.model
-    free = [interval for interval in (segment.free_before, segment.free_after) if interval is not None]
-    used = [(interval, True) for interval in segment.intervals]
-    if segment.free_before is not None:
-        used.insert(0, (segment.free_before, False))
-    if segment.free_after is not None:
-        used.append((segment.free_after, False))
+    around = [
+        (segment.free_before, False),
+        *((one, True) for one in segment.intervals),
+        (segment.free_after, False),
+    ]
+    used = [(interval, contact) for interval, contact in around if interval is not None]
     for interval, _ in used:
         wrench_sensor = model.to_sensor(interval.wrench, interval.gravity)
         if not (np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= model.saturation_limit).all()):
             return None
         if not estimator.free(interval.gravity).ok:
             return None
-    bias = UNKNOWN_BIAS_STEPS if free else BIAS_STEPS
-    readings = tuple(_reading(interval, contact, estimator) for interval, contact in used)
+    bias = BIAS_STEPS if all(contact for _, contact in used) else UNKNOWN_BIAS_STEPS
+    readings = tuple(
+        Reading(
+            interval.wrench, covariance(model, interval.wrench, interval.n_readings), interval.T_world_base,
+            interval.gravity, contact,
+        )
+        for interval, contact in used
+    )  # fmt: skip
     return Fusion(model, readings, replace(priors, drift_steps=bias), channels_of(model, None), gravity_world)
-
-
-def _reading(interval: StationaryInterval, contact: bool, estimator: Estimator) -> Reading:
-    cov = covariance(estimator.model, interval.wrench, interval.n_readings)
-    return Reading(interval.wrench, cov, interval.T_world_base, interval.gravity, contact)

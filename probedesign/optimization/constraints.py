@@ -1,4 +1,4 @@
-"""The constrained optimisation problem: goals, limits on metrics, and its solution by sequential quadratic
+"""The optimisation problem: goal and limits on metrics as users state them, and its solution by sequential quadratic
 programming."""
 
 import re
@@ -12,7 +12,15 @@ from scipy.optimize import minimize
 
 from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array
-from probedesign.optimization.evaluator import SAFETY_FACTOR, DesignEvaluator, differences
+from probedesign.design import Design
+from probedesign.optimization.design_space import (
+    SAFETY_FACTOR,
+    DesignEvaluator,
+    DesignSpace,
+    FreeParameter,
+    differences,
+)
+from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
 LIMITED_METRICS = (
@@ -45,7 +53,7 @@ class Limit:
 
     @property
     def text(self) -> str:
-        """The limit as it is written on the command line."""
+        """Return the limit as it is written on the command line."""
         return f"{self.metric} {'<=' if self.is_upper else '>='} {self.value:g}"
 
     def margin(self, figure: float) -> float:
@@ -139,55 +147,48 @@ class NonlinearProgram:
     def slope(self, x: Array) -> Array:
         """Return the gradient of the objective, (n,)."""
         if self.evaluator.with_force:
-            last: Array = np.eye(len(x))[-1]
-            return last
-        by_error: Array = self.evaluator.gradient("error_mm", x) / self.evaluator.metrics(x)["error_mm"]
-        return by_error
+            return np.asarray(np.eye(len(x))[-1])
+        return np.asarray(self.evaluator.gradient("error_mm", x) / self.evaluator.metrics(x)["error_mm"])
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """Lower and upper bound of each coordinate."""
+        """Return the lower and upper bound of each coordinate."""
         low, high = (float(np.log(force)) for force in FORCES)
         return [*self.evaluator.space.bounds, *([(low, high)] if self.evaluator.with_force else [])]
 
     def clip(self, x: Array) -> Array:
         """Return the point within its bounds."""
         low, high = np.array(self.bounds).T
-        found: Array = np.clip(x, low, high)
-        return found
+        return np.asarray(np.clip(x, low, high))
 
     @cached_property
     def constraints(self) -> list[Constraint]:
-        """One constraint per limit and per print rule, and those conflicts buckling and slipping."""
+        """Return one constraint for each limit and print rule, for buckling and for slipping."""
         rules = self.evaluator.space.printable(self.evaluator.space.x_of(self.evaluator.space.start))
         slips = [self._slip_constraint] if self.evaluator.task.touches > 1 else []
         return [*map(self._limit, self.limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
 
     @property
     def _slip_constraint(self) -> Constraint:
-        """Constraint that the object does not slip off the tip while the base presses on."""
-        evaluator = self.evaluator
+        """Return the constraint that the object does not slip off the tip while the base presses on."""
+        metrics, outermost = self.evaluator.metrics, max(self.evaluator.task.fractions)
 
         def margin(x: Array) -> Array:
             # A slide as long as the distance from the outermost position to the tip ends there.
-            left = (1.0 - max(evaluator.task.fractions)) * evaluator.metrics(x)[
-                "length_mm"
-            ] + _SLIP_ALLOWANCE_MM
-            return np.array([np.log(left / evaluator.metrics(x)["slide_mm"]) - SPARE])
+            left = (1.0 - outermost) * metrics(x)["length_mm"] + _SLIP_ALLOWANCE_MM
+            return np.array([np.log(left / metrics(x)["slide_mm"]) - SPARE])
 
         return Constraint("does not slip off", margin, lambda x: differences(margin, x, central=False).T)
 
     @property
     def _buckling_constraint(self) -> Constraint:
-        """Constraint that the critical load exceeds the task's force by the safety factor."""
-        evaluator = self.evaluator
+        """Return the constraint that the critical load exceeds the task's force by the safety factor."""
+        metrics, name = self.evaluator.metrics, f"bears {SAFETY_FACTOR:g} x the force"
 
         def margin(x: Array) -> Array:
-            return np.array([np.log(evaluator.metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
+            return np.array([np.log(metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
 
-        return Constraint(
-            f"bears {SAFETY_FACTOR:g} x the force", margin, lambda x: differences(margin, x, central=False).T
-        )
+        return Constraint(name, margin, lambda x: differences(margin, x, central=False).T)
 
     def _limit(self, limit: Limit) -> Constraint:
         # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
@@ -204,10 +205,7 @@ class NonlinearProgram:
         def margin(x: Array) -> Array:
             return space.printable(x[: space.size])[name]
 
-        def slope(x: Array) -> Array:
-            return differences(margin, x, central=True).T
-
-        return Constraint(name, margin, slope)
+        return Constraint(name, margin, lambda x: differences(margin, x, central=True).T)
 
     def solve(self, x0: Array) -> Array:
         """Return the local optimum reached from a start, feasible or not."""
@@ -254,10 +252,62 @@ class NonlinearProgram:
 
     def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
                bounds: list[tuple[float, float]], constraints: list[dict[str, Any]]) -> Array:  # fmt: skip
-        options: Any = _OPTIONS
-        solution: Any = minimize(
-            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=options
-        )  # type: ignore[call-overload]
+        solve: Any = minimize  # its stubs have no overload for a list of constraints
+        solution = solve(
+            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=_OPTIONS
+        )
         low, high = np.array(bounds).T
-        found: Array = np.clip(solution.x, low, high)
-        return found
+        return np.asarray(np.clip(solution.x, low, high))
+
+
+@dataclass(frozen=True)
+class OptimizationProblem:
+    """Statement of an optimisation.
+
+    Attributes:
+        start: the design to improve.
+        free: what of it may change.
+        task: by which designs are judged.
+        goal: what is minimised.
+        error_mm: to be reached, for the goal "force-for-error".
+        limits: on metrics, in addition to the print rules and the sensor's range.
+    """
+
+    start: Design
+    free: tuple[FreeParameter, ...]
+    task: Task
+    goal: Goal = "error-at-force"
+    error_mm: float | None = None
+    limits: tuple[Limit, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError where the options contradict."""
+        if self.goal == "force-for-error" and self.error_mm is None:
+            raise InputError("--goal force-for-error needs --error-mm, the error to be reached")
+        if self.goal == "error-at-force" and self.error_mm is not None:
+            raise InputError(
+                f"--error-mm {self.error_mm:g} contradicts --goal error-at-force, which minimises the error; "
+                "use --goal force-for-error, or --subject-to 'error_mm<=...'"
+            )
+        if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
+            raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
+        check_limits([*self.all_limits])
+        length_mm = self.start.probe.length_mm
+        for limit in self.limits:
+            if limit.metric == "length_mm" and "length" not in self.free and limit.margin(length_mm) < 0.0:
+                raise InputError(
+                    f"--subject-to {limit.text}: the length stays {length_mm:g} mm; name it too: --over ... length"
+                )
+
+    @property
+    def all_limits(self) -> tuple[Limit, ...]:
+        """Return all limits on metrics, including the sensor's range and the error to be reached."""
+        wanted = () if self.error_mm is None else (Limit("error_mm", True, self.error_mm),)
+        return (*self.limits, Limit("sensor_use", True, 1.0), *wanted)
+
+    @property
+    def problem(self) -> NonlinearProgram:
+        """Return the problem in the form of the solver."""
+        space = DesignSpace.of(self.start, self.free)
+        evaluator = DesignEvaluator(space, self.task, self.goal == "force-for-error")
+        return NonlinearProgram(evaluator, self.all_limits)

@@ -1,7 +1,8 @@
-"""Design space: diameters of a cone or a free taper, length and section ratio as a vector of a few numbers."""
+"""Design space of the optimiser: designs as vectors of a few numbers, their metrics, gradients and buckling margin."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -13,10 +14,15 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
+from probedesign.estimation.model import ProbeModel
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
-from probedesign.optimization.grid import design_dict
+from probedesign.optimization.objective import Task, predict_task, side_of
+from probedesign.prediction.predict import tip_sag
 from probedesign.printing import rules as limits
+from probedesign.probe import Probe, build_probe
+from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.rod import Rod
 
 FreeParameter = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5
@@ -32,13 +38,18 @@ DIGITS = 3
 """Decimals of a millimetre in a design file; no printer resolves the thousandth."""
 
 
+def design_dict(design: Design) -> dict[str, Any]:
+    """Return the tables of a design's file as plain data."""
+    tables: dict[str, Any] = design.model_dump(by_alias=True, exclude_none=True, mode="json")
+    return tables
+
+
 @dataclass(frozen=True)
 class DesignSpace:
     """Designs that differ from a start in their flexible part alone.
 
     A point x: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm] and ten times
-        the
-    section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
+    the section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
 
     Attributes:
         start: the design that the others differ from.
@@ -66,26 +77,25 @@ class DesignSpace:
                 "--over section: a round section has nothing to vary; start from a hollow or elliptic one"
             )
         if "taper" in free and start.probe.tip == "rounded":
-            raise InputError('--over taper: is of blunt tips; start from tip = "blunt"')
+            raise InputError('--over taper: requires a blunt tip; start from tip = "blunt"')
         return cls(start, CONTROLS if "taper" in free else 2 if "cone" in free else 0, free)
 
     @property
     def size(self) -> int:
-        """Dimension of x."""
+        """Return the dimension of x."""
         return self.controls + ("length" in self.free) + ("section" in self.free)
 
     @property
     def ratio_key(self) -> str:
-        """Key of the section's ratio in the design file."""
+        """Return the key of the section's ratio in the design file."""
         return "bore_ratio" if self.start.probe.section == "hollow" else "flatness"
 
     @cached_property
     def spline(self) -> Array:
-        """Matrix from control diameters to diameters at the knots, (knots, controls)."""
+        """Return the matrix from control diameters to diameters at the knots, (knots, controls)."""
         at = np.linspace(0.0, 1.0, self.controls)
         to = at if self.controls == 2 else np.linspace(0.0, 1.0, FRUSTA + 1)
-        drawn: Array = make_interp_spline(at, np.eye(self.controls), k=min(3, self.controls - 1))(to)
-        return drawn
+        return np.asarray(make_interp_spline(at, np.eye(self.controls), k=min(3, self.controls - 1))(to))
 
     def x_of(self, design: Design) -> Array:
         """Return the nearest point to a design: its diameters at the controls."""
@@ -100,9 +110,9 @@ class DesignSpace:
 
     def length_mm(self, x: Array) -> float:
         """Return the length of a point [mm]."""
-        return (
-            float(x[self.controls] * _UNIT["length"]) if "length" in self.free else self.start.probe.length_mm
-        )
+        if "length" in self.free:
+            return float(x[self.controls] * _UNIT["length"])
+        return self.start.probe.length_mm
 
     def ratio(self, x: Array) -> float | None:
         """Return the section's ratio, None where it is round."""
@@ -120,7 +130,7 @@ class DesignSpace:
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """Lower and upper bound of each coordinate."""
+        """Return the lower and upper bound of each coordinate."""
         found = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
         for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
             if name in self.free:
@@ -146,7 +156,8 @@ class DesignSpace:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
         if self.controls > 2:
-            rules["room for the clamp ring"] = (_max_ring_passage_mm(d[0]) - d) / limits.MIN_THICKNESS
+            passage = max_ring_passage_d(flange_for(d[0] * MM))
+            rules["room for the clamp ring"] = (passage / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
         spare = _ROUNDING_MARGIN if "section" in self.free else 0.0
@@ -180,6 +191,199 @@ class DesignSpace:
         return check_design(self.tables(x, digits))
 
 
-def _max_ring_passage_mm(base_d_mm: float) -> float:
-    """Return the largest diameter that the clamp ring of the flange passes, for a base diameter [mm]."""
-    return max_ring_passage_d(flange_for(base_d_mm * MM)) / MM
+# Buckling
+
+_WEAK_N = 1e-6
+_SQUARE = 2.0
+"""Power of the force by which the stiffness falls at first: the sign of the force does not matter."""
+_NONE_LOST = 1e-3
+"""Smallest relative loss of stiffness that is resolved: far from buckling the critical load needs no precision."""
+_SHORT = 0.97
+"""Fraction of the extrapolated critical load at which the stiffness is evaluated next."""
+_BACK = 0.7
+"""Fraction of the step that is kept where the evaluation is beyond the critical load."""
+_MAX_EVALUATIONS = 4
+
+
+def critical_load_factor(model: ProbeModel, task: Task, limit: float) -> float:
+    """Return the critical load over the task's force, at the position where it is smallest.
+
+    It is smooth in the design and exact near `limit` or below; beyond, only a lower bound. The stiffness against a dead
+    force falls to zero at the critical load, as 1 - (F / F_critical)^p: two forces determine p.
+
+    Args:
+        model: of a probe that is stable under the task's force.
+        task: positions and forces.
+        limit: largest factor of interest.
+    """
+    return min(
+        _load_factor_at(under, fraction * under.rod.length, task.force_N, limit)
+        for under in task.models(model)
+        for fraction in task.fractions
+    )
+
+
+def _load_factor_at(model: ProbeModel, s: float, force: float, limit: float) -> float:
+    free = _compliance(model, s, _WEAK_N)
+    here, lost, power = 1.0, _lost_stiffness(free, _compliance(model, s, force)), _SQUARE
+    for _ in range(_MAX_EVALUATIONS):
+        found = here * float(lost ** (-1.0 / power))
+        ahead = min(_SHORT * found, limit)
+        if ahead <= here:
+            break
+        there = _compliance(model, s, ahead * force)
+        if not math.isfinite(there):
+            limit = here + _BACK * (ahead - here)
+            continue
+        more = _lost_stiffness(free, there)
+        power = max(math.log(more / lost) / math.log(ahead / here), 1.0) if more > lost else _SQUARE
+        here, lost = ahead, more
+    return here * float(lost ** (-1.0 / power))
+
+
+def _lost_stiffness(free: float, pushed: float) -> float:
+    """Return the relative loss of stiffness."""
+    return min(max(1.0 - free / pushed, _NONE_LOST), 1.0)
+
+
+def _compliance(model: ProbeModel, s: float, force: float) -> float:
+    """Return the displacement of the contact by an additional dead force [m/N]; infinite where the probe buckles."""
+    pushed = solve_frictionless(model.rod, model.gravity_base, s, side_of(model.gravity_base), force)
+    if pushed.result != "ok":
+        return math.inf
+    return float(np.linalg.norm(pushed.sensitivity.d_position[:, :3]))
+
+
+STEP = 1e-4
+"""Relative step of the finite differences; the error prediction is smooth to about 1e-8."""
+_EXACT = 12  # decimals: dimensions are not rounded noticeably
+_SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
+SAFETY_FACTOR = 1.25
+"""Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
+print may be softer than designed by several times the 3 % standard deviation of E (assumed)."""
+_NO_SLIDE_MM = 1e-3
+"""Slide below which an object counts as stationary."""
+_MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit
+INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
+            "reach_mm": 1e-3, "critical_load": 0.1}  # fmt: skip
+"""Metrics of a design that buckles: values that no optimiser accepts."""
+
+
+@dataclass
+class DesignEvaluator:
+    """A design space with a task; each point is evaluated once.
+
+    Attributes:
+        space: the design space.
+        task: by which designs are judged; its force is scaled by that of a point that has one.
+        with_force: whether the last coordinate of a point is the logarithm of the force over the task's.
+    """
+
+    space: DesignSpace
+    task: Task
+    with_force: bool = False
+    _cache: dict[bytes, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def n_evaluations(self) -> int:
+        """Return the number of designs that were computed."""
+        return len(self._cache)
+
+    def design(self, x: Array) -> Design:
+        """Return the design of a point, rounded as in its file."""
+        return self.space.design(x[: self.space.size])
+
+    def task_at(self, x: Array) -> Task:
+        """Return the task with the point's own force."""
+        if not self.with_force:
+            return self.task
+        factor = math.exp(float(x[-1]))
+        return replace(self.task, forces_N=tuple(factor * force for force in self.task.forces_N))
+
+    def metrics(self, x: Array) -> dict[str, float]:
+        """Return the metrics of a point, dimensions not rounded; `INFEASIBLE` where the design buckles."""
+        key = x.tobytes()
+        if key not in self._cache:
+            self._cache[key] = self._evaluate(x)
+        return self._cache[key]
+
+    def is_stable(self, x: Array) -> bool:
+        """Return whether the design is stable under the task's force."""
+        return self.metrics(x)["error_mm"] < INFEASIBLE["error_mm"]
+
+    def _evaluate(self, x: Array) -> dict[str, float]:
+        found = {**INFEASIBLE, "length_mm": self.space.length_mm(x), "mass_g": 1e3}
+        try:
+            probe = self.probe(x)
+            model = probe.model
+        except InputError:
+            return found
+        found["mass_g"] = 1e3 * probe.mass
+        task = self.task_at(x)
+        touched = predict_task(model, task)
+        error = task.combined(touched.errors)
+        if math.isfinite(error):
+            slid = min(max(touched.slide / MM, _NO_SLIDE_MM), INFEASIBLE["slide_mm"])
+            found |= {"error_mm": error / MM, "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
+                      "sensor_use": touched.sensor_use,
+                      "critical_load": critical_load_factor(model, task, _MAX_LOAD)}  # fmt: skip
+        free = probe.rod.solve(model.gravity_base)
+        if free.ok:
+            tip = free.p_at(probe.length)
+            found["sag_mm"] = tip_sag(free, probe.length, model.gravity_base) / MM
+            found["reach_mm"] = float(np.linalg.norm(tip)) / MM
+        return found
+
+    def probe(self, x: Array) -> Probe:
+        """Return the probe of a point, dimensions not rounded, so that its differences are smooth."""
+        return build_probe(self.space.design(x[: self.space.size], _EXACT))
+
+    def gradient(self, name: str, x: Array) -> Array:
+        """Return the gradient of a metric.
+
+        Sag and reach by diameters are exact except for the base's; the others are finite differences: the error
+        consists of first derivatives of the rod, so its gradient would need second ones, which the rod lacks.
+        """
+        if name in ("sag_mm", "reach_mm") and not {"length", "section"} & set(self.space.free):
+            exact = self._sag_and_reach_gradients(x)
+            if exact is not None:
+                return np.pad(exact[name], (0, len(x) - self.space.controls))
+        return differences(lambda y: self.metrics(y)[name], x, central=name in ("mass_g", "length_mm"))
+
+    def _sag_and_reach_gradients(self, x: Array) -> dict[str, Array] | None:
+        """Return the gradients of sag and reach by the control diameters [mm/mm]; None without a stable free
+        equilibrium."""
+        probe = self.probe(x)
+        rod, gravity = probe.rod, probe.model.gravity_base
+        eq = rod.solve(gravity, columns="all")
+        if eq.sensitivity is None:
+            return None
+        first = eq.sensitivity.names.index("log_diameter_0")
+        by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
+        # The rigid root scales with the base, for which the rod has no sensitivity column.
+        by_knot[:, 0] = _by_base(rod, gravity)
+        by_control, tip = by_knot @ self.space.spline, eq.p_at(rod.length)
+        down = gravity / max(float(np.linalg.norm(gravity)), 1e-300)
+        return {"sag_mm": down @ by_control, "reach_mm": tip @ by_control / np.linalg.norm(tip)}
+
+
+def differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:
+    """Return finite differences of a function of n numbers, (n,), or (n, m) of m functions."""
+    found, here = list[Array](), 0.0 if central else f(x)
+    for i in range(len(x)):
+        step = np.zeros(len(x))
+        step[i] = STEP * max(abs(float(x[i])), 1.0)
+        risen = (f(x + step) - f(x - step)) / 2.0 if central else f(x + step) - here
+        found.append(np.asarray(risen / step[i]))
+    return np.array(found)
+
+
+def _by_base(rod: Rod, gravity: Array) -> Array:
+    """Return the derivative of the free tip by the base diameter with the rigid root, by two solves, (3,)."""
+    ends = list[Array]()
+    for factor in (1.0 - _SMALL, 1.0 + _SMALL):
+        radius = rod.radius.copy()
+        radius[0] *= factor
+        other = replace(rod, radius=radius, rigid_length=factor * rod.rigid_length)
+        ends.append(other.solve(gravity, mode="reference").p_at(rod.length))
+    return np.asarray((ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0]))

@@ -1,25 +1,151 @@
-"""Metrics of a design for a task, by which designs are compared, swept and optimised."""
+"""Task of a probe, and the metrics by which designs are compared, swept and optimised for it."""
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fused import MomentsAbout
 from probedesign.estimation.fusion import BETTER_THAN_NOTHING
 from probedesign.estimation.model import ProbeModel
-from probedesign.optimization.task import Case, Task, side_of
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import error_budget
-from probedesign.prediction.fused import LinearizedPresses
-from probedesign.prediction.predict import tip_sag
+from probedesign.prediction.fused import MAX_TOUCHES, LinearizedPresses, PressSchedule
+from probedesign.prediction.predict import finite_or_none, tip_sag
 from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
+
+FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+"""Contact positions over the length whose error is averaged: the outer part without the tip itself."""
+MAX_GRAVITY = 100.0
+"""Largest gravity of a task on each axis [m/s²]."""
+Combine = Literal["mean", "worst"]
+Vector = tuple[float, float, float]
+
+
+class Case(NamedTuple):
+    """One position, force and gravity of a task.
+
+    Attributes:
+        contact_fraction: arclength of the touched section over the length.
+        force_N: normal force; of several touches the largest.
+        gravity_base_m_s2: gravity in base axes.
+    """
+
+    contact_fraction: float
+    force_N: float
+    gravity_base_m_s2: Vector
+
+
+@dataclass(frozen=True)
+class Task:
+    """How a probe is used: every combination of position, force and gravity is one case.
+
+    Attributes:
+        forces_N: normal contact forces; of several touches the largest, the others are equal steps up to it.
+        touches: number of touches of one fixed point as the base presses on; 1 is a single reading.
+        moments_about: with several touches, the point whose moments alone are used; None: forces too.
+        base_repeat_mm: standard deviation of the base position at each touch, on each axis; None: the design's.
+        bias_walk_steps: walk of the bias between touches, in steps of resolution; None: the design's.
+        fractions: contact positions over the length.
+        gravities: in base axes [m/s²]; empty: that of the design's mount.
+        combine: "mean": the error is the RMS over the cases; "worst": the largest.
+    """
+
+    forces_N: tuple[float, ...] = (0.005,)
+    touches: int = 5
+    moments_about: MomentsAbout | None = "sensor"
+    base_repeat_mm: float | None = None
+    bias_walk_steps: float | None = None
+    fractions: tuple[float, ...] = FRACTIONS
+    gravities: tuple[Vector, ...] = ()
+    combine: Combine = "mean"
+
+    def __post_init__(self) -> None:
+        """Raises InputError for a value out of range."""
+        if not self.forces_N:
+            raise InputError("forces: a task needs at least one")
+        for force in self.forces_N:
+            if not 0.0 < force <= 100.0:
+                raise InputError(f"force = {force:g} N must lie in (0, 100]")
+        if not 1 <= self.touches <= MAX_TOUCHES:
+            raise InputError(f"touches = {self.touches} must lie in 1 ... {MAX_TOUCHES}")
+        for name, value in (("base repeat", self.base_repeat_mm), ("bias walk", self.bias_walk_steps)):
+            if value is not None and not 0.0 <= value <= 100.0:
+                raise InputError(f"{name} = {value:g} must lie in 0 ... 100")
+        if not self.fractions or not all(0.0 < f <= 1.0 for f in self.fractions):
+            raise InputError(f"fractions {list(self.fractions)} must lie in (0, 1]")
+        for gravity in self.gravities:
+            if len(gravity) != 3 or not all(abs(g) <= MAX_GRAVITY for g in gravity):
+                raise InputError(
+                    f"gravity {list(gravity)} must be three numbers within ±{MAX_GRAVITY:g} m/s²"
+                )
+        if self.combine not in ("mean", "worst"):
+            raise InputError(f"combine = {self.combine!r} is not known; known: mean, worst")
+
+    @property
+    def force_N(self) -> float:
+        """Return the largest force."""
+        return max(self.forces_N)
+
+    @property
+    def schedule(self) -> PressSchedule | None:
+        """Return how several touches are made; None: one reading."""
+        return None if self.touches == 1 else PressSchedule(self.touches, self.moments_about)
+
+    def priors(self, model: ProbeModel) -> Tolerances:
+        """Return the standard deviations of the error sources: the design's, except for those that the task sets."""
+        stated: dict[str, Any] = {"robot_mm": self.base_repeat_mm, "walk_steps": self.bias_walk_steps}
+        changed = {name: value for name, value in stated.items() if value is not None}
+        return replace(Tolerances.of(model), **changed)
+
+    def models(self, model: ProbeModel) -> Iterator[ProbeModel]:
+        """Yield the probe under each gravity of the task."""
+        if not self.gravities:
+            yield model
+        for gravity in self.gravities:
+            yield replace(model, gravity_base=np.array(gravity, dtype=float))
+
+    def combined(self, errors: tuple[float, ...]) -> float:
+        """Combine the errors of all cases to the error of the task."""
+        if self.combine == "worst":
+            return max(errors)
+        return math.sqrt(sum(error**2 for error in errors) / len(errors))
+
+    @property
+    def text(self) -> str:
+        """Return the description in one line, for users."""
+        over = "RMS over" if self.combine == "mean" else "worst of"
+        where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
+        if len(self.gravities) > 1:
+            where += f" and {len(self.gravities)} directions of gravity"
+        return f"{self.touches_text}, all error sources, {where}"
+
+    @property
+    def touches_text(self) -> str:
+        """Return the description of the touches, for users."""
+        forces = ", ".join(f"{1e3 * force:g}" for force in self.forces_N)
+        if self.schedule is None:
+            return f"one reading at {forces} mN"
+        changed = "" if self.base_repeat_mm is None else f", base repeats to {self.base_repeat_mm:g} mm"
+        changed += "" if self.bias_walk_steps is None else f", bias walks {self.bias_walk_steps:g} steps"
+        counted = self.schedule.text.split(", ")[1]
+        return f"{self.touches} touches up to {forces} mN fused, {counted}{changed}"
+
+
+def side_of(gravity: Array) -> float:
+    """Return the angle about the axis of a push across gravity [rad]; that of +y without gravity."""
+    return math.atan2(gravity[1], gravity[0]) + math.pi / 2.0
+
 
 DETECTION_FRACTION = 0.8
 """Contact fraction whose detectable force is reported."""
@@ -35,7 +161,7 @@ class TaskErrors:
     Attributes:
         cases: of the task.
         errors: RMS error of the touched point in each case, by all error sources [m]; infinite where the probe buckles.
-        sensor_use: largest fraction of a channel's range that a reading takes; infinite likewise.
+        sensor_use: largest fraction of a channel's range that a reading takes; infinite where the probe buckles.
         slide: largest distance that the object slides along the probe while the base presses on along a straight line,
             without friction [m]; 0 for single touches, infinite where it slips off or the probe buckles.
     """
@@ -81,7 +207,7 @@ class DesignMetrics:
 
     @property
     def is_observable(self) -> bool:
-        """Whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
+        """Return whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
         return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * BETTER_THAN_NOTHING
 
     def as_dict(self) -> dict[str, Any]:
@@ -99,13 +225,13 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     found = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
     free = probe.rod.solve(probe.model.gravity_base)
     return DesignMetrics(
-        error_mm=_finite(task.combined(touched.errors) / MM),
-        worst_error_mm=_finite(max(touched.errors) / MM),
+        error_mm=finite_or_none(task.combined(touched.errors) / MM),
+        worst_error_mm=finite_or_none(max(touched.errors) / MM),
         detectable_mN=_detectable_mN(probe.model, task),
         sag_mm=tip_sag(free, probe.length, probe.model.gravity_base) / MM if free.ok else None,
         reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
-        sensor_use=_finite(touched.sensor_use),
-        slide_mm=_finite(touched.slide / MM) if task.touches > 1 else None,
+        sensor_use=finite_or_none(touched.sensor_use),
+        slide_mm=finite_or_none(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
         length_mm=probe.length / MM,
         thinnest_mm=probe.geometry.thinnest / MM,
@@ -129,12 +255,10 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
         on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
         sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
         for fraction in task.fractions:
-            found = _errors_at(estimator, on, sources, fraction, task) if sources is not None else None
+            found = {} if sources is None else _errors_at(estimator, on, sources, fraction, task)
             for force in task.forces_N:
-                cases.append(Case(fraction, force, _vector(under.gravity_base)))
-                error, used = (
-                    (math.inf, math.inf) if found is None else found.get(force, (math.inf, math.inf))
-                )
+                cases.append(Case(fraction, force, tuple(under.gravity_base.tolist())))
+                error, used = found.get(force, (math.inf, math.inf))
                 errors.append(error)
                 use = max(use, used)
             if slipping and task.schedule is not None and free.ok:
@@ -167,24 +291,15 @@ def _errors_at(
             cov = error_budget(touch, lin[None], D[None], sources, model.friction).total[0]
             wrench = lin[0:6, 0]
         else:
-            fused = LinearizedPresses(
-                model, estimator.priors, on.gravity, np.array([reached[p] for p in of]), schedule
-            )
+            pressed = np.array([reached[part] for part in of])
+            fused = LinearizedPresses(model, estimator.priors, on.gravity, pressed, schedule)
             if not fused.converged:
                 continue
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
-            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), _sensor_use(model, wrench)
+            use = np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range
+            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), float(use.max())
     return found
-
-
-def _sensor_use(model: ProbeModel, wrench: Array) -> float:
-    return float((np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range).max())
-
-
-def _vector(gravity: Array) -> tuple[float, float, float]:
-    x, y, z = (float(part) for part in gravity)
-    return x, y, z
 
 
 def _detectable_mN(model: ProbeModel, task: Task) -> float | None:
@@ -193,7 +308,3 @@ def _detectable_mN(model: ProbeModel, task: Task) -> float | None:
         return None
     weak = touches_of(estimator, [(DETECTION_FRACTION, "+y")], [_WEAK_N])[_WEAK_N]
     return 1e3 * estimator.detectable(weak.wrench_by_force[0]) if weak.ok[0] else None
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -1,30 +1,39 @@
-"""Optimisation of a design from several starts, and its result."""
+"""Optimisation of a design from several starts, its Monte Carlo check, and Pareto fronts."""
 
+import csv
+import io
 import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
-from probedesign.core.parallel import OnProgress
+from probedesign.core.parallel import OnProgress, process_map
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.io import render_design
-from probedesign.optimization.constraints import FORCES, Goal, Limit, NonlinearProgram, check_limits
-from probedesign.optimization.design_space import DIGITS, DesignSpace, FreeParameter
-from probedesign.optimization.evaluator import DesignEvaluator
-from probedesign.optimization.grid import design_dict
-from probedesign.optimization.objective import DesignMetrics, design_metrics, predict_task
-from probedesign.optimization.task import Task, Vector
+from probedesign.estimation.model import ProbeModel
+from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
+from probedesign.optimization.design_space import DIGITS, DesignEvaluator, DesignSpace, design_dict
+from probedesign.optimization.objective import (
+    DesignMetrics,
+    Task,
+    Vector,
+    design_metrics,
+    predict_task,
+    side_of,
+)
+from probedesign.prediction.monte_carlo import PrintSamples, locate_draws
 from probedesign.probe import build_probe
 
 if TYPE_CHECKING:
-    from probedesign.optimization.confirm import MonteCarloCheck
-    from probedesign.optimization.pareto import ParetoFront
+    from optuna.trial import Trial as Drawn
+
 
 STARTS = (1.0, 0.6)
 """Factors on the diameters of the design, one start each."""
@@ -33,65 +42,7 @@ PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
 AROUND = (0.5, 1.0, 2.0)
 """Factors on the task's forces at which they are compared."""
 _THICKER, _TIMES = 1.25, 8
-"""Factor on the diameters of a start that gives way, and how often: nothing leads a search out of there."""
-
-
-@dataclass(frozen=True)
-class OptimizationProblem:
-    """Statement of an optimisation.
-
-    Attributes:
-        start: the design to improve.
-        free: what of it may change.
-        task: by which designs are judged.
-        goal: what is minimised.
-        error_mm: to be reached, for the goal "force-for-error".
-        limits: on metrics, in addition to the print rules and the sensor's range.
-    """
-
-    start: Design
-    free: tuple[FreeParameter, ...]
-    task: Task
-    goal: Goal = "error-at-force"
-    error_mm: float | None = None
-    limits: tuple[Limit, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Raises InputError where the options contradict."""
-        if self.goal == "force-for-error" and self.error_mm is None:
-            raise InputError("--goal force-for-error needs --error-mm, the error to be reached")
-        if self.goal == "error-at-force" and self.error_mm is not None:
-            raise InputError(
-                f"--error-mm {self.error_mm:g} contradicts --goal error-at-force, which minimises the error; "
-                "use --goal force-for-error, or --subject-to 'error_mm<=...'"
-            )
-        if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
-            raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
-        check_limits([*self.all_limits])
-        self._check_length()
-
-    def _check_length(self) -> None:
-        """Raises InputError where a limit requires another length although the length is fixed."""
-        length_mm = self.start.probe.length_mm
-        for limit in self.limits:
-            if limit.metric == "length_mm" and "length" not in self.free and limit.margin(length_mm) < 0.0:
-                raise InputError(
-                    f"--subject-to {limit.text}: the length stays {length_mm:g} mm; name it too: --over ... length"
-                )
-
-    @property
-    def all_limits(self) -> tuple[Limit, ...]:
-        """All limits on metrics, including the sensor's range and the error to be reached."""
-        wanted = () if self.error_mm is None else (Limit("error_mm", True, self.error_mm),)
-        return (*self.limits, Limit("sensor_use", True, 1.0), *wanted)
-
-    @property
-    def problem(self) -> NonlinearProgram:
-        """The problem in the form of the solver."""
-        space = DesignSpace.of(self.start, self.free)
-        return NonlinearProgram(
-            DesignEvaluator(space, self.task, self.goal == "force-for-error"), self.all_limits
-        )
+"""Factor on the diameters of a start that buckles, and maximum number of times: its metrics have no gradient."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +175,210 @@ def _stable_start(problem: NonlinearProgram, x: Array) -> Array:
     return x
 
 
+# Monte Carlo check
+
+_CHUNK = 10
+"""Draws that a worker takes at a time: a few seconds."""
+
+
+@dataclass(frozen=True)
+class MonteCarloCheck:
+    """Errors of drawn touches over all cases of a task.
+
+    Attributes:
+        rms_mm: RMS distance between the estimated and the true touched point, over all draws with a candidate.
+        standard_error_mm: of that RMS.
+        bound_mm: RMS of the predicted errors over the same cases.
+        located, drawn: number of draws with the result "ok", and of all draws.
+        inside: number of those located whose 95 % ellipsoid contains the true point.
+    """
+
+    rms_mm: float
+    standard_error_mm: float
+    bound_mm: float
+    located: int
+    drawn: int
+    inside: int
+
+
+class _Chunk(NamedTuple):
+    """Some draws of one case."""
+
+    model: ProbeModel
+    task: Task
+    fraction: float
+    force: float
+    draws: int
+    seed: tuple[int, int, int]
+
+
+def confirm(
+    design: Design, task: Task, draws: int, seed: int, on_progress: OnProgress, workers: int | None = None
+) -> MonteCarloCheck:
+    """Locate drawn touches in each of the task's cases.
+
+    All error sources and the friction of each touch are drawn from the priors of the estimator.
+
+    Args:
+        design: of the probe.
+        task: how it is used.
+        draws: per case.
+        seed: of the draws.
+        on_progress: receives the completed fraction.
+        workers: processes; all cores if None, only this one if 1. The result does not depend on it.
+
+    Raises:
+        InputError: the probe buckles in one of the cases.
+    """
+    model = build_probe(design).model
+    predicted = predict_task(model, task, slipping=False)
+    for case, error in zip(predicted.cases, predicted.errors, strict=True):
+        if not math.isfinite(error):
+            where = f"{case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
+            raise InputError(f"{design.name}: buckles at {where}")
+    cases = [(under, fraction, force) for under in task.models(model)
+             for fraction in task.fractions for force in task.forces_N]  # fmt: skip
+    chunks = [
+        _Chunk(under, task, fraction, force, min(_CHUNK, draws - first), (seed, place, first))
+        for place, (under, fraction, force) in enumerate(cases)
+        for first in range(0, draws, _CHUNK)
+    ]
+    found = dict[int, Array]()
+    for i, part in process_map(_errors, chunks, workers):
+        found[i] = part
+        on_progress("Monte Carlo check", len(found) / len(chunks))
+    errors, located, inside = np.concatenate([found[i] for i in range(len(chunks))]).T
+    squares = errors[np.isfinite(errors)] ** 2 / MM**2
+    rms = float(np.sqrt(squares.mean())) if len(squares) else math.nan
+    spread = float(squares.std() / math.sqrt(len(squares)) / (2.0 * rms)) if len(squares) > 1 else math.nan
+    bound = float(np.sqrt(np.mean(np.square(predicted.errors)))) / MM
+    return MonteCarloCheck(rms, spread, bound, int(located.sum()), len(errors), int(inside.sum()))
+
+
+def _errors(chunk: _Chunk) -> Array:
+    """Return error [m] (NaN without a candidate), located and inside the 95 % ellipsoid for each draw, (n, 3)."""
+    model, task = chunk.model, chunk.task
+    rng = np.random.default_rng(chunk.seed)
+    samples = PrintSamples.draw(model, task.priors(model), chunk.draws, int(rng.integers(2**31)))
+    side = side_of(model.gravity_base)
+    results = locate_draws(samples, chunk.fraction, chunk.force, side, task.schedule, rng)
+    rows = [
+        (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside)
+        for a in results
+    ]
+    return np.array(rows, dtype=float)
+
+
+# Pareto front
+
+
+POPULATION = 40
+MAX_BASE_D_MM = 25.0
+"""Largest base diameter tried: wider than the sensor, and no softer for it."""
+LENGTHS_MM = (60.0, 200.0)
+_VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "reach_mm", "sag_mm")
+
+
+@dataclass(frozen=True)
+class ParetoFront:
+    """Designs of which none is better than another in all objectives.
+
+    Attributes:
+        rows: one per design: `_VARIABLES`, by increasing error.
+        n_evaluations: number of designs computed.
+    """
+
+    rows: list[dict[str, float]]
+    n_evaluations: int
+
+    def csv(self) -> bytes:
+        """Return the front as a CSV table."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, _VARIABLES, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return text.getvalue().encode()
+
+
+def check_installed() -> None:
+    """Check that optuna is installed, before a long search begins.
+
+    Raises:
+        MissingDependencyError: optuna is not installed.
+    """
+    if find_spec("optuna") is None:
+        raise MissingDependencyError.of_extra("--pareto", "optuna", "optimize")
+
+
+def pareto_front(
+    search: OptimizationProblem, trials: int, seed: int, on_progress: OnProgress, best: Optimum | None = None
+) -> ParetoFront:
+    """Return feasible cones of any length: smallest error, smallest force, largest reach.
+
+    Args:
+        search: start, task and limits; base, tip, length and force vary.
+        trials: number of designs to evaluate.
+        seed: of the search.
+        on_progress: receives the completed fraction.
+        best: an optimum found before; evaluated first if it is a cone.
+
+    Raises:
+        MissingDependencyError: optuna is not installed.
+        InputError: no evaluated design satisfies the limits.
+    """
+    check_installed()
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    space = DesignSpace.of(search.start, ("cone", "length"))
+    problem = NonlinearProgram(DesignEvaluator(space, search.task, True), search.all_limits)
+    sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
+    study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
+    if best is not None and best.design.probe.shape == "cone":
+        study.enqueue_trial(_known(best.design, best.task.force_N / search.task.force_N))
+    study.enqueue_trial(_known(search.start, 1.0))
+    study.optimize(lambda drawn: _evaluate(problem, drawn), n_trials=trials,
+                   callbacks=[lambda _, t: on_progress("Pareto front", (t.number + 1) / trials)])  # fmt: skip
+    kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["feasible"]}
+    if not kept:
+        raise InputError(
+            f"none of {trials} designs satisfies every limit; evaluate more, or relax --subject-to"
+        )
+    rows = [{name: float(t.user_attrs["row"][name]) for name in _VARIABLES} for t in kept.values()]
+    return ParetoFront(sorted(rows, key=lambda row: row["error_mm"]), trials)
+
+
+def _known(design: Design, force: float) -> dict[str, float]:
+    """Return the variables of a known design, at a multiple of the task's force."""
+    probe = design.probe
+    tip = probe.blunt_mm[-1][1]
+    low, high = FORCES
+    return {"base_d_mm": probe.base_d_mm, "taper": min(tip / probe.base_d_mm, 1.0), "length_mm": probe.length_mm,
+            "force": min(max(force, low), high)}  # fmt: skip
+
+
+def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, float]:
+    base = drawn.suggest_float("base_d_mm", 2.0, MAX_BASE_D_MM, log=True)
+    tip = base * drawn.suggest_float("taper", 0.05, 1.0, log=True)
+    length = drawn.suggest_float("length_mm", *LENGTHS_MM)
+    force = drawn.suggest_float("force", *FORCES, log=True)
+    x: Array = np.array([base, tip, length / 10.0, np.log(force)])
+    metrics = problem.evaluator.metrics(x)
+    # The margin that the search reserves for rounding may be used up by the optimum.
+    broken = {c.text: -c.min_margin(x) - SPARE for c in problem.constraints}
+    broken["stable"] = 0.0 if problem.evaluator.is_stable(x) else 1.0
+    for text, by in broken.items():
+        drawn.set_constraint(text, by)
+    drawn.set_user_attr("feasible", max(broken.values()) <= 0.0)
+    kept = {name: metrics[name] for name in ("error_mm", "reach_mm", "sag_mm", "length_mm")}
+    force_mN = 1e3 * problem.evaluator.task_at(x).force_N
+    drawn.set_user_attr("row", {"base_d_mm": base, "tip_d_mm": tip, "force_mN": force_mN, **kept})
+    return metrics["error_mm"], force_mN, metrics["reach_mm"]
+
+
+# Result
+
+
 @dataclass(frozen=True)
 class OptimizeResult:
     """Result of `optimize`.
@@ -238,13 +393,14 @@ class OptimizeResult:
 
     search: OptimizationProblem
     optimum: Optimum
-    confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None"
-    front: "ParetoFront | None"
+    confirmed: tuple[MonteCarloCheck | None, MonteCarloCheck] | None
+    front: ParetoFront | None
     files: tuple[Path, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        best, confirmed = self.optimum, self.confirmed
+        best, checks = self.optimum, zip(("start", "best"), self.confirmed or (), strict=False)
+        confirmed = {name: None if one is None else asdict(one) for name, one in checks}
         return {
             "schema": 1,
             "goal": self.search.goal,
@@ -256,12 +412,7 @@ class OptimizeResult:
             "binding": list(best.active_constraints),
             "bodies_looked_at": best.n_evaluations,
             "worse_than_start": [asdict(row) for row in best.worse],
-            "confirmed": None
-            if confirmed is None
-            else {
-                name: None if one is None else asdict(one)
-                for name, one in zip(("start", "best"), confirmed, strict=True)
-            },
+            "confirmed": confirmed or None,
             "front": None if self.front is None else self.front.rows,
             "files": [str(file) for file in self.files],
         }

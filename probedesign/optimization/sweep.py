@@ -2,22 +2,127 @@
 
 import csv
 import io
+import itertools
+import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
 from probedesign.design import Design, check_design
-from probedesign.optimization.grid import GridAxis, design_dict, grid_points, with_values
-from probedesign.optimization.objective import METRICS, design_metrics
-from probedesign.optimization.task import Task
+from probedesign.design.diagnostics import known_keys
+from probedesign.optimization.design_space import design_dict
+from probedesign.optimization.objective import METRICS, Task, design_metrics
 
 if TYPE_CHECKING:
     from distributed import Client
+
+
+MAX_POINTS = 1_000_000
+_HOW = "write KEY=START:STOP:STEP or KEY=A,B,C"
+
+
+@dataclass(frozen=True)
+class GridAxis:
+    """One key that varies.
+
+    Attributes:
+        key: of the design file, `table.key`.
+        values: that it takes.
+    """
+
+    key: str
+    values: tuple[Any, ...]
+
+
+def parse_axis(text: str) -> GridAxis:
+    """Parse `probe.tip_d_mm=1.5:4:0.25` or `sensor.calibration=si-12-0.12,si-25-0.25`; the end of a range is included.
+
+    Raises:
+        InputError: the key is unknown, or the range is invalid.
+    """
+    key, equals, values = (part.strip() for part in text.partition("="))
+    if not equals or not values:
+        raise InputError(f"--vary {text!r}: {_HOW}")
+    keys = known_keys(Design)
+    known = [name for name in keys if "." in name and not any(k.startswith(f"{name}.") for k in keys)]
+    if key not in known:
+        table = [name for name in known if name.partition(".")[0] == key.partition(".")[0]]
+        raise unknown_name("--vary", key, table or known)
+    if ":" in values:
+        return GridAxis(key, numbers_of(f"--vary {key}", values))
+    found = tuple(_value(part.strip()) for part in values.split(","))
+    if any(value == "" for value in found):
+        raise InputError(f"--vary {text!r}: an empty value; {_HOW}")
+    return GridAxis(key, found)
+
+
+def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
+    """Return every combination of the axes' values, the last axis fastest.
+
+    Raises:
+        InputError: there is no axis, a key is given twice, or there are too many points.
+    """
+    keys = [axis.key for axis in axes]
+    twice = next((key for key in keys if keys.count(key) > 1), None)
+    if not axes:
+        raise InputError(f"nothing to vary; {_HOW}: --vary probe.tip_d_mm=1.5:4:0.25")
+    if twice:
+        raise InputError(f"--vary {twice}: given twice; put all its values into one")
+    size = math.prod(len(axis.values) for axis in axes)
+    if size > MAX_POINTS:
+        raise InputError(f"{size} designs are too many; the maximum is {MAX_POINTS}: use coarser steps")
+    return [dict(zip(keys, values, strict=True)) for values in itertools.product(*(a.values for a in axes))]
+
+
+def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of a design file with some keys changed."""
+    data: dict[str, Any] = json.loads(json.dumps(base))
+    for key, value in point.items():
+        *tables, last = key.split(".")
+        inner = data
+        for table in tables:
+            inner = inner.setdefault(table, {})
+        inner[last] = value
+    return data
+
+
+def numbers_of(what: str, text: str) -> tuple[float | int, ...]:
+    """Return the numbers of START:STOP:STEP, the end included; integers stay integers.
+
+    Raises:
+        InputError: the text is not a range; `what` names the option.
+    """
+    parts = [_value(part.strip()) for part in text.split(":")]
+    if len(parts) != 3 or not all(isinstance(part, int | float) for part in parts):
+        raise InputError(f"{what}: {text!r} is not START:STOP:STEP in numbers")
+    start, stop, step = parts
+    if step == 0 or (stop - start) * step < 0:
+        raise InputError(f"{what}: the step of {text!r} has the wrong sign, or is zero")
+    steps = (stop - start) / step
+    if steps > MAX_POINTS:
+        raise InputError(f"{what}: {text!r} has more than {MAX_POINTS} values; use a coarser step")
+    whole = all(isinstance(part, int) for part in parts)
+    return tuple(start + i * step if whole else float(f"{start + i * step:.12g}")
+                 for i in range(math.floor(steps + 1e-9) + 1))  # fmt: skip
+
+
+def _value(text: str) -> Any:
+    """Return the text as TOML would read it: a number, a boolean or a name."""
+    for kind in (int, float):
+        try:
+            number = kind(text)
+        except ValueError:
+            continue
+        return number if math.isfinite(number) else text
+    return {"true": True, "false": False}.get(text, text)
+
 
 PROGRESS = "sweep.jsonl"
 SCHEDULER_TIMEOUT_S = 10.0
@@ -43,19 +148,14 @@ class SweepResult:
 
     @property
     def failed(self) -> list[Record]:
-        """Points without the result "ok"."""
+        """Return the points without the result "ok"."""
         return [record for record in self.records if record["result"] != "ok"]
 
 
 def sweep(
-    design: Design,
-    axes: list[GridAxis],
-    task: Task,
-    folder: Path,
-    scheduler: str | None,
-    workers: int,
+    design: Design, axes: list[GridAxis], task: Task, folder: Path, scheduler: str | None, workers: int,
     on_progress: OnProgress,
-) -> SweepResult:
+) -> SweepResult:  # fmt: skip
     """Compute the points that the folder does not contain yet, then write sweep.csv and sweep.parquet.
 
     Args:
@@ -72,7 +172,8 @@ def sweep(
         MissingDependencyError: dask or pyarrow is not installed.
     """
     grid, base = grid_points(axes), design_dict(design)
-    _require_tables()
+    if find_spec("pyarrow") is None:
+        raise _missing("pyarrow")
     request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
     journal = Journal.open(folder / PROGRESS, request)
@@ -84,33 +185,31 @@ def sweep(
                 appender.add(record)
                 on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
     records = [journal.results[i] for i in range(len(grid))]
-    return SweepResult(
-        records, len(missing), _write_tables(records, [axis.key for axis in axes], folder), journal.notes
-    )
+    files = _write_tables(records, [axis.key for axis in axes], folder)
+    return SweepResult(records, len(missing), files, journal.notes)
 
 
 def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:
     """Return the record of one design; an invalid or unstable one gives the reason and does not stop the sweep."""
-    record: Record = {"point": number, **point, "result": "ok", "reason": ""}
+    result, reason = "ok", ""
     try:
         found = design_metrics(check_design(with_values(base, point)), task)
     except InputError as error:
-        return record | {"result": "refused", "reason": str(error)} | dict.fromkeys(METRICS)
+        return _without_metrics(number, point, "refused", str(error))
     except Exception as error:  # the failure of one design must not end the sweep
-        reason = f"{type(error).__name__}: {error}"
-        return record | {"result": "failed", "reason": reason} | dict.fromkeys(METRICS)
+        return _without_metrics(number, point, "failed", f"{type(error).__name__}: {error}")
     if found.error_mm is None:
-        record |= {
-            "result": "gives_way",
-            "reason": "the probe buckles under the force at one position or more",
-        }
+        result, reason = "gives_way", "the probe buckles under the force at one position or more"
     elif not found.is_observable:
+        result = "unobservable"
         reason = f"the largest error, {found.worst_error_mm:.3g} mm, is not smaller than without a reading"
-        record |= {"result": "unobservable", "reason": reason}
     elif found.sensor_use is not None and found.sensor_use > 1.0:
-        reason = f"the readings take {found.sensor_use:.3g} times the sensor's range"
-        record |= {"result": "out_of_range", "reason": reason}
-    return record | found.as_dict()
+        result, reason = "out_of_range", f"the readings take {found.sensor_use:.3g} times the sensor's range"
+    return {"point": number, **point, "result": result, "reason": reason, **found.as_dict()}
+
+
+def _without_metrics(number: int, point: dict[str, Any], result: str, reason: str) -> Record:
+    return {"point": number, **point, "result": result, "reason": reason, **dict.fromkeys(METRICS)}
 
 
 def _evaluate_chunk(
@@ -125,9 +224,8 @@ def _computed(
     """Yield records in the order of completion."""
     from distributed import as_completed
 
-    chunks = [
-        [(i, grid[i]) for i in missing[start : start + _CHUNK]] for start in range(0, len(missing), _CHUNK)
-    ]
+    points = [(i, grid[i]) for i in missing]
+    chunks = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
     futures = [client.submit(_evaluate_chunk, base, chunk, task, pure=False) for chunk in chunks]
     by_key = {future.key: chunk for future, chunk in zip(futures, chunks, strict=True)}
     for future in as_completed(futures):
@@ -136,8 +234,7 @@ def _computed(
             yield from future.result()
         else:  # the worker process died repeatedly
             for number, point in by_key[future.key]:
-                lost = {"result": "failed", "reason": f"worker lost: {error or future.status}"}
-                yield {"point": number, **point, **lost, **dict.fromkeys(METRICS)}
+                yield _without_metrics(number, point, "failed", f"worker lost: {error or future.status}")
         future.release()
 
 
@@ -154,26 +251,21 @@ def _client(scheduler: str | None, workers: int, on_progress: OnProgress) -> Ite
         from distributed import Client, LocalCluster
     except ModuleNotFoundError as error:
         raise _missing(error.name) from None
-    with dask.config.set(
-        {
-            "distributed.worker.daemon": True,
-            "distributed.worker.multiprocessing-method": start_method(),
-            "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
-        }
-    ):
+    settings = {
+        "distributed.worker.daemon": True, "distributed.worker.multiprocessing-method": start_method(),
+        "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
+    }  # fmt: skip
+    with dask.config.set(settings):
         if scheduler is not None:
             on_progress(f"reaching {scheduler}", None)
+            how = "start one with: dask scheduler, or omit --scheduler"
             try:
                 client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
-            except (OSError, ValueError, TypeError) as error:
-                reason = (
-                    f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
-                    if isinstance(error, OSError)
-                    else error
-                )
-                raise InputError(
-                    f"--scheduler {scheduler}: {reason}; start one with: dask scheduler, or omit --scheduler"
-                ) from None
+            except OSError:
+                reason = f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
+                raise InputError(f"--scheduler {scheduler}: {reason}; {how}") from None
+            except (ValueError, TypeError) as error:
+                raise InputError(f"--scheduler {scheduler}: {error}; {how}") from None
             with client:
                 _await_workers(client, scheduler)
                 yield client
@@ -195,21 +287,13 @@ def _await_workers(client: "Client", scheduler: str) -> None:
     try:
         client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
     except TimeoutError:
-        raise InputError(
-            f"--scheduler {scheduler}: has no workers; start some with: dask worker {scheduler}"
-        ) from None
+        how = f"start some with: dask worker {scheduler}"
+        raise InputError(f"--scheduler {scheduler}: has no workers; {how}") from None
 
 
 def _plain(task: Task) -> dict[str, Any]:
     lists = {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
     return asdict(task) | lists | {"gravities": [list(gravity) for gravity in task.gravities]}
-
-
-def _require_tables() -> None:
-    try:
-        import pyarrow  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise _missing(error.name) from None
 
 
 def _missing(name: str | None) -> MissingDependencyError:

@@ -42,15 +42,13 @@ CAUSES = (*SOURCES, "friction")
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Error budgets of n touches; NaN where there is no touch, infinite where a reading does not determine the
-    position.
+    """Error budgets of n touches: NaN without a touch, infinite where a reading does not determine the position.
 
     Attributes:
         cov: of the touched point [m²] by error source, (n, causes, 3, 3).
         total: of the touched point by all error sources [m²], (n, 3, 3).
         cov_centre: of the centreline point by all error sources [m²], (n, 3, 3).
-        cov_noise: of the touched point by sensor noise and the prior on friction, all else exactly known [m²], (n, 3,
-            3).
+        cov_noise: of the touched point by sensor noise and the prior on friction alone [m²], (n, 3, 3).
         std_s: standard deviation of s_contact by all error sources [m], (n,).
     """
 
@@ -62,7 +60,7 @@ class ErrorBudget:
 
     @property
     def rms(self) -> Array:
-        """RMS error by source [m], (n, causes)."""
+        """Return the RMS error by source [m], (n, causes)."""
         return rms_of(self.cov)
 
 
@@ -85,11 +83,9 @@ def error_budget(touch: Array, lin: Array, D: Array, sources: ErrorSources, fric
     total, centre, noise = (np.full((n, 3, 3), np.nan) for _ in range(3))
     found = ErrorBudget(np.full((n, len(CAUSES), 3, 3), np.nan), total, centre, noise, np.full(n, np.nan))
     if len(of):
-        touches = _LinearizedTouches.of(touch[of], lin[of], D[of], sources)
-        for name, value in zip(
-            ("cov", "total", "cov_centre", "cov_noise", "std_s"), touches.split(friction), strict=True
-        ):
-            getattr(found, name)[of] = value
+        parts = _LinearizedTouches.of(touch[of], lin[of], D[of], sources).split(friction)
+        for into, part in zip((found.cov, total, centre, noise, found.std_s), parts, strict=True):
+            into[of] = part
     return found
 
 
@@ -99,7 +95,7 @@ class _LinearizedTouches:
 
     Attributes:
         H, X, X_centre: of wrench, touched point and centreline point by the touch, (n, 6, 5), (n, 3, 5), (n, 3, 5).
-        D, Q, Q_centre: likewise of the error sources, (n, 6, J), (n, 3, J), (n, 3, J).
+        D, Q, Q_centre: of the same by the error sources, (n, 6, J), (n, 3, J), (n, 3, J).
         noise: covariance of a reading by noise, (n, 6, 6).
         drift: covariance by drift, (6, 6).
         names: of the columns.
@@ -119,6 +115,7 @@ class _LinearizedTouches:
 
     @classmethod
     def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_LinearizedTouches":
+        """Return the linearisations of touches; the arguments are those of `error_budget`."""
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
         by_s = np.array([by_s_of(sources.model.rod, float(s)) for s in touch[:, S]])
         noise = np.array([covariance(sources.model, wrench) for wrench in lin[:, 0:6, VALUE]])
@@ -128,8 +125,7 @@ class _LinearizedTouches:
         )  # fmt: skip
 
     def split(self, friction: float) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the covariance by source, total, that of the centreline point, by noise alone, and std of
-        s_contact."""
+        """Return the covariance by source, total, of the centreline point and by noise alone, and std of s_contact."""
         whiten = np.linalg.inv(np.linalg.cholesky(self._known(self.noise)))
         known, root, gain = self._solve(whiten, friction)
         total = self._total(self.X, self.Q, root, gain)
@@ -243,11 +239,10 @@ def radius_95(cov: Array, share: float = 0.95) -> float:
 def radii_95(cov: Array, share: float = 0.95) -> Array:
     """Return the radii for many covariances.
 
-    Writes e by its direction and length: |e|² = ρ² (uᵀ cov u) with ρ² chi-square of three degrees of freedom,
-        independent
-    of the direction u, which is uniform on the sphere; P is the mean over u of the chi-square distribution at
-    r²/(uᵀ cov u), by Gauss-Legendre and trapezoidal quadrature on one octant. Halley's method solves for r, starting
-    between the radii of a line, a disc and a ball.
+    With e of length ρ sqrt(uᵀ cov u), ρ² is chi-square of three degrees of freedom, independent of the direction u,
+    which is uniform on the sphere. P is the mean over u of the chi-square distribution at r²/(uᵀ cov u), by
+    Gauss-Legendre and trapezoidal quadrature on one octant. Halley's method solves for r, starting between a line, a
+    disc and a ball.
 
     Args:
         cov: [m²], (n, 3, 3), each positive semidefinite.

@@ -1,8 +1,9 @@
 """Monte Carlo check of a prediction: perturbed probes, noisy readings, and the real estimator.
 
-The truth is the fast rod, whose error is micrometres, with a force of any direction at a point of its surface. The
-estimator starts cold, does not know the draw, and uses the priors that it was drawn from. All conditions share the same
-print samples.
+Every error source of `ErrorSources` is drawn once per print sample: the rod itself, its root, its mount and gravity,
+the gain of the sensor, the creep. Drawn for each touch are friction ratio, stiffness, noise, bias walk and robot error.
+The truth is the fast rod, whose error is micrometres. The estimator starts cold, does not know the draw, and uses the
+priors that it was drawn from. All conditions share the same print samples.
 """
 
 import hashlib
@@ -10,35 +11,219 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.parallel import process_map
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
+from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FusedCondition, PressSchedule
 from probedesign.prediction.predict import PRESSING, Condition, MonteCarloResult, Prediction
-from probedesign.prediction.print_samples import PrintSamples
-from probedesign.prediction.touches import DIRECTIONS
+from probedesign.prediction.touches import DIRECTIONS, SurfaceRod
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
+
+_PER_TOUCH = ("creep", "stiffness scatter")
+"""Sources that a single touch cannot distinguish: of fused touches the first grows, the second is drawn for each."""
+
+
+@dataclass(frozen=True)
+class PrintSample:
+    """One perturbed probe with its mount and sensor.
+
+    Attributes:
+        model: the nominal probe, which the estimator uses.
+        rod: as printed, before it creeps.
+        gravity: in the true base frame [m/s²], (3,).
+        gravity_in_model: the same in the model's base frame.
+        R: rotation of the true base, (3, 3).
+        translation: of the true base [m], (3,).
+        gain: relative error of each channel of the sensor, (6,).
+        creep: change of the logarithm of the stiffness at the last of several touches.
+        tared: whether the sensor was tared with this probe free.
+    """
+
+    model: ProbeModel
+    rod: Rod
+    gravity: Array
+    gravity_in_model: Array
+    R: Array
+    translation: Array
+    gain: Array
+    creep: float
+    tared: bool
+
+    @classmethod
+    def draw(cls, model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator) -> "PrintSample":
+        """Draw one sample from the priors."""
+        gravity = model.gravity_base
+        parameters, turns = np.zeros(4 + len(model.rod.s)), np.zeros(9)
+        for name, rows in parameters_of(model.rod, tolerances).items():
+            z = rng.normal(size=len(rows))
+            if name not in _PER_TOUCH:
+                parameters += z @ rows
+        for rows in turns_of(gravity, tolerances).values():
+            turns += rng.normal(size=len(rows)) @ rows
+        R = Rotation.from_rotvec(turns[3:6]).as_matrix()
+        gravity_in_model = gravity + turns[6:9]
+        rod = perturbed_rod(model.rod, parameters)
+        base = float(rod.radius[0])
+        root = rod.rigid_length + tolerances.root_radii * base * rng.normal()
+        rod = replace(rod, rigid_length=min(max(root, -0.99 * base), 0.9 * rod.length))
+        gain = tolerances.gain * rng.normal(size=6)
+        creep = float(tolerances.creep * rng.normal())
+        at_base = R.T @ gravity_in_model
+        return cls(model, rod, at_base, gravity_in_model, R, turns[0:3], gain, creep, tolerances.tared)
+
+    def press(
+        self, fraction: float, phi: float, forces: Sequence[float], ratios: Array, log_stiffness: Array
+    ) -> tuple[Array, Array]:
+        """Press one point of the surface.
+
+        Args:
+            fraction: arclength of the touched section over the length.
+            phi: angle around the section [rad].
+            forces: normal forces, ascending [N], (k,).
+            ratios: of friction, around and along, (k, 2).
+            log_stiffness: change of the logarithm of the stiffness at each touch, beside the creep, (k,).
+
+        Returns:
+            Readings without noise and touched points, both in the model's base frame, (k, 6) and (k, 3); NaN from the
+            force on at which the probe buckles.
+        """
+        k = len(forces)
+        ramp = np.ones(1) if k == 1 else np.linspace(0.0, 1.0, k)
+        wrenches, points = np.full((k, 6), np.nan), np.full((k, 3), np.nan)
+        for j, force in enumerate(forces):
+            # The sensor counts as tared with the changed stiffness, as in the error sources.
+            factor = math.exp(ramp[j] * self.creep + log_stiffness[j])
+            E, G = factor * self.rod.youngs_modulus, factor * self.rod.shear_modulus
+            rod = replace(self.rod, youngs_modulus=E, shear_modulus=G)
+            mass = replace(self.model, rod=rod).mass
+            on = SurfaceRod(rod, self.gravity, mass, rod.solve(self.gravity))
+            press = on.begin_press(fraction * on.rod.length, phi, ratios[j])
+            if press.increase_to(float(force)) is None or press.lin is None:
+                break
+            wrenches[j] = self.reading(on.free, press.lin[0:6, VALUE])
+            points[j] = self.R @ press.lin[POINT : POINT + 3, VALUE] + self.translation
+        return wrenches, points
+
+    def reading(self, free: Equilibrium, wrench: Array) -> Array:
+        """Return the reading at the model's base, without noise, of a wrench (6,) at the true base."""
+        model = self.model
+        seen = self._in_nominal_frame(wrench)
+        to_sensor, base_from_sensor = (
+            wrench_map(model.T_sensor_base),
+            wrench_map(inverse(model.T_sensor_base)),
+        )
+        if self.tared:
+            zero = self._in_nominal_frame(free.wrench_base)
+            at = model.rod.solve(model.gravity_base).wrench_base
+            change = seen - zero
+            return np.asarray(at + change + base_from_sensor @ (self.gain * (to_sensor @ change)))
+        hanging = base_from_sensor @ model.gravity_wrench_sensor(self.gravity_in_model - model.gravity_base)
+        whole = seen + base_from_sensor @ model.gravity_wrench_sensor(self.gravity_in_model)
+        return np.asarray(seen + hanging + base_from_sensor @ (self.gain * (to_sensor @ whole)))
+
+    def _in_nominal_frame(self, wrench: Array) -> Array:
+        """Transform a wrench of the true base frame to the model's base frame, (6,)."""
+        force, moment = self.R @ wrench[0:3], self.R @ wrench[3:6]
+        return np.concatenate([force, moment + np.cross(self.translation, force)])
+
+
+@dataclass(frozen=True)
+class PrintSamples:
+    """Draws of everything that a prediction does not know, except noise.
+
+    Attributes:
+        model: of the nominal probe.
+        tolerances: standard deviations they were drawn with.
+        samples: the draws.
+    """
+
+    model: ProbeModel
+    tolerances: Tolerances
+    samples: tuple[PrintSample, ...]
+
+    @classmethod
+    def draw(cls, model: ProbeModel, tolerances: Tolerances, n: int, seed: int) -> "PrintSamples":
+        """Draw n samples; the same seed gives the same samples."""
+        rng = np.random.default_rng(seed)
+        return cls(model, tolerances, tuple(PrintSample.draw(model, tolerances, rng) for _ in range(n)))
+
+    def simulate_touches(
+        self, fraction: float, phi: float, forces: Sequence[float], rng: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """Press the same position of every sample, friction and stiffness drawn for each touch.
+
+        Returns:
+            Readings without noise and touched points in the model's base frame, (n, k, 6) and (n, k, 3); NaN where
+            the probe buckles.
+        """
+        n, k = len(self.samples), len(forces)
+        friction = self.model.friction if math.isfinite(self.model.friction) else 1.0
+        ratios = friction * rng.normal(size=(n, k, 2))
+        log_stiffness = self.tolerances.stiffness_scatter * rng.normal(size=(n, k))
+        found = [
+            sample.press(fraction, phi, forces, of_touch, change)
+            for sample, of_touch, change in zip(self.samples, ratios, log_stiffness, strict=True)
+        ]
+        wrenches, points = (np.array(part) for part in zip(*found, strict=True))
+        return wrenches, points
+
+    def draw_noise(self, n: int, k: int, rng: np.random.Generator) -> Array:
+        """Draw noise, bias since the tare and its walk for n presses of k readings, at the base, (n, k, 6)."""
+        root = np.linalg.cholesky(self.model.noise_base())
+        steps = np.full((1, k, 1), self.tolerances.walk_steps)
+        steps[0, 0] = self.tolerances.drift_steps
+        bias = math.sqrt(self.model.averaging_samples) * np.cumsum(steps * rng.normal(size=(n, k, 6)), axis=1)
+        return np.asarray((rng.normal(size=(n, k, 6)) + bias) @ root.T)
+
+    def draw_robot_error(self, n: int, k: int, rng: np.random.Generator) -> Array:
+        """Draw the error of the reported base positions [m], (n, k, 3)."""
+        return np.asarray(rng.normal(0.0, self.tolerances.robot_mm * MM, (n, k, 3)))
+
+
+def perturbed_rod(rod: Rod, by: Array) -> Rod:
+    """Return a rod with changed logarithms of E, G, density, length and radii.
+
+    Args:
+        rod: nominal.
+        by: changes, (4 + knots,).
+    """
+    E, G, density, length = np.exp(by[:4]).tolist()
+    radius = rod.radius * np.exp(by[4:])
+    return replace(
+        rod,
+        s=rod.s * length,
+        radius=radius,
+        youngs_modulus=rod.youngs_modulus * E,
+        shear_modulus=rod.shear_modulus * G,
+        density=rod.density * density,
+        rigid_length=rod.rigid_length * float(radius[0] / rod.radius[0]),
+        rounded_from=None if rod.rounded_from is None else rod.rounded_from * length,
+    )
+
 
 MAX_DIFFERENCE = 0.10
-"""Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors of Monte
-Carlo."""
+"""Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors."""
 SAVE_EVERY_S = 2.0
+"""Interval at which the checkpoint is saved."""
 MAX_DRAWS = 1_000_000
 LOCATED_RESULTS = ("ok", "inconsistent")
-"""Results whose best candidate is counted. "inconsistent" is included: without it the errors would be those of the
-draws
-that pass the consistency test."""
+"""Results whose best candidate is counted; without "inconsistent" the draws would be selected by their error."""
 Touch = tuple[float, float, str, int]
 """Contact fraction, force [N], direction, and number of fused touches."""
 
@@ -73,7 +258,7 @@ class MonteCarloPlan:
 
     @property
     def key(self) -> str:
-        """Hash of the plan, twelve hex digits."""
+        """Return the hash of the plan, twelve hex digits."""
         model, rod = self.model, self.model.rod
         numbers = [*rod.body, rod.rigid_length, model.gravity_base, model.T_sensor_base, model.wrench_range,
                    model.noise.force, model.noise.moment, model.averaging_samples, model.payload.mass,
@@ -90,10 +275,15 @@ class MonteCarloPlan:
         fraction, force, direction, touches = touch
         schedule = self.pressing if touches > 1 else None
         results = locate_draws(samples, fraction, force, DIRECTIONS[direction], schedule, rng)
-        off = [result.error for result in results if result.error is not None]
+        off = np.array([result.error for result in results if result.error is not None])
         located = [result for result in results if result.result == "ok"]
-        inside = sum(result.inside for result in located)
-        return _summary(np.array(off), len(located)) | {"inside": inside}
+        counts = {"located": len(located), "inside": sum(result.inside for result in located)}
+        if len(off) < 2:
+            return counts | {"error": None, "error_95": None, "standard_error": None}
+        rms = float(np.sqrt((off**2).mean()))
+        # The standard error of an RMS is that of the mean square over twice the RMS.
+        spread = float((off**2).std(ddof=1) / math.sqrt(len(off)) / (2.0 * max(rms, 1e-300)))
+        return counts | {"error": rms, "error_95": float(np.quantile(off, 0.95)), "standard_error": spread}
 
 
 class DrawResult(NamedTuple):
@@ -111,13 +301,9 @@ class DrawResult(NamedTuple):
 
 
 def locate_draws(
-    samples: PrintSamples,
-    fraction: float,
-    force: float,
-    angle: float,
-    schedule: PressSchedule | None,
+    samples: PrintSamples, fraction: float, force: float, angle: float, schedule: PressSchedule | None,
     rng: np.random.Generator,
-) -> list[DrawResult]:
+) -> list[DrawResult]:  # fmt: skip
     """Touch one position of every print sample and locate it with the real estimator.
 
     Args:
@@ -140,6 +326,7 @@ def locate_draws(
 
 
 def _located(estimator: Estimator, wrench: Array, point: Array) -> DrawResult:
+    """Locate a touch from a single reading."""
     found = estimator.estimate(wrench)
     best = found.candidates[0] if found.candidates else None
     if best is None or found.result not in LOCATED_RESULTS:
@@ -159,9 +346,8 @@ def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, place
     if found.result not in LOCATED_RESULTS or not len(found.candidates_world):
         return DrawResult(found.result, None)
     off = found.candidates_world[0]
-    return DrawResult(
-        found.result, float(np.linalg.norm(off)), found.ok and _contains(found.cov_surface_world, off)
-    )
+    inside = found.ok and _contains(found.cov_surface_world, off)
+    return DrawResult(found.result, float(np.linalg.norm(off)), inside)
 
 
 def _contains(cov: Array, off: Array) -> bool:
@@ -201,9 +387,10 @@ def run_monte_carlo(
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
     try:
         names = list(left)
-        for i, row in process_map(
+        computed = process_map(
             _sample_in_worker, left.values(), workers, _initialize, (plan,), preload=[__name__]
-        ):
+        )
+        for i, row in computed:
             done[names[i]] = row
             progress(len(done) / max(len(wanted), 1))
             if path and time.monotonic() - saved > SAVE_EVERY_S:
@@ -234,19 +421,6 @@ def _sample_in_worker(touch: Touch) -> dict[str, Any]:
     assert _worker_state is not None, "the worker is initialised with its plan"
     plan, samples = _worker_state
     return plan.sample_condition(touch, samples)
-
-
-def _summary(off: np.ndarray[Any, Any], located: int) -> dict[str, Any]:
-    if len(off) < 2:
-        return {"located": located, "error": None, "error_95": None, "standard_error": None}
-    rms = float(np.sqrt((off**2).mean()))
-    spread = float((off**2).std(ddof=1) / math.sqrt(len(off)) / (2.0 * max(rms, 1e-300)))
-    return {
-        "located": located,
-        "error": rms,
-        "error_95": float(np.quantile(off, 0.95)),
-        "standard_error": spread,
-    }
 
 
 def _result(
@@ -290,17 +464,13 @@ def _load_checkpoint(path: Path | None) -> dict[str, dict[str, Any]]:
     try:
         found = json.loads(path.read_bytes())["conditions"]
         for row in found.values():
-            _ = (
-                int(row["located"]),
-                int(row["inside"]),
-                *(float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")),
-            )
+            _ = int(row["located"]), int(row["inside"])
+            _ = [float(row[k] or 0.0) for k in ("error", "error_95", "standard_error")]
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         raise InputError(f"{path}: is not a Monte Carlo checkpoint; remove it to start again") from None
     return dict(found)
 
 
 def _save_checkpoint(path: Path, done: dict[str, dict[str, Any]]) -> None:
-    write_atomically(
-        path, (json.dumps({"schema": 1, "unit": "m", "conditions": done}, indent=0) + "\n").encode()
-    )
+    document = {"schema": 1, "unit": "m", "conditions": done}
+    write_atomically(path, (json.dumps(document, indent=0) + "\n").encode())

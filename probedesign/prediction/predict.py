@@ -25,9 +25,14 @@ from probedesign.prediction.fused import (
     fused_conditions,
     fused_reach,
 )
-from probedesign.prediction.thresholds import LADDER_N, ForceThresholds, force_thresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
-from probedesign.prediction.workspace import Workspace, workspace_of
+from probedesign.prediction.workspace import (
+    LADDER_N,
+    ForceThresholds,
+    Workspace,
+    force_thresholds,
+    workspace_of,
+)
 from probedesign.rod.equilibrium import Equilibrium
 
 __all__ = [
@@ -212,11 +217,10 @@ def predict(
     end = model.rod.flank_end / model.rod.length
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
-    workspace, reach, detection = (
-        NO_WORKSPACE,
-        _nothing(lines),
-        tuple(Detection(*line, None) for line in lines),
-    )
+    # What holds for a probe without a stable free equilibrium.
+    workspace = NO_WORKSPACE
+    reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
+    detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
                   for line in lines for force in forces_N}  # fmt: skip
     fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
@@ -228,10 +232,9 @@ def predict(
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, reach[i].greatest_force_N) for i, line in enumerate(lines)
         )
-        by_force = {force: conditions_of(touches[force], lines) for force in forces_N}
-        conditions = {
-            (*line, force): by_force[force][i] for i, line in enumerate(lines) for force in forces_N
-        }
+        for force in forces_N:
+            for line, condition in zip(lines, conditions_of(touches[force], lines), strict=True):
+                conditions[(*line, force)] = condition
         fused = fused_conditions(lines, touches, forces_N, pressing)
         workspace = workspace_of(reach, touches, model.gravity_base)
     return Prediction(
@@ -242,7 +245,7 @@ def predict(
         tip_sag_mm=tip_sag_mm(estimator),
         noise_force_mN=1e3 * model.noise.force,
         noise_moment_Nmm=1e3 * model.noise.moment,
-        friction=_finite(model.friction),
+        friction=finite_or_none(model.friction),
         conditions=tuple(
             conditions[fraction, direction, force]
             for fraction in fractions for force in forces_N for direction in directions
@@ -276,11 +279,8 @@ def predict_touch(
 
 def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
     """Return the conditions of some lines at one force."""
-    results = touches.results()
-    return [
-        _condition(touches, i, line, result)
-        for i, (line, result) in enumerate(zip(lines, results, strict=False))
-    ]
+    results = zip(lines, touches.results(), strict=False)
+    return [_condition(touches, i, line, result) for i, (line, result) in enumerate(results)]
 
 
 def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -> Condition:
@@ -290,27 +290,24 @@ def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -
     per_N, press = touches.wrench_by_force[i], float(touches.press_per_N[i])
     by_moment, by_force = float(np.linalg.norm(per_N[3:6])), float(np.linalg.norm(per_N[0:3]))
     rms = touches.budget.rms[i] / MM
-    error, within = _finite(touches.rms[0][i] / MM), _finite(touches.within_95[0][i] / MM)
+    error, within = finite_or_none(touches.rms[0][i] / MM), finite_or_none(touches.within_95[0][i] / MM)
     return Condition(
-        line[0],
-        force,
-        line[1],
-        result,
+        line[0], force, line[1], result,
         predicted_error_mm=error,
         predicted_error_95_mm=within,
-        noise_error_mm=_finite(touches.rms[1][i] / MM),
-        noise_error_95_mm=_finite(touches.within_95[1][i] / MM),
-        std_s_mm=_finite(touches.budget.std_s[i] / MM),
+        noise_error_mm=finite_or_none(touches.rms[1][i] / MM),
+        noise_error_95_mm=finite_or_none(touches.within_95[1][i] / MM),
+        std_s_mm=finite_or_none(touches.budget.std_s[i] / MM),
         deflection_mm=float(touches.deflection[i] / MM),
         moment_per_N_Nmm=1e3 * by_moment,
         force_per_N_N=by_force,
-        moment_per_mm_Nmm=_finite(1e3 * by_moment / press * MM) if press > 0 else None,
-        force_per_mm_N=_finite(by_force / press * MM) if press > 0 else None,
+        moment_per_mm_Nmm=finite_or_none(1e3 * by_moment / press * MM) if press > 0 else None,
+        force_per_mm_N=finite_or_none(by_force / press * MM) if press > 0 else None,
         sensor_use=float(touches.sensor_use[i]),
         budget_mm=dict(zip(CAUSES, rms.tolist(), strict=True)) if np.isfinite(rms).all() else None,
         total_error_mm=error,
         total_error_95_mm=within,
-    )
+    )  # fmt: skip
 
 
 def tip_sag_mm(estimator: Estimator) -> float | None:
@@ -334,42 +331,36 @@ def tip_sag(free: Equilibrium, length: float, gravity: Array) -> float:
     return float((free.p_at(length) - [0.0, 0.0, length]) @ gravity / np.linalg.norm(gravity))
 
 
-def _detection(touches: Touches, i: int, line: tuple[float, str], most: float | None) -> Detection:
+def _detection(touches: Touches, i: int, line: tuple[float, str], max_force: float | None) -> Detection:
     """Return the detection limit, which is proportional to a weak push; None where the probe buckles before."""
-    if not touches.ok[i] or most is None:
+    if not touches.ok[i] or max_force is None:
         return Detection(*line, None)
     felt = touches.estimator.detectable(touches.wrench_by_force[i])
-    return Detection(*line, 1e3 * felt if felt <= most else None)
+    return Detection(*line, 1e3 * felt if felt <= max_force else None)
 
 
-def _nothing(lines: Sequence[tuple[float, str]]) -> tuple[ForceThresholds, ...]:
-    """Return the thresholds of a probe without a stable free equilibrium."""
-    return tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
-
-
-def _finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
+    """Return the number, None where it is infinite or NaN."""
     return float(value) if math.isfinite(value) else None
 
 
-Row = Mapping[str, Any]
-
-
 def conditions_csv(prediction: Prediction) -> bytes:
-    """Return a CSV table with a row per condition, single (touches = 1) and fused; the error sources are its last
-    columns."""
-    single = [{"touches": 1, **asdict(c)} for c in prediction.conditions]
-    rows = [_spread(row) for row in [*single, *(asdict(c) for c in prediction.fused)]]
+    """Return a CSV table with a row per condition, single (touches = 1) and fused, the error sources at the end."""
     first = ["contact_fraction", "force_N", "direction", "touches", "result"]
-    causes = [_column(cause) for cause in FUSED_CAUSES]
-    between = [
-        name for name in dict.fromkeys(k for row in rows for k in row) if name not in (*first, *causes)
-    ]
-    return _csv([*first, *between, *causes], rows)
+    sources = {cause: f"budget_{cause.replace(' ', '_')}_mm" for cause in FUSED_CAUSES}
+    rows = []
+    for row in [{"touches": 1, **asdict(c)} for c in prediction.conditions] + [
+        *map(asdict, prediction.fused)
+    ]:
+        budget = row.pop("budget_mm") or {}
+        rows.append(row | {sources[cause]: value for cause, value in budget.items()})
+    known = {*first, *sources.values()}
+    between = [name for name in dict.fromkeys(k for row in rows for k in row) if name not in known]
+    return _csv([*first, *between, *sources.values()], rows)
 
 
 def along_csv(prediction: Prediction) -> bytes:
-    """Return a CSV table with a row per position and direction: detection, thresholds, limits; fused_ is of fused
-    touches."""
+    """Return a CSV table with detection, thresholds and limits by position and direction; fused_: of fused touches."""
     rows: dict[tuple[float, str], dict[str, Any]] = {}
     shown: tuple[Detection | ForceThresholds, ...] = (*prediction.detection, *prediction.reach)
     for one in shown:
@@ -379,21 +370,10 @@ def along_csv(prediction: Prediction) -> bytes:
         rows[fused.contact_fraction, fused.direction].update(forces)
     for path in prediction.workspace.paths:
         rows[path.contact_fraction, path.direction]["pressed_mm"] = path.pressed_mm
-    names = list(dict.fromkeys(k for row in rows.values() for k in row))
-    return _csv(names, list(rows.values()))
+    return _csv(list(dict.fromkeys(k for row in rows.values() for k in row)), list(rows.values()))
 
 
-def _spread(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the row with the error sources as columns of their own."""
-    budget = row.pop("budget_mm") or {}
-    return row | {_column(cause): value for cause, value in budget.items()}
-
-
-def _column(cause: str) -> str:
-    return f"budget_{cause.replace(' ', '_')}_mm"
-
-
-def _csv(names: Sequence[str], rows: Sequence[Row]) -> bytes:
+def _csv(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> bytes:
     text = io.StringIO()
     table = csv.DictWriter(text, names, lineterminator="\n")
     table.writeheader()

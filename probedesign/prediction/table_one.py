@@ -27,10 +27,9 @@ from probedesign.prediction.budget import CAUSES, unweighted_error_budget
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 
 REFERENCE_MM = 1.0
-"""RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest
-errors of
-0.7 mm include it; its shapes differ by 3.6 mm, of which a contact point can have only a part. `by_reference` lists the
-agreement for other values."""
+"""RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest errors
+of 0.7 mm include it; its shapes differ by 3.6 mm, of which a contact point can have only a part. `by_reference` lists
+the agreement for other values."""
 FACTOR = 2.0
 THICKER_MM = (-0.5, -0.2, 0.2, 0.5)
 REFERENCES_MM = (0.0, 0.5, 0.7, 1.0, 1.3, 1.6, 2.0)
@@ -122,13 +121,15 @@ def table_one(
         _score(f"reference {r:g} mm", [_with_reference(row, e, r) for row, e in zip(rows, own, strict=True)])
         for r in REFERENCES_MM
     )
-    thicker = [_score(f"all diameters {by:+g} mm", rows_of(_thickened(models, by, by), reference_mm))
-               for by in THICKER_MM]  # fmt: skip
-    tips = [
-        _score(f"tips {by:+g} mm", rows_of(_thickened(models, 0.0, by), reference_mm)) for by in THICKER_MM
-    ]
-    return TableOne(tuple(rows), _score("as designed", rows), reference_mm, 1e3 * noise.force, 1e3 * noise.moment,
-                    references, (*thicker, *tips))  # fmt: skip
+    diameters = tuple(
+        _score(f"{name} {by:+g} mm", rows_of(_thickened(models, by * base, by), reference_mm))
+        for name, base in (("all diameters", 1.0), ("tips", 0.0))
+        for by in THICKER_MM
+    )
+    score = _score("as designed", rows)
+    return TableOne(
+        tuple(rows), score, reference_mm, 1e3 * noise.force, 1e3 * noise.moment, references, diameters
+    )
 
 
 def rows_of(models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float) -> list[TableRow]:
@@ -156,18 +157,8 @@ def _row(
         squares = np.trace(cov, axis1=2, axis2=3).mean(axis=0)
         own, noise = math.sqrt(squares.sum()) / MM, math.sqrt(squares[0]) / MM
         largest = CAUSES[int(np.argmax(squares))]
-    row = TableRow(
-        row_data["probe"],
-        force,
-        fraction,
-        float(row_data["contact_error_mm"]),
-        None,
-        own,
-        noise,
-        largest,
-        False,
-        "",
-    )
+    measured_mm = float(row_data["contact_error_mm"])
+    row = TableRow(row_data["probe"], force, fraction, measured_mm, None, own, noise, largest, False, "")
     return _with_reference(row, own, reference_mm)
 
 
@@ -179,12 +170,10 @@ def _with_reference(row: TableRow, own: float | None, reference_mm: float) -> Ta
     predicted = math.hypot(own, reference_mm)
     ratio = predicted / row.measured_error_mm
     within = 1.0 / FACTOR <= ratio <= FACTOR
-    more = "more" if ratio > 1.0 else "less"
-    why = (
-        ""
-        if within
-        else f"{max(ratio, 1 / ratio):.2g} times {more} than measured; largest error source: {row.largest_cause}"
-    )
+    why = ""
+    if not within:
+        times = f"{max(ratio, 1 / ratio):.2g} times {'more' if ratio > 1.0 else 'less'} than measured"
+        why = f"{times}; largest error source: {row.largest_cause}"
     return replace(row, predicted_error_mm=predicted, within=within, why=why)
 
 
@@ -214,11 +203,7 @@ PROBES = {"large": (150.0, 12.0, 2.0), "medium": (100.0, 8.0, 2.0), "small": (50
 """Length, base and tip diameter [mm]. The lengths are from Table I; all diameters except the large probe's base are
 assumed: the paper shows them in a figure without numbers."""
 _MEASURED = {"youngs_modulus_mpa": 2.32, "shear_modulus_mpa": 0.761, "density_kg_m3": 1010.0}
-_PROVENANCE = {
-    "youngs_modulus_mpa": "identified",
-    "shear_modulus_mpa": "identified",
-    "density_kg_m3": "datasheet",
-}
+_PROVENANCE = dict(zip(_MEASURED, ("identified", "identified", "datasheet"), strict=True))
 
 
 def paper_design(name: str) -> Design:

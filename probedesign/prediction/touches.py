@@ -35,7 +35,7 @@ from probedesign.estimation.surface_contact_kernel import (
     VALUE,
     S,
 )
-from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95
+from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95, rms_of
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
@@ -45,6 +45,15 @@ _MAX_TURN = 0.3
 """Predicted rotation of the tip in one step [rad]."""
 _MAX_PREDICTION_ERROR = 0.15
 """Rotation between the predicted and the solved tip [rad]; a larger one has left the solution branch."""
+
+
+_MAX_ITERATIONS = 12
+_LATERAL_TOLERANCE = 1e-6
+"""Distance from the straight line of a press, relative to the length, that counts as zero."""
+_MAX_SLIDE = 0.05
+"""Slide in one iteration, relative to the length."""
+DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
+"""Direction in which the object pushes, as an angle about the tangent from the section's x axis [rad]."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +86,7 @@ class SurfaceRod:
         converged = kernel.linearise_touch(self.rod.body, self.gravity, self.mass, FINE, touch, 0, work, lin)
         return lin if converged else None
 
-    def begin_press(
-        self, s: float, phi: float, ratios: tuple[float, float] = (0.0, 0.0)
-    ) -> "ForceContinuation":
+    def begin_press(self, s: float, phi: float, ratios: Sequence[float] = (0.0, 0.0)) -> "ForceContinuation":
         """Return a press of negligible force at a point of the surface.
 
         Args:
@@ -95,32 +102,26 @@ class SurfaceRod:
 
 
 class ForceContinuation:
-    """A press at one point of the surface, followed by continuation in the normal force."""
+    """A press at one point of the surface, followed by continuation in the normal force.
+
+    Attributes:
+        on: the rod.
+        touch: unknowns, dead loads and tip at the force reached, (TOUCH,).
+        lin: its linearisation; None once a force without equilibrium was requested.
+    """
 
     def __init__(self, on: SurfaceRod, touch: Array, lin: Array | None) -> None:
-        """Args:
-        on: the rod.
-        touch: initial touch, consistent, (TOUCH,).
-        lin: its linearisation; None where there is no equilibrium.
-        """
+        """Start at a consistent touch."""
         self.on, self.touch, self.lin = on, touch, lin
 
-    @property
-    def is_stable(self) -> bool:
-        """Return whether every force so far has an equilibrium on the branch."""
-        return self.lin is not None
-
-    def increase_to(self, force: float, ratios: tuple[float, float] | None = None) -> Array | None:
+    def increase_to(self, force: float) -> Array | None:
         """Return the touch at a larger normal force, (TOUCH,); None where the probe buckles before it.
 
         Args:
             force: [N], not less than at the previous call.
-            ratios: of friction at that force, reached linearly with it; unchanged if None.
         """
         target = self.touch[:UNKNOWNS].copy()
         target[NORMAL] = force
-        if ratios is not None:
-            target[AROUND], target[ALONG] = ratios
         while self.lin is not None:
             goal = target - self.touch[:UNKNOWNS]
             turn = self.lin[TURN : TURN + 3, BY_TOUCH : BY_TOUCH + UNKNOWNS] @ goal
@@ -155,7 +156,7 @@ class ForceContinuation:
 
     @property
     def force(self) -> float:
-        """Normal force reached so far [N]."""
+        """Return the normal force reached so far [N]."""
         return float(self.touch[NORMAL])
 
 
@@ -202,17 +203,6 @@ def slide(on: SurfaceRod, s: float, phi: float, forces: Sequence[float]) -> floa
     return max_slide
 
 
-_MAX_ITERATIONS = 12
-_LATERAL_TOLERANCE = 1e-6
-"""Distance from the straight line, relative to the length, that counts as zero."""
-_MAX_SLIDE = 0.05
-"""Slide in one iteration, relative to the length."""
-
-
-DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
-"""Direction in which the object pushes, as an angle about the tangent from the section's x axis [rad]."""
-
-
 @dataclass(frozen=True)
 class Touches:
     """Touches of n lines (a position and a direction each) at one normal force without friction.
@@ -239,65 +229,63 @@ class Touches:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Which touches have an equilibrium, (n,)."""
+        """Return which touches have an equilibrium, (n,)."""
         return np.asarray(np.isfinite(self.lin[:, 0, VALUE]))
 
     @property
     def wrench(self) -> Array:
-        """Wrenches at the base without noise [N, N·m], (n, 6)."""
+        """Return the wrenches at the base without noise [N, N·m], (n, 6)."""
         return self.lin[:, 0:6, VALUE]
 
     @property
     def centre(self) -> Array:
-        """Points of the centreline where the forces act without a couple [m], (n, 3)."""
+        """Return the points of the centreline where the forces act without a couple [m], (n, 3)."""
         return self.lin[:, CENTRE : CENTRE + 3, VALUE]
 
     @property
     def wrench_by_force(self) -> Array:
-        """Derivative of the base wrench by the normal force, (n, 6)."""
+        """Return the derivative of the base wrench by the normal force, (n, 6)."""
         return self.lin[:, 0:6, BY_TOUCH + NORMAL]
 
     @cached_property
     def budget(self) -> ErrorBudget:
-        """Error budget of each touch."""
+        """Return the error budget of each touch."""
         return error_budget(self.touch, self.lin, self.D, self.sources, self.estimator.model.friction)
 
     @cached_property
     def rms(self) -> tuple[Array, Array]:
-        """RMS error of the touched point by all error sources, and by sensor noise alone [m], (n,) each."""
-        total, noise = (np.sqrt(np.trace(cov, axis1=1, axis2=2))
-                        for cov in (self.budget.total, self.budget.cov_noise))  # fmt: skip
-        return total, noise
+        """Return the RMS error of the touched point by all error sources, and by sensor noise alone [m], (n,) each."""
+        return rms_of(self.budget.total), rms_of(self.budget.cov_noise)
 
     @cached_property
     def within_95(self) -> tuple[Array, Array]:
-        """Radius that contains 95 % of these errors [m], (n,) each."""
+        """Return the radius that contains 95 % of these errors [m], (n,) each."""
         return radii_95(self.budget.total), radii_95(self.budget.cov_noise)
 
     @cached_property
     def sensor_use(self) -> Array:
-        """Largest fraction of a channel's range that each reading takes, (n,)."""
+        """Return the largest fraction of a channel's range that each reading takes, (n,)."""
         model = self.estimator.model
         read = model.to_sensor(self.wrench, model.gravity_base)
         return np.asarray((np.abs(read) / model.wrench_range).max(axis=1))
 
     @cached_property
     def press_per_N(self) -> Array:
-        """Derivative of the indentation along the force by the normal force [m/N], (n,)."""
+        """Return the derivative of the indentation along the force by the normal force [m/N], (n,)."""
         force = self.touch[:, DEAD : DEAD + 3]
         by = self.lin[:, POINT : POINT + 3, BY_TOUCH + NORMAL]
         return np.asarray(np.einsum("ni,ni->n", force, by) / np.linalg.norm(force, axis=1))
 
     @cached_property
     def free_centre(self) -> Array:
-        """Touched points of the centreline on the free probe [m], (n, 3)."""
+        """Return the touched points of the centreline on the free probe [m], (n, 3)."""
         rod = self.estimator.model.rod
         at = [s - float(rod.radius_at(s)) * rod.taper_at(s) for s in np.nan_to_num(self.touch[:, S])]
         return self.estimator.free().p_at(np.clip(at, 0.0, rod.length))
 
     @cached_property
     def deflection(self) -> Array:
-        """Distance of each point from its place on the free probe [m], (n,)."""
+        """Return the distance of each point from its place on the free probe [m], (n,)."""
         return np.asarray(np.linalg.norm(self.centre - self.free_centre, axis=1))
 
     def results(self) -> list[str]:

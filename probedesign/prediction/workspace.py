@@ -1,15 +1,123 @@
-"""Workspace of the contact point with a fixed base: how far each position can be pressed, and the swept area and
-volume."""
+"""Force thresholds along the probe, and the workspace of the contact point with a fixed base."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.prediction.thresholds import ForceThresholds
 from probedesign.prediction.touches import DIRECTIONS, Touches
+
+ACCURACIES_MM = (1.0, 2.0, 5.0)
+"""RMS errors for which the required force is computed."""
+LADDER_N = tuple(float(f) for f in np.geomspace(5e-4, 12.0, 36))
+"""Forces that are evaluated, from a sixth of one reading's resolution up to the range of the finest calibration."""
+
+
+@dataclass(frozen=True)
+class ForceThresholds:
+    """Force limits and thresholds at one position and direction; None where there is no such force.
+
+    Attributes:
+        contact_fraction, direction: where and in which direction.
+        force_mN_for_1_mm, force_mN_for_2_mm, force_mN_for_5_mm: smallest force at which the RMS error of one reading,
+            by all error sources, is no larger.
+        greatest_force_N: largest force that can be read.
+        limit: what limits it: "sensor", a channel is at its range; "gives_way", the probe buckles; "slips_off", an
+            object at constant distance from the base has reached the tip; "none" up to 12 N.
+        deflection_mm: of the touched point at that force.
+    """
+
+    contact_fraction: float
+    direction: str
+    force_mN_for_1_mm: float | None
+    force_mN_for_2_mm: float | None
+    force_mN_for_5_mm: float | None
+    greatest_force_N: float | None
+    limit: str
+    deflection_mm: float | None
+
+
+def force_thresholds(
+    lines: Sequence[tuple[float, str]], touches: Mapping[float, Touches], end: float
+) -> tuple[ForceThresholds, ...]:
+    """Compute the thresholds of several lines.
+
+    Args:
+        lines: contact fraction and direction, among them one at `end` for each direction.
+        touches: of these lines by force.
+        end: fraction at which the flank ends, where objects slip off.
+    """
+    forces = np.array(sorted(touches))
+    errors = np.array([touches[f].rms[0] for f in forces])
+    use = np.array([touches[f].sensor_use for f in forces])
+    bent = np.array([touches[f].deflection for f in forces])
+    depth = np.array([touches[f].centre[:, 2] for f in forces])
+    max_stable_force = touches[forces[-1]].max_stable_force
+    found = []
+    for i, (fraction, direction) in enumerate(lines):
+        tip = lines.index((end, direction))
+        slips = _slip_force(forces, depth[:, tip], depth[0, i], i == tip)
+        max_force, limit = _max_force(forces, use[:, i], max_stable_force[i], slips)
+        usable = use[:, i] <= 1.0
+        needed = (force_for_accuracy(forces, errors[:, i], mm * MM, usable) for mm in ACCURACIES_MM)
+        for_1, for_2, for_5 = (None if f is None or f > max_force else 1e3 * f for f in needed)
+        there = np.isfinite(bent[:, i]) & (forces <= 1.3 * max_force)
+        deflection = float(np.interp(max_force, forces[there], bent[there, i])) / MM if there.any() else None
+        found.append(ForceThresholds(fraction, direction, for_1, for_2, for_5, max_force, limit, deflection))
+    return tuple(found)
+
+
+def _slip_force(forces: Array, tip_depth: Array, depth: float, at_tip: bool) -> float:
+    """Return the force at which the tip, pushed itself, is as near to the base as the object; infinite if it never is.
+
+    An object slides along the probe as the probe bends away; when it slips off it touches the tip.
+    """
+    good = np.isfinite(tip_depth)
+    below = np.flatnonzero(good & (tip_depth <= depth))
+    if at_tip or not len(below) or below[0] == 0:
+        return float("inf")
+    j = below[0]
+    share = (tip_depth[j - 1] - depth) / (tip_depth[j - 1] - tip_depth[j])
+    return float(forces[j - 1] + share * (forces[j] - forces[j - 1]))
+
+
+def _max_force(forces: Array, use: Array, max_stable_force: float, slips: float) -> tuple[float, str]:
+    """Return the largest force [N] and the code of its limit."""
+    limits = {"slips_off": slips, "sensor": float("inf"), "gives_way": float("inf")}
+    if max_stable_force < forces[-1]:
+        limits["gives_way"] = float(max_stable_force)
+    beyond = np.flatnonzero(use > 1.0)
+    if len(beyond):
+        j = int(beyond[0])
+        limits["sensor"] = float(np.interp(1.0, use[j - 1 : j + 1], forces[j - 1 : j + 1])) if j else 0.0
+    limit = min(limits, key=lambda name: limits[name])
+    return (limits[limit], limit) if np.isfinite(limits[limit]) else (float(forces[-1]), "none")
+
+
+def force_for_accuracy(
+    forces: Array, errors: Array, accuracy: float, usable: NDArray[np.bool_] | None = None
+) -> float | None:
+    """Return the smallest force [N] with an error no larger than `accuracy`, interpolated linearly in logarithms.
+
+    Args:
+        forces: ascending [N], (n,).
+        errors: at each force, (n,); NaN where there is none.
+        accuracy: in the unit of the errors.
+        usable: forces that may be the result, (n,); all if None.
+    """
+    enough = errors <= accuracy
+    found = np.flatnonzero(enough if usable is None else enough & usable)
+    if not len(found):
+        return None
+    j = int(found[0])
+    if not j or not np.isfinite(errors[j - 1]):
+        return float(forces[j])
+    x, y = np.log(forces[j - 1 : j + 1]), np.log(errors[j - 1 : j + 1])
+    return float(np.exp(np.interp(-np.log(accuracy), -y, x)))
+
 
 STEPS = 12
 """Number of points of a path, evenly spaced from the untouched one."""
@@ -41,7 +149,7 @@ class PressPath:
 
     @property
     def points(self) -> Array:
-        """Points of the path [mm], (STEPS, 3)."""
+        """Return the points of the path [mm], (STEPS, 3)."""
         return np.stack([self.x_mm, self.y_mm, self.z_mm], axis=-1)
 
 
@@ -75,33 +183,31 @@ def workspace_of(
     free = touches[forces[0]].free_centre[: len(reach)] / MM
     points = np.array([touches[f].centre[: len(reach)] for f in forces]) / MM
     paths = tuple(
-        _path(row, forces, points[:, i], free[i])
+        _path(row, row.greatest_force_N, forces, points[:, i], free[i])
         for i, row in enumerate(reach)
         if row.greatest_force_N is not None
     )
-    sheets = {
-        side: _sheet(paths, side) for side in DIRECTIONS if any(path.direction == side for path in paths)
-    }
+    found = {path.direction for path in paths}
+    sheets = {side: _sheet(paths, side) for side in DIRECTIONS if side in found}
     if "+y" in sheets and "-y" not in sheets and abs(gravity[1]) <= _MIRRORED * np.linalg.norm(gravity):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
     return Workspace(paths, {side: _area(sheet) for side, sheet in sheets.items()}, _volume(sheets))
 
 
-def _path(row: ForceThresholds, forces: Array, points: Array, free: Array) -> PressPath:
-    """Return the path of one line; it is linear between the forces."""
-    assert row.greatest_force_N is not None, "only positions with a largest force have a path"
-    there = np.isfinite(points[:, 0]) & (forces <= row.greatest_force_N)
+def _path(row: ForceThresholds, max_force: float, forces: Array, points: Array, free: Array) -> PressPath:
+    """Return the path of one line up to its largest force; it is linear between the forces."""
+    there = np.isfinite(points[:, 0]) & (forces <= max_force)
     way = np.vstack([free, points[there]])
     if there.any() and not there[-1]:
         after = int(np.flatnonzero(there)[-1]) + 1
         if np.isfinite(points[after, 0]):
-            share = (row.greatest_force_N - forces[after - 1]) / (forces[after] - forces[after - 1])
+            share = (max_force - forces[after - 1]) / (forces[after] - forces[after - 1])
             way = np.vstack([way, (1.0 - share) * points[after - 1] + share * points[after]])
     gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     even = np.linspace(0.0, gone[-1], STEPS)
     x, y, z = (tuple(np.interp(even, gone, part).tolist()) for part in way.T)
     pressed = float(np.linalg.norm(way[-1] - free))
-    return PressPath(row.contact_fraction, row.direction, row.greatest_force_N, row.limit, pressed, x, y, z)
+    return PressPath(row.contact_fraction, row.direction, max_force, row.limit, pressed, x, y, z)
 
 
 def _sheet(paths: Sequence[PressPath], side: str) -> Array:
@@ -118,19 +224,14 @@ def _area(sheet: Array) -> float:
 
 
 def _volume(sheets: Mapping[str, Array]) -> float | None:
-    """Return the swept volume [mm³]; a position's paths are a Fourier series of the angle through the four
-    directions."""
+    """Return the swept volume [mm³]; a position's paths are a Fourier series of the angle through the directions."""
     if set(sheets) != set(DIRECTIONS) or len({len(sheet) for sheet in sheets.values()}) > 1:
         return None
     plus, minus, left, right = (sheets[side] for side in ("+x", "-x", "+y", "-y"))
     mean, twice = (plus + minus + left + right) / 4.0, (plus + minus - left - right) / 4.0
     angle = np.linspace(0.0, 2.0 * np.pi, _TURNS + 1)[:, None, None, None]
-    p = (
-        mean
-        + (plus - minus) / 2.0 * np.cos(angle)
-        + (left - right) / 2.0 * np.sin(angle)
-        + twice * np.cos(2.0 * angle)
-    )
+    once = (plus - minus) / 2.0 * np.cos(angle) + (left - right) / 2.0 * np.sin(angle)
+    p = mean + once + twice * np.cos(2.0 * angle)
     by = [_between(np.diff(p, axis=axis), axis) for axis in range(3)]
     return float(np.abs(np.einsum("...i,...i->...", by[0], np.cross(by[1], by[2]))).sum())
 

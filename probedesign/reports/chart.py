@@ -10,6 +10,9 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -20,8 +23,7 @@ ORDERED = ("#440154", "#443983", "#31688e", "#21918c", "#35b779", "#90d743", "#f
 """Ordered colours from low to high, for colour-blind readers and in grey.
 Source: viridis, S. van der Walt, N. Smith, 2015."""
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
-NO_LINE = "0 99"
-"""Dashes of a legend entry that shows a marker only."""
+_NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
 MARKS = "osd^vx+"
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 10.0, 10.0, 46.0
 _LEGEND = 19.0  # height of a legend row
@@ -50,6 +52,18 @@ class ChartAxis:
     ticks: tuple[float, ...] | None = None
     names: tuple[str, ...] = ()
     upright: bool = False
+
+    @classmethod
+    def spanning(
+        cls, label: str, values: ArrayLike, log: bool = False, ticks: tuple[float, ...] | None = None
+    ) -> "ChartAxis":
+        """Return an axis that shows all finite (on a logarithmic axis, positive) values, with margins."""
+        shown = [v for v in _floats(values) if math.isfinite(v) and (v > 0.0 or not log)]
+        low, high = (min(shown), max(shown)) if shown else (1.0, 10.0)
+        if log:
+            return cls(label, low / 1.3, high * 1.3, True, ticks)
+        margin = 0.05 * (high - low) or 1.0
+        return cls(label, low - margin, high + margin, ticks=ticks)
 
     @classmethod
     def named(cls, label: str, names: Sequence[str], upright: bool = False) -> "ChartAxis":
@@ -81,6 +95,11 @@ class ChartAxis:
         return _SMALL * max(map(len, self.names), default=0) if self.upright else 0.0
 
 
+def _floats(values: ArrayLike) -> list[float]:
+    found: list[float] = np.asarray(values, dtype=float).ravel().tolist()
+    return found
+
+
 def _log_ticks(low: float, high: float) -> tuple[float, ...]:
     """Return powers of ten over more than three decades, else 1, 2 and 5 times them; more where these are too few."""
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
@@ -102,16 +121,6 @@ def _even_ticks(low: float, high: float) -> tuple[float, ...]:
     return tuple(round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1))
 
 
-def span_of(values: Sequence[float], log: bool) -> tuple[float, float]:
-    """Return the ends of an axis that shows all finite (on a logarithmic axis, positive) values, with margins."""
-    shown = [v for v in values if math.isfinite(v) and (v > 0.0 or not log)]
-    low, high = (min(shown), max(shown)) if shown else (1.0, 10.0)
-    if log:
-        return low / 1.3, high * 1.3
-    margin = 0.05 * (high - low) or 1.0
-    return low - margin, high + margin
-
-
 class LegendEntry(NamedTuple):
     """One entry of a legend; dashes are None for an area."""
 
@@ -122,8 +131,8 @@ class LegendEntry(NamedTuple):
 
 
 class _Line(NamedTuple):
-    x: Sequence[float]
-    y: Sequence[float]
+    x: list[float]
+    y: list[float]
     colour: str
     dashes: str
     mark: str
@@ -170,6 +179,14 @@ class Chart:
     legend: list[LegendEntry] = field(default_factory=list)
     _elements: list[_Line | _Area | _Rectangle | _Label] = field(default_factory=list)
 
+    @classmethod
+    def side_view(cls, points: ArrayLike, across: int) -> "Chart":
+        """Return an empty chart of points (n, 3) [mm] along z and along the axis `across`; x grows downwards."""
+        p = np.asarray(points, dtype=float)
+        z = ChartAxis.spanning("z, along the undeformed axis [mm]", p[:, 2])
+        lateral = ChartAxis.spanning(f"{'xyz'[across]} [mm]", p[:, across])
+        return cls(z, lateral, square=True, down=across == 0)
+
     def __post_init__(self) -> None:
         """Extend the axes of a square chart to the same scale."""
         if self.square:
@@ -179,13 +196,21 @@ class Chart:
             self.y = _extended(self.y, unit * high)
 
     def line(
-        self, x: Sequence[float], y: Sequence[float], colour: str, dashes: str = "", mark: str = "", name: str = "",
+        self, x: ArrayLike, y: ArrayLike, colour: str, dashes: str = "", mark: str = "", name: str = "",
         width: float = 2.0,
     ) -> None:  # fmt: skip
         """Add a line, broken where a point is not finite, and its legend entry if it is named."""
-        self._elements.append(_Line(x, y, colour, dashes, mark, width))
+        self._elements.append(_Line(_floats(x), _floats(y), colour, dashes, mark, width))
         if name:
             self.legend.append(LegendEntry(name, colour, dashes, mark))
+
+    def points(self, x: ArrayLike, y: ArrayLike, colour: str, mark: str, name: str = "") -> None:
+        """Add markers without a line at all finite points, and their legend entry if they are named."""
+        for a, b in zip(_floats(x), _floats(y), strict=True):
+            if math.isfinite(a) and math.isfinite(b):
+                self.line([a], [b], colour, mark=mark)
+        if name:
+            self.legend.append(LegendEntry(name, colour, _NO_LINE, mark))
 
     def area(
         self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = ""
@@ -329,7 +354,7 @@ class Chart:
 
 def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
     """Return matplotlib's line style of SVG dashes."""
-    if dashes == NO_LINE:
+    if dashes == _NO_LINE:
         return "none"
     return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"
 

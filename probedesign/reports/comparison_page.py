@@ -1,7 +1,9 @@
 """Comparison of several designs: one table, and charts with common axes."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,15 +13,15 @@ from probedesign.design import Design
 from probedesign.optimization.objective import (
     METRICS,
     DesignMetrics,
+    Task,
     TaskErrors,
     design_metrics,
     predict_task,
 )
-from probedesign.optimization.task import Task
 from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
 from probedesign.prediction.predict import Prediction
 from probedesign.probe import build_probe
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, span_of
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, Section, report_page
 
 MAX_DESIGNS = 6
@@ -85,111 +87,83 @@ def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
 
 def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     """Return the page of a comparison."""
-    touched = task.text.split(", all causes")[0] + ", all error sources included"
-    drawn: list[tuple[str, str, bytes]] = [
-        ("Error along the probe", f"{touched}. A line ends where the probe buckles.",
-         _lines(compared, _along, _PLACE, _ERROR)),
-        ("Error by force", "As before, over the task's positions, by the largest force.",
-         _lines(compared, _by_force, ChartAxis("contact force [mN]", 0.9, 55.0, log=True), _ERROR)),
-        ("Error of fused touches", f"{compared[0].prediction.pressing.text}, up to {1e3 * task.force_N:g} mN, "
-         "all error sources included, pushed sideways.", _lines(compared, _all_causes, _PLACE, _ERROR)),
-        ("Detection limit", "Force detected with probability 0.5 at one false alarm an hour.",
-         _lines(compared, _detected, _PLACE, "smallest detectable force [mN]")),
-        ("Maximum force",
-         "Until the probe buckles, an object slips off the tip or the sensor's range ends, "
-         "pushed sideways.", _lines(compared, _max_force, _PLACE, "maximum force [mN]")),
-        ("Diameter", "Diameter along the undeformed axis.",
-         _lines(compared, _outline, "s, base to tip [mm]", "diameter [mm]", from_zero=True)),
-        ("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
-         _draw_sag(compared)),
+    force = ChartAxis("contact force [mN]", 0.9, 55.0, log=True)
+    sections = [
+        _lines("Error along the probe",
+               f"{task.touches_text}, all error sources. A line ends where the probe buckles.", compared,
+               lambda one: (PLACES, _in_mm(one.along.errors)), _PLACE, _ERROR),
+        _lines("Error by force", "As before, over the task's positions, by the largest force.", compared,
+               lambda one: ([1e3 * f for f in FORCES_N], _in_mm(one.by_force)), force, _ERROR),
+        _lines("Error of fused touches",
+               f"{compared[0].prediction.pressing.text}, up to {1e3 * task.force_N:g} mN, all error sources included, "
+               "pushed sideways.", compared,
+               lambda one: _rows(one.prediction.fused, lambda c: c.predicted_error_mm if c.result == "ok" else None),
+               _PLACE, _ERROR),
+        _lines("Detection limit", "Force detected with probability 0.5 at one false alarm an hour.", compared,
+               lambda one: _rows(one.prediction.detection, lambda d: d.detectable_force_mN), _PLACE,
+               "smallest detectable force [mN]"),
+        _lines("Maximum force", "Force at which the probe buckles, an object slips off the tip or the sensor's range "
+               "ends; pushed sideways.", compared,
+               lambda one: _rows(one.prediction.reach, lambda r: r.greatest_force_N, 1e3), _PLACE,
+               "maximum force [mN]"),
+        _lines("Diameter", "Diameter along the undeformed axis.", compared,
+               lambda one: ([s for s, _ in one.design.probe.knots_mm], [d for _, d in one.design.probe.knots_mm]),
+               "arclength s [mm]", "diameter [mm]", from_zero=True),
+        Section("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
+                _sag_chart(compared).svg()),
     ]  # fmt: skip
-    names = " · ".join(one.design.name for one in compared)
     assumed = [
         f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared
     ]
-    sections = [Section(*one) for one in drawn]
-    return report_page(f"Comparison: {names}", [task.text, *assumed], comparison_table(compared), sections)
+    title = f"Comparison: {' · '.join(one.design.name for one in compared)}"
+    return report_page(title, [task.text, *assumed], comparison_table(compared), sections)
 
 
-_Line = tuple[Sequence[float], Sequence[float]]
-_PLACE = ChartAxis("contact, fraction of the length", 0.0, 1.05, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+_Points = tuple[Sequence[float], Sequence[float]]
+_PLACE = ChartAxis(
+    "contact position, fraction of the length", 0.0, 1.05, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+)
 _ERROR = "contact error, RMS [mm]"
 
 
 def _lines(
-    compared: Sequence[ComparedDesign],
-    line: Callable[[ComparedDesign], _Line],
-    x: ChartAxis | str,
-    y: str,
-    from_zero: bool = False,
-) -> bytes:
-    """Return a chart with one line per design; logarithmic upwards unless it starts at zero."""
+    heading: str, caption: str, compared: Sequence[ComparedDesign], line: Callable[[ComparedDesign], _Points],
+    x: ChartAxis | str, y: str, from_zero: bool = False,
+) -> Section:  # fmt: skip
+    """Return a figure with one line per design; its y axis is logarithmic unless it starts at zero."""
     lines = [line(one) for one in compared]
-    low, high = span_of([v for _, values in lines for v in values], not from_zero)
     along = (
-        x
-        if isinstance(x, ChartAxis)
-        else ChartAxis(x, *span_of([v for values, _ in lines for v in values], False))
+        x if isinstance(x, ChartAxis) else ChartAxis.spanning(x, [v for values, _ in lines for v in values])
     )
-    chart = Chart(along, ChartAxis(y, 0.0 if from_zero else low, high, log=not from_zero))
-    for one, (places, values), colour, dashes, mark in zip(
-        compared, lines, COLOURS, DASHES, MARKS, strict=False
-    ):
-        chart.line(places, values, colour, dashes, mark, one.design.name)
-    return chart.svg()
+    upwards = ChartAxis.spanning(y, [v for _, values in lines for v in values], log=not from_zero)
+    chart = Chart(along, replace(upwards, low=0.0) if from_zero else upwards)
+    for one, points, colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):
+        chart.line(*points, colour, dashes, mark, one.design.name)
+    return Section(heading, caption, chart.svg())
 
 
-def _along(one: ComparedDesign) -> _Line:
-    return PLACES, _shown(one.along.errors)
+def _rows(rows: Sequence[Any], value: Callable[[Any], float | None], unit: float = 1.0) -> _Points:
+    """Return contact positions and a value of each row, NaN where it has none."""
+    values = [math.nan if (v := value(row)) is None else unit * v for row in rows]
+    return [row.contact_fraction for row in rows], values
 
 
-def _by_force(one: ComparedDesign) -> _Line:
-    return [1e3 * force for force in FORCES_N], _shown(one.by_force)
-
-
-def _all_causes(one: ComparedDesign) -> _Line:
-    cells = one.prediction.fused
-    return [c.contact_fraction for c in cells], [
-        _number(c.predicted_error_mm if c.result == "ok" else None) for c in cells
-    ]
-
-
-def _detected(one: ComparedDesign) -> _Line:
-    rows = one.prediction.detection
-    return [row.contact_fraction for row in rows], [_number(row.detectable_force_mN) for row in rows]
-
-
-def _max_force(one: ComparedDesign) -> _Line:
-    rows = one.prediction.reach
-    return [row.contact_fraction for row in rows], [1e3 * _number(row.greatest_force_N) for row in rows]
-
-
-def _outline(one: ComparedDesign) -> _Line:
-    s, d = np.array(one.design.probe.knots_mm).T
-    return s.tolist(), d.tolist()
-
-
-def _draw_sag(compared: Sequence[ComparedDesign]) -> bytes:
+def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
+    """Return the free shapes from the side."""
     shapes = []
     for one in compared:
         probe = build_probe(one.design)
         free = probe.rod.solve(probe.model.gravity_base)
         s = np.linspace(0.0, probe.length, 60)
         shapes.append(free.p_at(s) / MM if free.ok else np.full((1, 3), np.nan))
-    points = np.concatenate(shapes)
-    x = ChartAxis("z, along the undeformed axis [mm]", *span_of(points[:, 2].tolist(), False))
-    chart = Chart(x, ChartAxis("x [mm]", *span_of(points[:, 0].tolist(), False)), square=True, down=True)
+    chart = Chart.side_view(np.concatenate(shapes), 0)
     for one, p, colour, dashes in zip(compared, shapes, COLOURS, DASHES, strict=False):
-        chart.line(p[:, 2].tolist(), p[:, 0].tolist(), colour, dashes, name=one.design.name)
-    return chart.svg()
+        chart.line(p[:, 2], p[:, 0], colour, dashes, name=one.design.name)
+    return chart
 
 
-def _shown(errors: Sequence[float]) -> list[float]:
-    return [error / MM if np.isfinite(error) else np.nan for error in errors]
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
+def _in_mm(errors: Sequence[float]) -> list[float]:
+    return [error / MM if math.isfinite(error) else math.nan for error in errors]
 
 
 def _cell(value: float | int | None) -> str:

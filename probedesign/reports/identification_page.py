@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.identification.result import Identification, Identified
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, NO_LINE, Chart, ChartAxis, LegendEntry, span_of
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, Section, report_page
 
 MAX_TEST_NAMES = 36
@@ -34,10 +34,11 @@ def identification_page(found: Identification) -> bytes:
         *found.caveats,
         *found.notes,
     ]
-    sections = [_by_test(found), _normal(found)] if any(one.kind in KINDS for one in found.residuals) else []
-    if any(one.kind == "markers" for one in found.residuals):
+    kinds = {one.kind for one in found.residuals}
+    sections = [_by_test(found), _normal(found)] if kinds & set(KINDS) else []
+    if "markers" in kinds:
         sections.append(_along(found))
-    if any(one.kind == "wrenches" for one in found.residuals):
+    if "wrenches" in kinds:
         sections += [_wrenches(found, "forces"), _wrenches(found, "moments")]
     if len(found.correlated) > 1:
         sections.append(_correlation(found))
@@ -65,13 +66,8 @@ def _row(one: Identified) -> list[str]:
     if not one.identified:
         return [one.name, "not identifiable", "", "", "", design, one.why]
     ends = ((one.low, one.high), (one.low_total, one.high_total), (one.low_of_print, one.high_of_print))
-    return [
-        one.name,
-        f"{one.value:.4g} {one.unit}",
-        *(f"{a:.4g} ... {b:.4g}" for a, b in ends),
-        design,
-        one.words,
-    ]
+    intervals = [f"{a:.4g} ... {b:.4g}" for a, b in ends]
+    return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.words]
 
 
 def _by_test(found: Identification) -> Section:
@@ -88,10 +84,7 @@ def _by_test(found: Identification) -> Section:
     chart = Chart(x, ChartAxis("RMS residual [standard deviations]", 0.0, 1.08 * high))
     for kind, line in lines.items():
         colour, mark = _SIGNS[kind]
-        for place, value in enumerate(line, 1):
-            if math.isfinite(value):
-                chart.line([place], [value], colour, mark=mark)
-        chart.legend.append(LegendEntry(KINDS[kind], colour, NO_LINE, mark))
+        chart.points(range(1, len(tests) + 1), line, colour, mark, KINDS[kind])
     chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="noise alone")
     caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
     return Section("Residuals by test", caption, chart.svg())
@@ -114,9 +107,7 @@ def _normal(found: Identification) -> Section:
     chart.line([0.0, high], [0.0, high], "#666666", "4 4", name="normal noise")
     for kind, (x, y) in lines.items():
         colour, mark = _SIGNS[kind]
-        for a, b in zip(x, y, strict=True):
-            chart.line([a], [b], colour, mark=mark)
-        chart.legend.append(LegendEntry(KINDS[kind], colour, NO_LINE, mark))
+        chart.points(x, y, colour, mark, KINDS[kind])
     return Section("Quantiles of the residuals", "On the line the noise is as assumed; outliers are above its end. "
                    "Slightly below it is expected, since the parameters are fitted.", chart.svg())  # fmt: skip
 
@@ -125,27 +116,22 @@ def _along(found: Identification) -> Section:
     """Return the markers' residuals along the probe: mean over the tests and its scatter."""
     rows = [one for one in found.residuals if one.kind == "markers" and one.s_mm is not None]
     places = sorted({one.s_mm for one in rows if one.s_mm is not None})
-    means = {s: np.array([one.off for one in rows if one.s_mm == s]) for s in places}
-    errors = {
-        s: v.std(axis=0, ddof=1) / math.sqrt(len(v)) if len(v) > 1 else np.zeros(3) for s, v in means.items()
-    }
-    ends = [
-        float(v)
-        for s in places
-        for v in (*(means[s].mean(0) - 2 * errors[s]), *(means[s].mean(0) + 2 * errors[s]))
-    ]
+    each = [np.array([one.off for one in rows if one.s_mm == s]) for s in places]
+    means = np.array([v.mean(axis=0) for v in each]).reshape(-1, 3)
+    scatter = [v.std(axis=0, ddof=1) / math.sqrt(len(v)) if len(v) > 1 else np.zeros(3) for v in each]
+    margins = 2.0 * np.array(scatter).reshape(-1, 3)
     chart = Chart(
-        ChartAxis("s [mm]", *span_of(places, False)),
-        ChartAxis("measured - fitted, mean [mm]", *span_of([*ends, 0.0], False)),
+        ChartAxis.spanning("arclength s [mm]", places),
+        ChartAxis.spanning(
+            "mean residual, measured - fitted [mm]", [*(means - margins).flat, *(means + margins).flat, 0]
+        ),
     )
     for i, (axis, colour, dashes, mark) in enumerate(zip(_AXES, COLOURS[1:], DASHES, MARKS, strict=False)):
-        y = [float(means[s].mean(0)[i]) for s in places]
-        for s, at in zip(places, y, strict=True):
-            e = 2.0 * float(errors[s][i])
-            chart.line([s, s], [at - e, at + e], colour, width=1.0)
-        chart.line(places, y, colour, dashes, mark, f"along world {axis}")
+        for s, at, margin in zip(places, means[:, i], margins[:, i], strict=True):
+            chart.line([s, s], [at - margin, at + margin], colour, width=1.0)
+        chart.line(places, means[:, i], colour, dashes, mark, f"along world {axis}")
     caption = (
-        "Mean over the tests with two standard deviations of it. A bow that is common to all tests indicates that the "
+        "Mean over the tests with two standard deviations of it. A curve common to all tests indicates that the "
         "taper, the root or a camera differs from its model."
     )
     return Section("Residuals along the probe", caption, chart.svg())
@@ -157,14 +143,13 @@ def _wrenches(found: Identification, what: str) -> Section:
     off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
     chart = Chart(
         ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
-        ChartAxis(f"measured - fitted [{unit}]", *span_of([*off.ravel().tolist(), 0.0], False)),
+        ChartAxis.spanning(f"residual, measured - fitted [{unit}]", [*off.flat, 0.0]),
     )
     chart.line([0.5, 3.5], [0.0, 0.0], "#666666", "4 4")
     colour, mark = _SIGNS["wrenches"]
+    spread = 0.7 * (np.arange(len(off)) / max(len(off) - 1, 1) - 0.5)
     for channel in range(3):
-        for i, value in enumerate(off[:, channel]):
-            spread = 0.7 * (i / max(len(off) - 1, 1) - 0.5)
-            chart.line([channel + 1 + spread], [float(value)], colour, mark=mark)
+        chart.points(channel + 1 + spread, off[:, channel], colour, mark)
     return Section(f"Residuals of the {what}", "At the base, from the first test at the left of each channel to the "
                    "last at its right: a slope indicates drift.", chart.svg())  # fmt: skip
 

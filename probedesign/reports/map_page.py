@@ -1,30 +1,253 @@
-"""A contact map as an HTML page that opens from the disk: points to rotate with the mouse, and their table."""
+"""A contact map as an HTML page with points to rotate and their table, and as a still picture (SVG)."""
 
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
-from probedesign.mapping.contact_map import CHI2_95, ContactMap, MapPoint
-from probedesign.mapping.map_files import COVARIANCE_ENTRIES, point_line, touch_numbers, unlocated_lines
-from probedesign.reports.html_page import html_document
-from probedesign.reports.map_picture import (
-    MAGNIFICATIONS,
-    NORMAL_LENGTH,
-    STROKE_COLOUR,
-    SYMBOL_SIZE,
-    TRUTH_COLOUR,
-    MapScene,
-    ParallelProjection,
-    hex_colour,
-    map_svg,
-    map_symbols,
+from probedesign.mapping.contact_map import (
+    CHI2_95,
+    COVARIANCE_ENTRIES,
+    MAX_RMS_MM,
+    MIN_RMS_MM,
+    ContactMap,
+    MapPoint,
+    point_line,
+    rms_colour,
+    touch_numbers,
+    unlocated_lines,
 )
+from probedesign.reports.html_page import HtmlTable, html_document
+
+# Scene
+
+MIN_SPAN_MM = 10.0
+"""Minimum extent of what is shown, so that a single point is not magnified without bounds."""
+MAGNIFICATIONS = (1, 5, 10)
+"""Magnifications of ellipsoids that can be chosen."""
+MIN_VISIBLE = 0.02
+"""Half-axis over the radius of the scene from which an ellipsoid is visible: about five pixels."""
+
+
+@dataclass(frozen=True)
+class MapScene:
+    """What page and picture show.
+
+    Attributes:
+        contact_map: its located points are shown.
+        truth: outlines of the touched objects, if a simulation states them [m], (k, 3) each, closed; the first side is
+            the touched edge.
+    """
+
+    contact_map: ContactMap
+    truth: tuple[Array, ...] = ()
+
+    @property
+    def centre_mm(self) -> Array:
+        """Return the centre of everything shown [mm], (3,)."""
+        corners = self._corners_mm
+        return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
+
+    @property
+    def radius_mm(self) -> float:
+        """Return the radius about the centre [mm]."""
+        distances = np.linalg.norm(self._corners_mm - self.centre_mm, axis=1)
+        return max(float(distances.max()), 0.5 * MIN_SPAN_MM)
+
+    @property
+    def magnification(self) -> int:
+        """Return the initial magnification of ellipsoids: the smallest with which half of them are visible."""
+        longest = [np.linalg.eigvalsh(point.cov_world)[-1] for point in self.contact_map.points]
+        half = math.sqrt(CHI2_95 * float(np.median(longest))) / MM if longest else self.radius_mm
+        visible = (times for times in MAGNIFICATIONS if times * half >= MIN_VISIBLE * self.radius_mm)
+        return next(visible, MAGNIFICATIONS[-1])
+
+    @property
+    def _corners_mm(self) -> Array:
+        points = np.array([point.p_world for point in self.contact_map.points]).reshape(-1, 3)
+        corners = np.concatenate([points, *self.truth]) / MM
+        return corners if len(corners) else np.zeros((1, 3))
+
+
+@dataclass(frozen=True)
+class ParallelProjection:
+    """A parallel projection of the world.
+
+    Attributes:
+        azimuth: of the eye about the world's z axis, from where it looks along y [rad].
+        elevation: of the eye above the ground [rad].
+    """
+
+    azimuth: float = math.radians(28.0)
+    elevation: float = math.radians(22.0)
+
+    @property
+    def axes(self) -> Array:
+        """Return the directions to the right and up in the picture, in the world, (2, 3)."""
+        a, e = self.azimuth, self.elevation
+        right = (math.cos(a), math.sin(a), 0.0)
+        up = (-math.sin(a) * math.sin(e), math.cos(a) * math.sin(e), math.cos(e))
+        return np.array([right, up])
+
+    def project(self, points: Array) -> Array:
+        """Return points (n, 3) in the picture, right and up, (n, 2)."""
+        return np.asarray(np.asarray(points) @ self.axes.T)
+
+    def ellipse(self, cov: Array) -> tuple[float, float, float]:
+        """Return the outline of the ellipsoid of a covariance (3, 3), at one standard deviation.
+
+        Returns:
+            Both half-axes, and the angle of the first one from the right, counter-clockwise [rad].
+        """
+        flat = self.axes @ cov @ self.axes.T
+        values, vectors = np.linalg.eigh(flat)
+        long, short = np.sqrt(np.maximum(values[::-1], 0.0))
+        return float(long), float(short), math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
+
+
+TRUTH_COLOUR, STROKE_COLOUR = "#a08c5a", "#999"
+SYMBOL_SIZE = (34, 14)
+"""Width and height of a symbol of the legend, in units of SVG."""
+
+
+def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
+    """Return the symbols of the legend: SVG within `SYMBOL_SIZE`, and its meaning as plain text.
+
+    Args:
+        ellipsoids: magnification of the ellipsoids, as text.
+        truth: whether the simulated truth is shown.
+    """
+    blue, steps = hex_colour(MIN_RMS_MM), 8
+    width = (SYMBOL_SIZE[0] - 4) / steps
+    shades = [MIN_RMS_MM * (MAX_RMS_MM / MIN_RMS_MM) ** (i / (steps - 1)) for i in range(steps)]
+    colour_scale = "".join(
+        f'<rect x="{2 + i * width:.2f}" y="4" width="{width:.2f}" height="6" fill="{hex_colour(shade)}"/>'
+        for i, shade in enumerate(shades)
+    )
+    symbols = [
+        (f'<circle cx="17" cy="7" r="2" fill="{blue}"/>', "point of the surface, with its number"),
+        (f'<ellipse cx="17" cy="7" rx="12" ry="5" fill="{blue}" fill-opacity="0.25" stroke="{blue}"/>',
+         f"its 95 % ellipsoid, {ellipsoids}"),
+        (colour_scale, f"RMS error from {MIN_RMS_MM:g} mm or less (blue) to {MAX_RMS_MM:g} mm or more (red)"),
+        (f'<path d="M6 7H28" stroke="{STROKE_COLOUR}"/>',
+         "outward normal of the object, from the force on the probe; its length has no meaning"),
+    ]  # fmt: skip
+    if truth:
+        outline = f'<path d="M5 12L12 3H30L23 12Z" fill="none" stroke="{TRUTH_COLOUR}" stroke-width="0.8"/>'
+        edge = f'<path d="M5 12L12 3" stroke="{TRUTH_COLOUR}" stroke-width="2"/>'
+        meaning = "the simulated truth, not measured: touched objects, touched edges thick"
+        symbols.append((outline + edge, meaning))
+    return symbols
+
+
+def hex_colour(rms_mm: float) -> str:
+    """Return the colour of an RMS error [mm] as #rrggbb."""
+    return "#{:02x}{:02x}{:02x}".format(*rms_colour(rms_mm))
+
+
+# Still picture
+
+WIDTH, HEIGHT, MARGIN, LEGEND_HEIGHT = 760.0, 640.0, 46.0, 126.0
+"""Size of the picture, its margin, and the space for the legend at the top."""
+SCALE_BARS_MM = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+NORMAL_LENGTH = 14.0
+"""Length of a normal that lies in the plane of the picture, in its units."""
+
+
+def map_svg(scene: MapScene) -> bytes:
+    """Return the picture of a scene: points with 95 % ellipsoids and numbers."""
+    view, points, times = ParallelProjection(), scene.contact_map.points, scene.magnification
+    polygons = [view.project(polygon) / MM for polygon in scene.truth]
+    p = view.project(np.array([point.p_world for point in points]).reshape(-1, 3)) / MM
+    covs = view.axes @ np.array([point.cov_world for point in points]).reshape(-1, 3, 3) @ view.axes.T
+    extents = times * np.sqrt(CHI2_95 * np.diagonal(covs, axis1=1, axis2=2)) / MM
+    shown = np.concatenate([p - extents, p + extents, *polygons])
+    low, high = (shown.min(axis=0), shown.max(axis=0)) if len(shown) else (np.zeros(2), np.zeros(2))
+    space = np.array([WIDTH - 2.0 * MARGIN, HEIGHT - MARGIN - LEGEND_HEIGHT])
+    scale, origin = float((space / np.maximum(high - low, MIN_SPAN_MM)).min()), 0.5 * (low + high)
+
+    def at(flat: Array) -> Array:
+        centre = np.array([0.5 * WIDTH, 0.5 * (HEIGHT + LEGEND_HEIGHT - MARGIN)])
+        return np.asarray((flat - origin) * (scale, -scale) + centre)
+
+    body = [_polygon(at(polygon)) for polygon in polygons]
+    placed = [(point, at(flat)) for point, flat in zip(points, p, strict=True)]
+    body += [_normal(point, xy, view) for point, xy in placed]
+    body += [_ellipse(point, xy, times * scale, view) for point, xy in placed]
+    body += [
+        f'<text x="{x + 5:.1f}" y="{y - 5:.1f}" font-size="10" fill="#333">{i}</text>'
+        for i, (_, (x, y)) in enumerate(placed, 1)
+    ]
+    size = "in scale" if times == 1 else f"drawn {times} times as large"
+    legend = "".join(
+        f'<g transform="translate(16 {12 + 18 * i})">{svg}<text x="42" y="11" font-size="11" '
+        f'fill="#333">{escape(meaning)}</text></g>'
+        for i, (svg, meaning) in enumerate(map_symbols(size, bool(polygons)))
+    )
+    drawn = "\n".join([*body, _axes(view), _scale_bar(scale), legend])
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" '
+        'font-family="Helvetica,Arial,sans-serif">'
+        f'<rect width="{WIDTH:g}" height="{HEIGHT:g}" fill="#fff"/>{drawn}</svg>\n'
+    ).encode()
+
+
+def _polygon(flat: Array) -> str:
+    corners = [f"{x:.1f},{y:.1f}" for x, y in flat]
+    return (
+        f'<polygon points="{" ".join(corners)}" fill="#c9b98a" fill-opacity="0.10" stroke="{TRUTH_COLOUR}" '
+        f'stroke-width="0.6"/><path d="M{corners[0]}L{corners[1]}" stroke="{TRUTH_COLOUR}" stroke-width="2"/>'
+    )
+
+
+def _ellipse(point: MapPoint, at: Array, scale: float, view: ParallelProjection) -> str:
+    long, short, angle = view.ellipse(point.cov_world)
+    rx, ry = (math.sqrt(CHI2_95) * half / MM * scale for half in (long, short))
+    colour = hex_colour(point.rms / MM)
+    x, y = at
+    return (
+        f'<g transform="translate({x:.1f} {y:.1f}) rotate({-math.degrees(angle):.1f})"><ellipse rx="{rx:.1f}" '
+        f'ry="{max(ry, 0.4):.1f}" fill="{colour}" fill-opacity="0.25" stroke="{colour}"/>'
+        f'<circle r="2" fill="{colour}"/></g>'
+    )
+
+
+def _normal(point: MapPoint, at: Array, view: ParallelProjection) -> str:
+    """Return a stroke along the outward normal, of constant length in space."""
+    if point.direction is None:
+        return ""
+    right, up = NORMAL_LENGTH * (view.axes @ point.direction)
+    return f'<path d="M{at[0]:.1f} {at[1]:.1f}l{right:.1f} {-up:.1f}" stroke="{STROKE_COLOUR}"/>'
+
+
+def _axes(view: ParallelProjection) -> str:
+    drawn = []
+    for name, (right, up) in zip("xyz", 30.0 * view.axes.T, strict=True):
+        x, y = 50.0, HEIGHT - 50.0
+        drawn.append(
+            f'<path d="M{x:g} {y:g}l{right:.1f} {-up:.1f}" stroke="#555"/><text x="{x + 1.25 * right - 3:.1f}" '
+            f'y="{y - 1.25 * up + 4:.1f}" font-size="11" fill="#555">{name}</text>'
+        )
+    return "".join(drawn)
+
+
+def _scale_bar(scale: float) -> str:
+    length = max((bar for bar in SCALE_BARS_MM if bar * scale <= 0.25 * WIDTH), default=SCALE_BARS_MM[0])
+    right, y = WIDTH - 30.0, HEIGHT - 30.0
+    return (
+        f'<path d="M{right - length * scale:.1f} {y:g}H{right:g}" stroke="#111" stroke-width="2"/>'
+        f'<text x="{right:g}" y="{y - 6:g}" font-size="12" text-anchor="end">{length:g} mm</text>'
+    )
+
+
+# Page
 
 SCRIPT = Path(__file__).with_suffix(".js")
 STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab;
@@ -76,9 +299,8 @@ def _magnification_form(initial: int) -> str:
 def _legend(truth: bool) -> str:
     width, height = SYMBOL_SIZE
     lines = "".join(
-        f'<li><svg width="{width}" height="{height}" aria-hidden="true">{symbol.svg}</svg> '
-        f"{escape(symbol.meaning)}</li>"
-        for symbol in map_symbols("magnified as chosen above", truth)
+        f'<li><svg width="{width}" height="{height}" aria-hidden="true">{svg}</svg> {escape(meaning)}</li>'
+        for svg, meaning in map_symbols("magnified as chosen above", truth)
     )
     return f'<ul class="legend">{lines}</ul>'
 
@@ -104,11 +326,10 @@ def _point(number: int, point: MapPoint) -> dict[str, Any]:
 
 
 def _table(contact_map: ContactMap) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in HEAD)
     rows = []
     for number, point in enumerate(contact_map.points, 1):
         common = math.sqrt(float(np.trace(point.cov_common))) / MM
-        cells = (str(number), *(f"{value:z.2f}" for value in (*point.p_world / MM, point.rms / MM, common)),
-                 f"{point.force / MILLINEWTON:.1f}", touch_numbers(point, ", "))  # fmt: skip
-        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+        lengths = (f"{value:z.2f}" for value in (*point.p_world / MM, point.rms / MM, common))
+        force = f"{point.force / MILLINEWTON:.1f}"
+        rows.append([str(number), *lengths, force, touch_numbers(point, ", ")])
+    return HtmlTable(HEAD, rows).html()

@@ -12,12 +12,7 @@ from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import Prediction
 from probedesign.reports.chart import COLOURS, ORDERED
-from probedesign.reports.prediction_charts import (
-    bending_chart,
-    detection_chart,
-    error_chart,
-    sensitivity_chart,
-)
+from probedesign.reports.prediction_page import prediction_figures
 from probedesign.reports.validation_page import error_size_chart, shape_chart
 from probedesign.validation.validate import ValidationReport
 
@@ -29,27 +24,24 @@ COLUMNS, MAX_PICTURED = 3, 11
 
 
 def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
-    """Return a PNG with four panels: error along the probe, detection, sensitivity, bent shapes.
+    """Return a PNG with the figures of the prediction that have a panel title, two in a row.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    figure = _new_figure(12, 8.6, (0.7, 0.1, 0.5, 0.75))
-    axes: Any = figure.subplots(2, 2, gridspec_kw={"wspace": 0.135, "hspace": 0.22})
-    direction = prediction.conditions[-1].direction
-    panels = (
-        (error_chart(prediction), "Contact error of one reading by force"),
-        (detection_chart(prediction), "Detection limit, one false alarm an hour"),
-        (sensitivity_chart(prediction), f"Base moment and force per millimetre of press along {direction}"),
-        (bending_chart(estimator), "Deflection under touches along ±x"),
-    )
-    for ax, (chart, title) in zip(axes.flat, panels, strict=True):
-        chart.draw_on(ax, title)
-        ax.set_title(title, y=1.0)  # a fixed position, which matplotlib would otherwise search for
+    panels = [figure for figure in prediction_figures(prediction, estimator) if figure.panel]
+    rows = -(-len(panels) // 2)
+    figure = _new_figure(12, 1.25 + 3.68 * rows, (0.7, 0.1, 0.5, 0.75))
+    axes: Any = figure.subplots(rows, 2, gridspec_kw={"wspace": 0.135, "hspace": 0.22}).ravel()
+    for ax, panel in zip(axes, panels, strict=False):
+        panel.chart.draw_on(ax, panel.panel)
+        ax.set_title(panel.panel, y=1.0)  # a fixed position, which matplotlib would otherwise search for
+    for ax in axes[len(panels) :]:
+        ax.set_axis_off()
     assumed = ", ".join(a.rpartition(".")[2] for a in prediction.assumptions) or "nothing"
     noise = f"σ {prediction.noise_force_mN:.2g} mN, {prediction.noise_moment_Nmm:.2g} N·mm per reading"
     text = f"{prediction.name}  ·  geometry {prediction.fingerprint}  ·  {noise}\nassumed: {assumed}"
-    figure.suptitle(text, fontsize=12, x=0.01, y=0.992, ha="left", va="top")
+    figure.suptitle(text, fontsize=12, x=0.01, y=1.0 - 0.07 / (1.25 + 3.68 * rows), ha="left", va="top")
     return _png_bytes(figure)
 
 
@@ -103,13 +95,10 @@ def draw_validation(validation: ValidationReport) -> bytes:
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
-    model, honesty = validation.estimator.model, validation.coverage
+    model, coverage = validation.estimator.model, validation.coverage
     shown = [t for t in validation.tests if t.shape is not None and t.kind != "free"]
-    chosen = (
-        shown
-        if len(shown) <= MAX_PICTURED
-        else [shown[i] for i in np.linspace(0, len(shown) - 1, MAX_PICTURED).round().astype(int)]
-    )
+    n = min(len(shown), MAX_PICTURED)
+    chosen = [shown[i] for i in np.linspace(0, len(shown) - 1, n).round().astype(int)]
     rows = -(-(len(chosen) + 1) // COLUMNS)
     figure = _new_figure(12, 0.8 + 2.6 * rows)
     axes: Any = np.atleast_1d(figure.subplots(rows, COLUMNS)).ravel()
@@ -128,8 +117,8 @@ def draw_validation(validation: ValidationReport) -> bytes:
     for ax in axes[len(chosen) + 1 :]:
         ax.set_axis_off()
     left_out = f", {len(shown) - len(chosen)} more not shown" if len(shown) > len(chosen) else ""
-    figure.suptitle(f"{model.name}: measured (crosses, ●; ♦ known s) and estimated (line, ■); {honesty.within} of "
-                    f"{honesty.touches} touches within their 95 % ellipsoid{left_out}",
+    figure.suptitle(f"{model.name}: measured (crosses, ●; ♦ known s) and estimated (line, ■); {coverage.within} of "
+                    f"{coverage.touches} touches within their 95 % ellipsoid{left_out}",
                     fontsize=12, x=0.01, ha="left")  # fmt: skip
     return _png_bytes(figure)
 

@@ -1,30 +1,134 @@
-"""The page of a prediction."""
+"""Charts of a prediction, and the page with all of them; `reports/png.py` draws some of them as a picture.
 
-from collections.abc import Sequence
+A chart is added by one entry in `prediction_figures`: with a heading it is on the page, with a panel title in the PNG.
+"""
 
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.prediction.fused import SHOWN_N, shown
-from probedesign.prediction.predict import Prediction
+from probedesign.prediction.fused import SHOWN_N, FusedCondition, shown
+from probedesign.prediction.predict import Condition, Prediction
+from probedesign.prediction.touches import DIRECTIONS
+from probedesign.prediction.workspace import STEPS, Workspace
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, Section, report_page
-from probedesign.reports.prediction_charts import (
-    CAPTION,
-    LIMITS,
-    bending_chart,
-    budget_chart,
-    error_map,
-    force_chart,
-    limit_chart,
-    sensitivity_chart,
-    workspace_chart,
-    worst,
-)
+from probedesign.rod.contact import solve_frictionless
 
+Cell = Condition | FusedCondition
 BUDGET_FORCE_N = 0.02
 """Force of the shown budget of one reading; the grid's nearest force is taken."""
-_WORDS = (
+GROUPS = {
+    "noise": ("noise",),
+    "drift": ("drift",),
+    "robot": ("robot",),
+    "friction": ("friction",),
+    "stiffness": ("E", "G", "creep", "stiffness scatter"),
+    "diameters": ("diameter", "diameter scatter", "length"),
+    "mount": ("base place", "base tilt", "clocking", "root", "gain"),
+    "weight": ("density", "gravity"),
+}
+"""Error sources with a common remedy."""
+_BUDGET = (
+    "Shares of the variance, worst direction; above each bar the total RMS error [mm]. Friction: due to its prior. "
+    "Stiffness: E, G, creep and scatter between touches. Diameters: including their scatter and the length. Mount: "
+    "position, tilt, clocking and root of the base, gain of the sensor. Weight: density and direction of gravity."
+)
+_FILL = (*COLOURS, "#F0E442")
+"""Including Okabe and Ito's eighth colour."""
+_INK = ("#fff", "#fff", "#fff", "#fff", "#fff", "#111", "#111", "#111")
+_MIN_LABELLED = 0.09  # smallest share with space for its number
+LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+"""Errors at which the colour of the map changes."""
+RESULT_LABELS = {"too_light": "faint", "unobservable": "faint", "no_contact": "—", "out_of_range": "range"}
+_CELLS = (
     "Worst direction [mm]. Grey cells: — not detected; faint: detected, but too weak to be located; buckles: the probe "
     "is unstable; range: beyond the sensor's range."
 )
+TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
+"""Contact fraction and force [N] of the touches whose shapes are drawn."""
+LIMITS = {"gives_way": ("buckling", "o"), "sensor": ("sensor's range", "s"), "slips_off": ("slips off", "v"),
+          "none": ("no limit found", "d")}  # fmt: skip
+"""Text and marker of each limit of the force."""
+_PLACE = "contact position, fraction of the length"
+
+
+@dataclass(frozen=True)
+class PredictionFigure:
+    """A chart of a prediction.
+
+    Attributes:
+        chart: what is drawn.
+        heading, caption: on the page; a figure without a heading is not on the page.
+        panel: title in the PNG; a figure without one is not in the PNG.
+    """
+
+    chart: Chart
+    heading: str = ""
+    caption: str = ""
+    panel: str = ""
+
+
+def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator[PredictionFigure]:
+    """Yield the figures of a prediction of the estimator's probe, in the order of page and picture."""
+    k, side = prediction.pressing.touches, prediction.conditions[-1].direction
+    yield PredictionFigure(error_chart(prediction), panel="Contact error of one reading by force")
+    yield PredictionFigure(
+        error_map(prediction.conditions, lambda c: c.predicted_error_mm),
+        "Contact error of one reading", f"RMS error, all sources included. {_CELLS}",
+    )  # fmt: skip
+    yield PredictionFigure(
+        error_map(prediction.fused, lambda c: c.predicted_error_mm), f"Contact error of {k} fused touches",
+        "Force of the last touch. RMS error, all sources included, worst direction [mm].",
+    )  # fmt: skip
+    yield PredictionFigure(
+        error_map(prediction.conditions, lambda c: c.noise_error_mm), "Contact error due to sensor noise alone",
+        "One reading of a probe that matches its model, with the prior on friction: the lower bound. "
+        "Worst direction [mm].",
+    )  # fmt: skip
+    yield PredictionFigure(detection_chart(prediction), panel="Detection limit, one false alarm an hour")
+    yield PredictionFigure(
+        force_chart(prediction), "Force thresholds",
+        "Detected: with probability 0.5 at one false alarm an hour. Located: within the given RMS error, all sources "
+        "included. Limit: of the probe or of the sensor. Worst direction; a line is broken where no force suffices.",
+    )  # fmt: skip
+    if single := worst(prediction.conditions, BUDGET_FORCE_N):
+        force = f"{1e3 * single[0].force_N:g} mN"
+        yield PredictionFigure(budget_chart(single), f"Error budget of one reading of {force}", _BUDGET)
+    if fused := shown(prediction.fused, SHOWN_N):
+        yield PredictionFigure(
+            budget_chart(fused), f"Error budget of {k} touches up to {1e3 * fused[0].force_N:g} mN",
+            "As before. Robot: position error of the base, independent between touches.",
+        )  # fmt: skip
+    yield PredictionFigure(
+        workspace_chart(prediction.workspace, 0), "Workspace from the side",
+        "Fixed base. Shaded: positions to which the centreline's contact point can be pushed; thin lines: path of each "
+        f"position from zero to maximum force. {_swept(prediction.workspace)}",
+    )  # fmt: skip
+    yield PredictionFigure(
+        workspace_chart(prediction.workspace, 1), "Workspace from above",
+        "As before, pushed sideways; one side is mirrored where it was not computed.",
+    )  # fmt: skip
+    yield PredictionFigure(
+        limit_chart(prediction), "Maximum force", "Buckling: the probe becomes unstable. Slips off: an object "
+        "at constant distance from the base reaches the tip.",
+    )  # fmt: skip
+    yield PredictionFigure(
+        bending_chart(estimator), "Deflection", "Seen along y, x downwards; dots are the touches, along ±x.",
+        "Deflection under touches along ±x",
+    )  # fmt: skip
+    yield PredictionFigure(
+        sensitivity_chart(prediction), "Sensitivity to indentation",
+        "At the smallest force, along the last direction: base moment and force per additional millimetre of "
+        "indentation.", f"Base moment and force per millimetre of indentation along {side}",
+    )  # fmt: skip
 
 
 def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[Section] = ()) -> bytes:
@@ -35,118 +139,292 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         estimator: of the same probe.
         more: further sections at the end.
     """
-    sag = (
-        "it buckles under its own weight"
-        if prediction.tip_sag_mm is None
-        else f"the tip sags by {prediction.tip_sag_mm:.3g} mm"
-    )
+    sag = prediction.tip_sag_mm
+    sags = "it buckles under its own weight" if sag is None else f"the tip sags by {sag:.3g} mm"
     about = [
-        f"{prediction.mass_g:.3g} g, flexible part; {sag}, as mounted",
+        f"{prediction.mass_g:.3g} g, flexible part; {sags}, as mounted",
         f"geometry {prediction.fingerprint}; noise {prediction.noise_force_mN:.3g} mN and "
         f"{prediction.noise_moment_Nmm:.3g} N·mm per reading and channel",
         f"assumed: {', '.join(prediction.assumptions) or 'nothing'}; standard deviations at the end",
         f"fused: {prediction.pressing.text}",
     ]
-    sections = [*_errors(prediction), *_budgets(prediction), *_space(prediction, estimator), *more]
-    after = [("Tolerances: standard deviations", _tolerances(prediction))]
+    sections = [
+        Section(figure.heading, figure.caption, figure.chart.svg())
+        for figure in prediction_figures(prediction, estimator)
+        if figure.heading
+    ]
+    sources = prediction.tolerances.sources(prediction.resin)
+    rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
+    after = [("Tolerances: standard deviations", HtmlTable(["[tolerances]", "value", "source"], rows))]
     if prediction.monte_carlo:
         after.insert(0, ("Monte Carlo simulation with the estimator", _sampled(prediction)))
-    return report_page(
-        f"{prediction.name}: predicted contact errors", about, _table(prediction), sections, after
+    title = f"{prediction.name}: predicted contact errors"
+    return report_page(title, about, _table(prediction), [*sections, *more], after)
+
+
+# Charts
+
+
+def _along(label: str, values: Sequence[float], high: float = 1.05) -> Chart:
+    """Return an empty chart of positive values along the probe, with a logarithmic axis."""
+    x = ChartAxis(_PLACE, 0.0, high, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+    return Chart(x, ChartAxis.spanning(label, values, log=True))
+
+
+def _number(value: float | None, unit: float = 1.0) -> float:
+    return math.nan if value is None else unit * value
+
+
+def error_chart(prediction: Prediction) -> Chart:
+    """Return the error of one reading along the probe by force: a line for the worst direction, a band for all."""
+    located = [c for c in prediction.conditions if c.result == "ok" and c.predicted_error_mm is not None]
+    forces = sorted({c.force_N for c in located})
+    chart = _along(
+        "predicted contact error, RMS [mm]", [_number(c.predicted_error_mm) for c in located], 1.02
     )
+    for i, force in enumerate(forces):
+        errors: dict[float, list[float]] = {}
+        for c in located:
+            if c.force_N == force:
+                errors.setdefault(c.contact_fraction, []).append(_number(c.predicted_error_mm))
+        low, high = ([f(e) for e in errors.values()] for f in (min, max))
+        colour = ORDERED[round((len(ORDERED) - 2) * i / max(len(forces) - 1, 1))]
+        there, back = zip(errors, low, strict=True), reversed([*zip(errors, high, strict=True)])
+        chart.area([*there, *back], colour, 0.25)
+        chart.line(list(errors), high, colour, mark="o", name=f"{1e3 * force:g} mN")
+    return chart
 
 
-def _errors(prediction: Prediction) -> list[Section]:
-    """Return the maps of the error over position and force, and the force thresholds."""
-    k = prediction.pressing.touches
+def detection_chart(prediction: Prediction) -> Chart:
+    """Return the smallest detectable force along the probe, one line per direction."""
+    felt = [d for d in prediction.detection if d.detectable_force_mN is not None]
+    chart = _along("smallest detectable force [mN]", [_number(d.detectable_force_mN) for d in felt], 1.02)
+    directions = list(dict.fromkeys(d.direction for d in prediction.detection))
+    for side, colour, dashes in zip(directions, COLOURS, DASHES, strict=False):
+        rows = [d for d in felt if d.direction == side]
+        forces = [_number(d.detectable_force_mN) for d in rows]
+        chart.line([d.contact_fraction for d in rows], forces, colour, dashes, "o", f"pushed along {side}")
+    return chart
+
+
+def force_chart(prediction: Prediction) -> Chart:
+    """Return the forces for detection, for given accuracies by one reading or by fused touches, and the limit."""
+    k, found = prediction.pressing.touches, dict[str, tuple[list[float], list[float]]]()
+    lines: list[tuple[str, Sequence[Any], str]] = [
+        ("detected", prediction.detection, "detectable_force_mN"),
+        (f"2 mm, {k} fused", prediction.fused_reach, "force_mN_for_2_mm"),
+        ("5 mm, one", prediction.reach, "force_mN_for_5_mm"),
+        ("2 mm, one", prediction.reach, "force_mN_for_2_mm"),
+        ("1 mm, one", prediction.reach, "force_mN_for_1_mm"),
+        ("limit", prediction.reach, "greatest_force_N"),
+    ]
+    for name, rows, key in lines:
+        # The worst direction: the largest force that is needed, the smallest that is possible.
+        choose, unit = (max, 1.0) if "mN" in key else (min, 1e3)
+        places = sorted({row.contact_fraction for row in rows})
+        values = [[getattr(row, key) for row in rows if row.contact_fraction == place] for place in places]
+        found[name] = places, [math.nan if None in here else unit * choose(here) for here in values]
+    chart = _along("contact force [mN]", [v for _, forces in found.values() for v in forces])
+    for (name, (x, y)), colour, dashes, mark in zip(found.items(), COLOURS, DASHES, MARKS, strict=False):
+        chart.line(x, y, colour, dashes, mark, name)
+    return chart
+
+
+def limit_chart(prediction: Prediction) -> Chart:
+    """Return the maximum force by direction; its marker shows what limits it."""
+    reach = [row for row in prediction.reach if row.greatest_force_N is not None]
+    chart = _along("maximum force [mN]", [_number(row.greatest_force_N, 1e3) for row in reach])
+    sides = list(dict.fromkeys(row.direction for row in prediction.reach))
+    for side, colour, dashes in zip(sides, COLOURS, DASHES, strict=False):
+        for limit, mark in (("", ""), *((limit, mark) for limit, (_, mark) in LIMITS.items())):
+            rows = [row for row in reach if row.direction == side and limit in ("", row.limit)]
+            x, y = [r.contact_fraction for r in rows], [_number(r.greatest_force_N, 1e3) for r in rows]
+            if limit:
+                chart.points(x, y, colour, mark)
+            else:
+                chart.line(x, y, colour, dashes, name=f"along {side}")
+    for limit, (name, mark) in LIMITS.items():
+        if any(row.limit == limit for row in reach):
+            chart.points([], [], "#666", mark, name)
+    return chart
+
+
+def sensitivity_chart(prediction: Prediction) -> Chart:
+    """Return base moment and force per millimetre of indentation, at the smallest force along the last direction."""
+    smallest = min(c.force_N for c in prediction.conditions)
+    side = prediction.conditions[-1].direction
+    rows = [c for c in prediction.conditions if (c.force_N, c.direction) == (smallest, side)]
+    moments = [c.moment_per_mm_Nmm or math.nan for c in rows]
+    forces = [1e3 * (c.force_per_mm_N or math.nan) for c in rows]
+    chart = _along("sensitivity [N·mm/mm, mN/mm]", [*moments, *forces])
+    places = [c.contact_fraction for c in rows]
+    chart.line(places, moments, COLOURS[1], "", "o", "base moment [N·mm/mm]")
+    chart.line(places, forces, COLOURS[2], "7 4", "s", "force [mN/mm]")
+    return chart
+
+
+def budget_chart(conditions: Sequence[Cell]) -> Chart:
+    """Return the error budget: the share of each group of sources in the variance, as stacked bars.
+
+    Args:
+        conditions: one per contact position, with budgets.
+    """
+    y = ChartAxis("share of the variance [%]", 0.0, 106.0, ticks=(0.0, 20.0, 40.0, 60.0, 80.0, 100.0))
+    chart = Chart(ChartAxis.named(_PLACE, [f"{c.contact_fraction:g}" for c in conditions]), y)
+    for i, condition in enumerate(conditions, 1):
+        chart.text(i, 103.0, f"{condition.predicted_error_mm:.2g}", size=12.5)
+        bottom = 0.0
+        for share, colour, ink in zip(shares_of(condition).values(), _FILL, _INK, strict=True):
+            chart.box((i - 0.42, i + 0.42), (bottom, bottom + 100.0 * share), colour)
+            if share >= _MIN_LABELLED:
+                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", ink)
+            bottom += 100.0 * share
+    chart.legend = [
+        LegendEntry(name, colour)
+        for name, colour in zip(GROUPS, _FILL, strict=True)
+        if any(shares_of(c)[name] > 0.0 for c in conditions)
+    ]
+    return chart
+
+
+def shares_of(condition: Cell) -> dict[str, float]:
+    """Return the shares of the variance by group."""
+    budget = condition.budget_mm or {}
+    squares = {name: sum(budget.get(cause, 0.0) ** 2 for cause in causes) for name, causes in GROUPS.items()}
+    whole = sum(squares.values()) or 1.0
+    return {name: square / whole for name, square in squares.items()}
+
+
+def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
+    """Return the worst direction per contact position, at the grid's force nearest to `force_N`."""
+    nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
+    here = [c for c in conditions if c.force_N == nearest and c.budget_mm is not None]
+    places = sorted({c.contact_fraction for c in here})
     return [
-        Section("Contact error of one reading", f"RMS error, all sources included. {_WORDS}",
-                error_map(prediction.conditions, lambda c: c.predicted_error_mm).svg()),
-        Section(f"Contact error of {k} fused touches", "Force of the last touch. RMS error, all sources included, "
-                "worst direction [mm].", error_map(prediction.fused, lambda c: c.predicted_error_mm).svg()),
-        Section("Contact error due to sensor noise alone", "One reading of a probe that matches its model, with "
-                "the prior on friction: the lower bound. Worst direction [mm].",
-                error_map(prediction.conditions, lambda c: c.noise_error_mm).svg()),
-        Section("Force thresholds", "Detected: with probability 0.5 at one false alarm an hour. Then located "
-                "within the given RMS error, all sources included. Limit: of the probe or of the sensor. Worst "
-                "direction; a line is broken where no force suffices.", force_chart(prediction).svg()),
-    ]  # fmt: skip
+        max((c for c in here if c.contact_fraction == place), key=lambda c: c.predicted_error_mm or 0.0)
+        for place in places
+    ]
 
 
-def _budgets(prediction: Prediction) -> list[Section]:
-    """Return the error budgets of one reading and of fused touches."""
-    found, k = [], prediction.pressing.touches
-    single, fused = worst(prediction.conditions, BUDGET_FORCE_N), shown(prediction.fused, SHOWN_N)
-    if single:
-        found.append(
-            Section(
-                f"Error budget of one reading of {1e3 * single[0].force_N:g} mN",
-                CAPTION,
-                budget_chart(single).svg(),
-            )
-        )
-    if fused:
-        heading = f"Error budget of {k} touches up to {1e3 * fused[0].force_N:g} mN"
-        found.append(
-            Section(
-                heading,
-                "As before. Robot: position error of the base, independent between touches.",
-                budget_chart(fused).svg(),
-            )
-        )
-    return found
+def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> Chart:
+    """Return the error over contact position and force as a map: worst direction, or why there is no estimate.
 
-
-def _space(prediction: Prediction, estimator: Estimator) -> list[Section]:
-    """Return workspace, force limits, shapes and sensitivity."""
-    workspace, area = prediction.workspace, prediction.workspace.area_mm2 or {}
-    swept = ", ".join(f"{side} {1e-2 * value:.0f} cm²" for side, value in area.items())
-    volume = (
-        ""
-        if workspace.volume_mm3 is None
-        else f" Swept volume over all directions: {1e-3 * workspace.volume_mm3:.0f} cm³."
+    Args:
+        cells: conditions of a whole grid.
+        error: returns the mapped error of a condition [mm].
+    """
+    places = sorted({c.contact_fraction for c in cells})
+    forces = sorted({c.force_N for c in cells})
+    chart = Chart(
+        ChartAxis.named(_PLACE, [f"{p:g}" for p in places]),
+        ChartAxis.named("contact force [mN]", [f"{1e3 * f:g}" for f in forces]),
     )
-    return [
-        Section("Workspace from the side",
-                "Fixed base. Shaded: positions to which the centreline's contact point can be pushed; thin "
-                f"lines: path of each position from zero to maximum force. Swept area: {swept}.{volume}",
-                workspace_chart(workspace, 0).svg()),
-        Section("Workspace from above", "As before, pushed sideways; one side is mirrored where it was not computed.",
-                workspace_chart(workspace, 1).svg()),
-        Section("Maximum force", "Buckling: the probe becomes unstable. Slips off: an object "
-                "at constant distance from the base reaches the tip.", limit_chart(prediction).svg()),
-        Section("Deflection", "Seen along y, x downwards; dots are the touches, along ±x.",
-                bending_chart(estimator).svg()),
-        Section("Sensitivity to a press", "At the lightest force, along the last direction: base moment and "
-                "force per additional millimetre of press.", sensitivity_chart(prediction).svg()),
-    ]  # fmt: skip
+    for i, place in enumerate(places, 1):
+        for j, force in enumerate(forces, 1):
+            here = [c for c in cells if (c.contact_fraction, c.force_N) == (place, force)]
+            fill, ink, words = _cell(here, error)
+            chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
+            chart.text(i, j, words, ink, 12.5 if len(words) < 5 else 10.5)
+    return chart
+
+
+def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str, str]:
+    """Return colour, ink and text of a cell."""
+    bad = next((c.result for c in here if c.result != "ok"), None)
+    errors = [e for e in map(error, here) if e is not None]
+    if bad or not errors:
+        return "#e4e4e4", "#555", RESULT_LABELS.get(bad or "", "buckles")
+    largest = max(errors)
+    level = len(ORDERED) - 1 - sum(largest > limit for limit in LEVELS_MM)
+    ink = "#111" if level >= 4 else "#fff"  # dark text on light cells
+    return ORDERED[level], ink, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
+
+
+def bending_chart(estimator: Estimator) -> Chart:
+    """Return the free probe and its shapes under touches along ±x, seen along y; x points downwards as gravity does."""
+    model, free = estimator.model, estimator.free()
+    s = np.linspace(0.0, model.rod.length, 60)
+    lines: list[tuple[Array, str, str, str]] = [(free.p_at(s), "#000000", "", "free")] if free.ok else []
+    dots: list[tuple[Array, str]] = []
+    for (fraction, force), colour, dashes in zip(TOUCHES, COLOURS[1:], DASHES, strict=False):
+        for side in ("-x", "+x"):
+            contact = solve_frictionless(
+                model.rod, model.gravity_base, fraction * model.rod.length, DIRECTIONS[side], force
+            )
+            if contact.result == "ok":
+                name = f"{1e3 * force:g} mN at {fraction:g}" if side == "-x" else ""
+                lines.append((contact.equilibrium.p_at(s), colour, dashes, name))
+                dots.append((contact.equilibrium.p_contact_base, colour))
+    shapes = np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3))
+    chart = Chart.side_view(shapes / MM, 0)
+    for points, colour, dashes, name in lines:
+        chart.line(points[:, 2] / MM, points[:, 0] / MM, colour, dashes, name=name, width=2.4)
+    for dot, colour in dots:
+        chart.points(dot[2] / MM, dot[0] / MM, colour, "o")
+    return chart
+
+
+def workspace_chart(workspace: Workspace, across: int) -> Chart:
+    """Return the positions that the centreline's contact point reaches when pushed from two sides, seen from the third.
+
+    Args:
+        workspace: of a prediction.
+        across: axis of the pushes: 0 for ±x, seen along y; 1 for ±y, seen along x.
+    """
+    sides = {f"{sign}{'xy'[across]}": colour for sign, colour in zip("+-", COLOURS[1:3], strict=True)}
+    sheets = {}
+    for side in sides:
+        paths = sorted((p for p in workspace.paths if p.direction == side), key=lambda p: p.contact_fraction)
+        sheets[side] = np.array([path.points for path in paths]).reshape(-1, STEPS, 3)
+    if across and not len(sheets["-y"]) and "-y" in (workspace.area_mm2 or {}):
+        sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
+    chart = Chart.side_view(
+        np.concatenate([*(s.reshape(-1, 3) for s in sheets.values()), np.zeros((1, 3))]), across
+    )
+    for side, colour in sides.items():
+        if not len(sheets[side]):
+            continue
+        # The swept area between neighbouring positions, the path of each, and its end at maximum force.
+        flat = np.concatenate([np.zeros((1, STEPS, 3)), sheets[side]])[:, :, [2, across]]
+        for low, high in pairwise(flat):
+            chart.area([*map(tuple, low.tolist()), *map(tuple, high[::-1].tolist())], colour, 0.16)
+        for path in flat[1:]:
+            chart.line(path[:, 0], path[:, 1], colour, width=1.0)
+        chart.line(flat[:, -1, 0], flat[:, -1, 1], colour, mark="o", name=f"pushed along {side}")
+    free = next((sheet[:, 0] for sheet in sheets.values() if len(sheet)), np.zeros((0, 3)))
+    chart.line([0.0, *free[:, 2]], [0.0, *free[:, across]], "#000000", name="free", width=2.6)
+    return chart
+
+
+def _swept(workspace: Workspace) -> str:
+    """Return the swept areas and the swept volume as text."""
+    areas = ", ".join(f"{side} {1e-2 * area:.0f} cm²" for side, area in (workspace.area_mm2 or {}).items())
+    if workspace.volume_mm3 is None:
+        return f"Swept area: {areas}."
+    return f"Swept area: {areas}. Swept volume over all directions: {1e-3 * workspace.volume_mm3:.0f} cm³."
+
+
+# Tables
 
 
 def _table(prediction: Prediction) -> HtmlTable:
     """Return force thresholds and limits along the probe, worst direction."""
-    k = prediction.pressing.touches
-    head = [
-        "along the probe",
-        "detected from",
-        "5 mm",
-        "2 mm",
-        "1 mm",
-        f"2 mm, {k} fused",
-        "maximum force",
-        "limited by",
-        "deflection",
-    ]
+    head = ["along the probe", "detected from", "5 mm", "2 mm", "1 mm", f"2 mm, {prediction.pressing.touches} fused",
+            "maximum force", "limited by", "deflection"]  # fmt: skip
     rows = []
     for place in sorted({r.contact_fraction for r in prediction.reach}):
         here = [r for r in prediction.reach if r.contact_fraction == place]
         weakest = min(here, key=lambda r: r.greatest_force_N or 0.0)
-        felt = [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == place]
-        fused = [f.force_mN_for_2_mm for f in prediction.fused_reach if f.contact_fraction == place]
-        max_force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
-        needed = ([r.force_mN_for_5_mm for r in here], [r.force_mN_for_2_mm for r in here],
-                  [r.force_mN_for_1_mm for r in here], fused)  # fmt: skip
-        rows.append([f"{place:g} L", _force(felt), *map(_force, needed), _force([max_force]), LIMITS[weakest.limit][0],
-                     "none" if weakest.deflection_mm is None else f"{weakest.deflection_mm:.3g} mm"])  # fmt: skip
+        forces = (
+            [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == place],
+            [r.force_mN_for_5_mm for r in here], [r.force_mN_for_2_mm for r in here],
+            [r.force_mN_for_1_mm for r in here],
+            [f.force_mN_for_2_mm for f in prediction.fused_reach if f.contact_fraction == place],
+            [None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N],
+        )  # fmt: skip
+        rows.append(
+            [f"{place:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)]
+        )
     return HtmlTable(head, rows)
 
 
@@ -159,22 +437,16 @@ def _force(values: Sequence[float | None]) -> str:
     return f"{largest:.3g} mN" if largest < 1000.0 else f"{1e-3 * largest:.3g} N"
 
 
-def _tolerances(prediction: Prediction) -> HtmlTable:
-    sources = prediction.tolerances.sources(prediction.resin)
-    rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
-    return HtmlTable(["[tolerances]", "value", "source"], rows)
-
-
 def _sampled(prediction: Prediction) -> HtmlTable:
+    """Return the results of the Monte Carlo simulation beside the budget's."""
     head = ["contact", "touches", "force", "direction", "budget", "Monte Carlo", "95 % within", "located"]
     rows = [
         [f"{r.contact_fraction:g} L", f"{r.touches}", f"{1e3 * r.force_N:g} mN", r.direction, _mm(r.first_order_mm),
          _mm(r.error_mm) + (" *" if r.differs else ""), _mm(r.error_95_mm), f"{r.located / r.draws:.0%}"]
         for r in prediction.monte_carlo
     ]  # fmt: skip
-    return HtmlTable(
-        head, rows, "* differs from the budget by more than a tenth; the Monte Carlo value is more reliable"
-    )
+    note = "* differs from the budget by more than a tenth; the Monte Carlo value is more reliable"
+    return HtmlTable(head, rows, note)
 
 
 def _mm(value: float | None) -> str:

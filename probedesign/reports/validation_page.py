@@ -1,14 +1,16 @@
-"""Page and charts of a validation: measured beside estimated, as the paper's figures 3 to 6 and its Table I."""
+"""Page and charts of a validation: measured and estimated, as the paper's figures 3 to 6 and its Table I."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM, N_MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.reports.chart import COLOURS, NO_LINE, Chart, ChartAxis, LegendEntry, span_of
+from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, Section, report_page
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
@@ -16,43 +18,37 @@ from probedesign.validation.validated_test import ValidatedTest
 
 MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
 POINTS = 80
-_Z = "z, along the undeformed axis [mm]"
+"""Arclengths at which a shape is drawn."""
+MAX_SHAPES = 24
+"""Further shapes are left out, with a note on the page."""
 
 
 def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:
     """Return measured error against stated error."""
     errors = [
-        (trial, trial.contact_error.expected / MM, trial.contact_error.size / MM)
+        (trial.kind, trial.contact_error.expected / MM, trial.contact_error.size / MM)
         for trial in trials
         if trial.contact_error is not None
     ]
-    low, high = span_of([value for _, *pair in errors for value in pair], True)
-    chart = Chart(
-        ChartAxis("stated error, RMS [mm]", low, high, log=True),
-        ChartAxis("measured error [mm]", low, high, log=True),
-    )
-    chart.line([low, high], [low, high], "#888", "5 2", name="equal")
+    y = ChartAxis.spanning("measured error [mm]", [value for _, *pair in errors for value in pair], log=True)
+    chart = Chart(replace(y, label="stated error, RMS [mm]"), y)
+    chart.line([y.low, y.high], [y.low, y.high], "#888", "5 2", name="equal")
     for kind, colour, mark in (("touch", ESTIMATED, "o"), ("weight", CONTACT, "d")):
-        here = [(x, y) for trial, x, y in errors if trial.kind == kind]
-        for x, y in here:
-            chart.line([x], [y], colour, mark=mark)
-        if here:
-            chart.legend.append(LegendEntry(kind, colour, NO_LINE, mark))
+        here = np.array([(x, y) for of, x, y in errors if of == kind]).reshape(-1, 2)
+        chart.points(here[:, 0], here[:, 1], colour, mark, kind if len(here) else "")
     return chart
 
 
 def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
     """Return the sorted normalised errors squared against the quantiles of their χ² distribution."""
-    from scipy.stats import chi2
-
-    misses = [trial.contact_error for trial in trials if trial.counts and trial.contact_error is not None]
-    scaled = sorted(miss.nees / miss.dof for miss in misses)
-    dof = misses[0].dof if misses else 3
-    ranks = [(i + 0.5) / len(scaled) for i in range(len(scaled))]
-    expected = [float(chi2.ppf(rank, dof)) / dof for rank in ranks]
+    errors = [trial.contact_error for trial in trials if trial.counts and trial.contact_error is not None]
+    scaled = sorted(error.nees / error.dof for error in errors)
+    dof, n = errors[0].dof if errors else 3, len(scaled)
+    expected = (chi2.ppf((np.arange(n) + 0.5) / max(n, 1), dof) / dof).tolist()
     high = max([*scaled, *expected, 1.0]) * 1.1
     chart = Chart(
-        ChartAxis("expected quantile", 0.0, high), ChartAxis("NEES per degree of freedom", 0.0, high)
+        ChartAxis("expected quantile of the NEES per degree of freedom", 0.0, high),
+        ChartAxis("NEES per degree of freedom", 0.0, high),
     )
     chart.line([0.0, high], [0.0, high], "#888", "5 2", name="consistent")
     chart.line(expected, scaled, ESTIMATED, mark="o", name="touches")
@@ -62,13 +58,10 @@ def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
 def internal_load_chart(shape: Equilibrium, what: str) -> Chart:
     """Return internal force or moment along the probe."""
     s, values = internal_load(shape, what)
-    unit = "force [mN]" if what == "force" else "moment [N·mm]"
-    chart = Chart(
-        ChartAxis("arclength s [mm]", 0.0, float(s[-1]) / MM),
-        ChartAxis(unit, *span_of(values.ravel().tolist(), False)),
-    )
-    for i, (axis, dashes) in enumerate(zip("xyz", ("", "7 4", "2 3"), strict=True)):
-        chart.line((s / MM).tolist(), values[:, i].tolist(), COLOURS[i + 1], dashes, name=axis)
+    unit = "internal force [mN]" if what == "force" else "internal moment [N·mm]"
+    chart = Chart(ChartAxis("arclength s [mm]", 0.0, float(s[-1]) / MM), ChartAxis.spanning(unit, values))
+    for i, (axis, dashes) in enumerate(zip("xyz", DASHES, strict=False)):
+        chart.line(s / MM, values[:, i], COLOURS[i + 1], dashes, name=axis)
     return chart
 
 
@@ -84,7 +77,7 @@ def internal_load(shape: Equilibrium, what: str) -> tuple[Array, Array]:
 
 
 def lateral_axis(trial: ValidatedTest) -> int:
-    """Return the axis drawn beside z: that of the larger load, 0 for x, 1 for y; x for a free probe."""
+    """Return the axis drawn against z: that of the larger load, 0 for x, 1 for y; x for a free probe."""
     if trial.test.direction[1:] in ("x", "y"):
         return "xy".index(trial.test.direction[1:])
     if trial.shape is None or trial.kind == "free":
@@ -105,9 +98,9 @@ def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
         return np.zeros((0, 3))
     across, s = lateral_axis(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
     radius = model.rod.radius_at(s) * model.cross_section.reach(across * math.pi / 2.0)
-    aside = radius[:, None] * trial.shape.R_at(s)[:, :, across]
+    flank = radius[:, None] * trial.shape.R_at(s)[:, :, across]
     line = trial.shape.p_at(s)
-    return np.concatenate([line + aside, (line - aside)[::-1]])
+    return np.concatenate([line + flank, (line - flank)[::-1]])
 
 
 def estimated_contact(trial: ValidatedTest) -> Array | None:
@@ -132,45 +125,30 @@ def shape_chart(trial: ValidatedTest, model: ProbeModel) -> Chart:
     estimate = estimated_contact(trial)
     contacts = [p[None] for p in (trial.contact_base, estimate) if p is not None]
     points = np.concatenate([body, trial.markers_on_axis, *contacts, np.zeros((1, 3))]) / MM
-    x, y = (
-        ChartAxis(words, *span_of(points[:, i].tolist(), False))
-        for words, i in ((_Z, 2), (f"{'xy'[across]} [mm]", across))
-    )
-    chart = Chart(x, y, square=True, down=across == 0)
+    chart = Chart.side_view(points, across)
     if len(body):
         chart.area([(float(p[2]) / MM, float(p[across]) / MM) for p in body], ESTIMATED, 0.15)
     seen = trial.markers_on_axis / MM
     if len(seen):
-        chart.line(seen[:, 2].tolist(), seen[:, across].tolist(), MEASURED, "7 4", "x", "measured", 1.4)
+        chart.line(seen[:, 2], seen[:, across], MEASURED, "7 4", "x", "measured", 1.4)
     if len(line):
-        chart.line(
-            (line[:, 2] / MM).tolist(),
-            (line[:, across] / MM).tolist(),
-            ESTIMATED,
-            name="estimated",
-            width=2.4,
-        )
+        chart.line(line[:, 2] / MM, line[:, across] / MM, ESTIMATED, name="estimated", width=2.4)
     for p, colour, mark, name in ((estimate, CONTACT, "s", "contact, estimated"),
                                   (trial.contact_base, MEASURED, "o", "contact, measured"),
                                   (known_contact(trial), MEASURED, "d", "s of the contact, known")):  # fmt: skip
         if p is not None:
-            chart.line([float(p[2]) / MM], [float(p[across]) / MM], colour, mark=mark)
-            chart.legend.append(LegendEntry(name, colour, NO_LINE, mark))
+            chart.points(p[2] / MM, p[across] / MM, colour, mark, name)
     return chart
-
-
-MAX_SHAPES = 24
-"""Further shapes are left out, with a note on the page."""
 
 
 def validation_page(validation: ValidationReport) -> bytes:
     """Return the page of a validation."""
-    model, honesty = validation.estimator.model, validation.coverage
+    model = validation.estimator.model
     how = "probe assumed to match its file exactly" if validation.exact else "with the probe's tolerances"
     about = [
         f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
         f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
-        *honesty.words,
+        *validation.coverage.words,
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
     shapes = (_shape(trial, model) for trial in drawn[:MAX_SHAPES])
@@ -179,9 +157,8 @@ def validation_page(validation: ValidationReport) -> bytes:
     if validation.notes or len(drawn) > MAX_SHAPES:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
         after.append(("Notes", HtmlTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
-    return report_page(
-        f"{model.name}: validation against the reference", about, _summary(validation), sections, after
-    )
+    title = f"{model.name}: validation against the reference"
+    return report_page(title, about, _summary(validation), sections, after)
 
 
 def _summary(validation: ValidationReport) -> HtmlTable:
@@ -207,25 +184,13 @@ def _summary(validation: ValidationReport) -> HtmlTable:
 
 
 def _mean_cells(mean: ErrorStatistics) -> list[str]:
-    return ["—" if value is None else f"{value:.3g} mm" for value in (mean.mean, mean.rms, mean.largest)]
+    return [_mm(value) for value in (mean.mean, mean.rms, mean.largest)]
 
 
 def _table(validation: ValidationReport) -> HtmlTable:
     """Return Table I of the paper with stated and predicted errors."""
-    head = [
-        "test",
-        "force",
-        "contact",
-        "direction",
-        "shape RMS",
-        "of length",
-        "contact error",
-        "stated",
-        "predicted",
-        "in 95 %",
-        "method",
-        "result",
-    ]
+    head = ["test", "force", "contact", "direction", "shape RMS", "of length", "contact error", "stated", "predicted",
+            "in 95 %", "method", "result"]  # fmt: skip
     rows = []
     for row in validation.rows():
         inside = {None: "—", True: "yes", False: "no"}[row["within_95"]]
@@ -270,30 +235,18 @@ def _internal_loads(validation: ValidationReport) -> list[Section]:
     free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
     located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]
     shown = [trial for trial in (free, located[len(located) // 2] if located else None) if trial is not None]
-    found = []
+    sections = []
     for trial in shown:
         assert trial.shape is not None
-        jump = (
-            ""
-            if trial.kind == "free"
-            else " At the contact the force jumps, and the moment by the couple of that force about the axis."
-        )
-        name = f"{trial.test.name}, {_words(trial)}"
-        found.append(
-            Section(
-                f"Internal force: {name}",
-                f"In base axes.{jump}",
-                internal_load_chart(trial.shape, "force").svg(),
+        caption = "In base axes."
+        if trial.kind != "free":
+            caption += (
+                " At the contact the force jumps, and the moment by the couple of that force about the axis."
             )
-        )
-        found.append(
-            Section(
-                f"Internal moment: {name}",
-                f"In base axes.{jump}",
-                internal_load_chart(trial.shape, "moment").svg(),
-            )
-        )
-    return found
+        for what in ("force", "moment"):
+            heading = f"Internal {what}: {trial.test.name}, {_words(trial)}"
+            sections.append(Section(heading, caption, internal_load_chart(trial.shape, what).svg()))
+    return sections
 
 
 def _words(trial: ValidatedTest) -> str:
@@ -321,6 +274,5 @@ def _shape(trial: ValidatedTest, model: ProbeModel) -> Section:
         parts.append("no contact reported, as expected" if trial.result != "ok" else "false contact reported")
     elif trial.result != "ok":
         parts.append(f"{trial.result}: {WHY[trial.result]}")
-    return Section(
-        f"{trial.test.name}: {_words(trial)}", "; ".join(parts) + ".", shape_chart(trial, model).svg()
-    )
+    heading = f"{trial.test.name}: {_words(trial)}"
+    return Section(heading, "; ".join(parts) + ".", shape_chart(trial, model).svg())

@@ -13,7 +13,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.print_samples import perturbed_rod
+from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.equilibrium import Equilibrium

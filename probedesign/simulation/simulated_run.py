@@ -25,7 +25,7 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.live.poses.pose_file import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
-from probedesign.mapping.base_pose import BasePoseUncertainty
+from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,

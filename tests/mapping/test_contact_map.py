@@ -1,12 +1,11 @@
-"""Tests of the map: common errors are counted once, vague touches stay apart."""
+"""Tests of the map: common errors are counted once, vague touches remain separate."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from probedesign.mapping.contact_map import build_map
-from probedesign.mapping.map_files import map_document, map_lines
+from probedesign.mapping.contact_map import build_map, map_document, map_lines
 from probedesign.mapping.touch_point import NEVER_SETTLED, RESULT_MEANINGS, LocatedTouch
 from tests.mapping.synthetic_touches import BY_STIFFNESS, STD_E, touch
 
@@ -35,10 +34,10 @@ def test_one_point_with_two_lever_arms_makes_the_stiffness_observable():
 def test_touches_are_compared_by_their_independent_errors():
     """Common errors, although far larger, neither separate two touches of one point nor join two points."""
     same = [touch(1, (0, 0, 0), 0.1e-3), touch(2, (0.15e-3, 0, 0), 0.1e-3)]
-    apart = [touch(1, (0, 0, 0), 0.01e-3), touch(2, (0.15e-3, 0, 0), 0.01e-3)]
+    separate = [touch(1, (0, 0, 0), 0.01e-3), touch(2, (0.15e-3, 0, 0), 0.01e-3)]
     assert len(build_map(same, STD_E).points) == 1
     assert (
-        len(build_map(apart, STD_E).points) == 2
+        len(build_map(separate, STD_E).points) == 2
     )  # 10 of their standard deviations apart, of the base's only two
 
 

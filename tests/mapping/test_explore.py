@@ -12,8 +12,7 @@ from probedesign.cli.main import run
 from probedesign.core.units import MM
 from probedesign.frozen_probe import write_frozen
 from probedesign.live.poses.pose_file import POSE_COLUMNS
-from probedesign.mapping.contact_map import CHI2_95
-from probedesign.mapping.map_files import COLUMNS
+from probedesign.mapping.contact_map import CHI2_95, COLUMNS
 
 
 def arguments(probe, folder, *more, poses="poses.csv"):
@@ -59,7 +58,7 @@ def test_two_touches_of_one_point_are_fused(found):
 
 
 def test_the_simulated_touches_are_light_and_clear_of_the_cards(house):
-    """Forces below 10 mN, moments below 1 N·mm, none above 5 mN; the probe stays clear of the card behind the edge."""
+    """Forces below 10 mN, moments below 1 N·mm, none above 5 mN; the probe does not touch the card beyond the edge."""
     for touch in house[0].touches:
         assert touch.force < 5e-3 and touch.moment < 1e-3
         assert touch.clearance > -0.1 * MM  # at the edge itself it is none; the chord's sag is that

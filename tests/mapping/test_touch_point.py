@@ -10,8 +10,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.mapping.base_pose import BasePoseUncertainty
-from probedesign.mapping.touch_point import ConditionalPoint
+from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
 from probedesign.simulation.card_house import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
 
@@ -88,7 +87,7 @@ def test_the_rotation_is_a_common_error_source(estimator, houses):
     assert located.covariance(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
 
 
-def test_the_robot_is_taught_by_feel(houses):
+def test_the_simulated_robot_stops_at_a_force(houses):
     """A rotation changes the force only through the direction of the push relative to the probe: by a hundredth."""
     (still,), (turned,) = (house.touches for house in houses)
     assert turned.force == pytest.approx(still.force, rel=0.02)

@@ -11,14 +11,16 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
 from probedesign.design.io import render_design
-from probedesign.optimization.confirm import confirm
-from probedesign.optimization.constraints import Limit, check_limits, parse_limit
-from probedesign.optimization.design_space import DesignSpace
-from probedesign.optimization.evaluator import DesignEvaluator, critical_load_factor, differences
-from probedesign.optimization.grid import design_dict
-from probedesign.optimization.objective import design_metrics, predict_task
-from probedesign.optimization.optimum import OptimizationProblem, optimum
-from probedesign.optimization.task import Task
+from probedesign.optimization.constraints import Limit, OptimizationProblem, check_limits, parse_limit
+from probedesign.optimization.design_space import (
+    DesignEvaluator,
+    DesignSpace,
+    critical_load_factor,
+    design_dict,
+    differences,
+)
+from probedesign.optimization.objective import Task, design_metrics, predict_task
+from probedesign.optimization.optimum import confirm, optimum
 from probedesign.prediction.predict import predict
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
@@ -40,7 +42,7 @@ def large():
 
 
 def test_the_error_equals_the_prediction_for_fused_and_single_touches(large):
-    """One model, one set of priors: the error that bodies are judged by is the predicted one, all causes counted."""
+    """One model, one set of priors: designs are judged by the predicted error with all error sources."""
     probe = build_probe(large)
     predicted = probe.predict(fractions=(0.7,), forces_N=(0.01,), directions=("+y",))
     for touched, condition in ((5, predicted.fused[0]), (1, predicted.conditions[0])):
@@ -78,8 +80,8 @@ def test_the_task_overrides_priors_of_the_design(large):
 
 @pytest.mark.parametrize("free", [("cone",), ("taper",)])
 def test_sag_and_reach_have_exact_slopes(large, free):
-    body = DesignSpace.of(large, free)
-    trial, x = DesignEvaluator(body, TASK), body.x_of(large) * 0.8
+    space = DesignSpace.of(large, free)
+    trial, x = DesignEvaluator(space, TASK), space.x_of(large) * 0.8
     for name in ("sag_mm", "reach_mm"):
         # the fast solver's own rounding over the step
         np.testing.assert_allclose(
@@ -90,16 +92,16 @@ def test_sag_and_reach_have_exact_slopes(large, free):
 
 
 def test_a_taper_through_a_cones_diameters_is_the_cone(large):
-    body = DesignSpace.of(large, ("taper",))
-    s, d = body.knots_mm(body.x_of(large))
+    space = DesignSpace.of(large, ("taper",))
+    s, d = space.knots_mm(space.x_of(large))
     np.testing.assert_allclose(d, 12.0 - 10.0 * s / 150.0, atol=1e-9)  # a cubic spline draws a line exactly
 
 
 @pytest.mark.parametrize(("x", "rule"), [((12.0, 1.4), "smallest_feature"), ((3.7, 3.6), "slenderness")])
 def test_the_print_constraints_are_those_of_the_print_check(large, x, rule):
-    body, x = DesignSpace.of(large, ("cone",)), np.array(x)
-    broken = [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0]
-    errors = [f.rule for f in check_print(body.design(x)).errors if f.part == "probe"]
+    space, x = DesignSpace.of(large, ("cone",)), np.array(x)
+    broken = [name for name, rooms in space.printable(x).items() if rooms.min() < 0.0]
+    errors = [f.rule for f in check_print(space.design(x)).errors if f.part == "probe"]
     assert broken == [f"print rule {rule}"] and errors == [rule]
 
 
@@ -160,7 +162,7 @@ def test_infeasible_limits_are_named(large):
         )
 
 
-def test_the_real_estimator_errs_as_predicted(large):
+def test_the_estimator_has_the_predicted_error(large):
     """All causes and friction drawn: 24 draws give their RMS to 1/√(2·24) = 14 %; three of those."""
     for task in (replace(TASK, fractions=(0.6,)), Task((0.03,), 1, fractions=(0.6,))):
         found = confirm(large, task, 24, 1, quiet, workers=1)
@@ -170,39 +172,39 @@ def test_the_real_estimator_errs_as_predicted(large):
 
 
 def test_the_critical_load_is_predicted_below_buckling(large):
-    """Held just below, lost just above; told from forces below, so to a part in a hundred."""
+    """The probe is stable just below and buckles just above; extrapolated from lower forces, to one per cent."""
     task = replace(TASK, fractions=(0.9,))
     for base_d_mm in (5.8, 6.0):
         probe = build_probe(DesignSpace.of(large, ("cone",)).design(np.array([base_d_mm, 1.5])))
         most = critical_load_factor(probe.model, task, 1.4)
         assert 1.0 < most < 1.4
-        held = [
+        found = [
             predict_task(probe.model, replace(task, forces_N=(f * most * task.force_N,))).errors[0]
             for f in (0.99, 1.01)
         ]
-        assert np.isfinite(held[0]) and np.isinf(held[1])
+        assert np.isfinite(found[0]) and np.isinf(found[1])
 
 
 def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
-    body = DesignSpace.of(large, ("taper",))
+    space = DesignSpace.of(large, ("taper",))
     x = np.array([6.0, 14.0, 6.0, 4.0, 2.0])  # the flange of a 6 mm base is 17 mm, of which 3 mm are its lip
-    assert [name for name, rooms in body.printable(x).items() if rooms.min() < 0.0] == [
+    assert [name for name, rooms in space.printable(x).items() if rooms.min() < 0.0] == [
         "room for the clamp ring"
     ]
-    assert not DesignEvaluator(body, TASK).is_stable(x)
+    assert not DesignEvaluator(space, TASK).is_stable(x)
     x[1] = 12.0
-    assert DesignEvaluator(body, TASK).is_stable(x)
+    assert DesignEvaluator(space, TASK).is_stable(x)
 
 
 def test_a_start_that_buckles_is_improved(large):
-    """Nothing leads a search out of where a probe gives way: it starts from a thicker one."""
+    """A start that buckles has no gradient: the search begins with a thicker one."""
     limp = DesignSpace.of(large, ("cone",)).design(np.array([4.0, 1.5]))
     found = optimum(OptimizationProblem(limp, ("cone",), replace(TASK, fractions=(0.6, 0.9))), "best", quiet)
     assert found.before.error_mm is None and found.after.error_mm < 2.0
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--subject-to", "sagg_mm<=60"], "did you mean 'sag_mm'?"),
         (["--subject-to", "sag_mm=60"], "write FIGURE<=NUMBER"),
@@ -221,11 +223,11 @@ def test_a_start_that_buckles_is_improved(large):
         (["--places", "0.5:1.5:0.5"], "must lie in (0, 1]"),
     ],
 )
-def test_invalid_options_are_refused_in_one_line(arguments, said, tmp_path, capsys):
+def test_invalid_options_are_refused_in_one_line(arguments, message, tmp_path, capsys):
     out = tmp_path / "best.toml"
     assert run(["optimize", str(LARGE), "--out", str(out), *arguments]) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and said in err and not out.exists()
+    assert err.count("\n") == 1 and message in err and not out.exists()
 
 
 def test_limits_read_as_written():
@@ -252,7 +254,7 @@ def test_a_hollow_body_prints_as_it_is_written(large):
 
 
 def test_the_front_begins_with_the_best_cone(large, tmp_path):
-    """The start sags too much; the one body looked at is the best that the search has found."""
+    """The start sags too much; the one design evaluated for the front is the best that is known."""
     pytest.importorskip("optuna")
     out = tmp_path / "best.toml"
     arguments = ["--subject-to", "sag_mm<=12", "--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
@@ -263,15 +265,15 @@ def test_the_front_begins_with_the_best_cone(large, tmp_path):
 
 def test_the_optimum_is_kept_where_no_front_is_found(large, tmp_path, capsys, monkeypatch):
     def none(*_):
-        raise InputError("none of 1 bodies keeps every limit")
+        raise InputError("none of 1 designs satisfies every limit")
 
     pytest.importorskip("optuna")
-    monkeypatch.setattr("probedesign.optimization.pareto.pareto_front", none)
+    monkeypatch.setattr("probedesign.optimization.optimum.pareto_front", none)
     out = tmp_path / "best.toml"
     arguments = ["--places", "0.7:0.7:1", "--pareto", "1", "--out", str(out)]
     assert run(["optimize", str(LARGE), *arguments]) == 2
     err = capsys.readouterr().err
-    assert "best.toml is written, but none of 1 bodies" in err and load_design(out).name == "best"
+    assert "best.toml is written, but none of 1 designs" in err and load_design(out).name == "best"
 
 
 def test_a_start_that_buckles_is_not_drawn(large, tmp_path, capsys):
@@ -292,9 +294,9 @@ def test_with_the_length_alone_the_diameters_stay(large, shape):
     if shape == "profile":
         tables["probe"]["profile_mm"] = [[0.0, 12.0], [60.0, 5.0], [150.0, 2.0]]
     start = check_design(tables)
-    body = DesignSpace.of(start, ("length",))
-    assert body.design(body.x_of(start)).probe == start.probe
-    longer = body.design(np.array([18.0])).probe  # centimetres
+    space = DesignSpace.of(start, ("length",))
+    assert space.design(space.x_of(start)).probe == start.probe
+    longer = space.design(np.array([18.0])).probe  # centimetres
     assert longer.length_mm == 180.0 and longer.shape == shape
     np.testing.assert_allclose(longer.blunt_mm, np.array(start.probe.blunt_mm) * [1.2, 1.0], rtol=1e-12)
 

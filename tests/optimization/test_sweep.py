@@ -10,14 +10,19 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
 from probedesign.design import load_design
-from probedesign.optimization.grid import design_dict, grid_points, parse_axis, with_values
-from probedesign.optimization.objective import METRICS
-from probedesign.optimization.sweep import _write_tables, evaluate_point
-from probedesign.optimization.task import Task
+from probedesign.optimization.objective import METRICS, Task
+from probedesign.optimization.sweep import (
+    _write_tables,
+    design_dict,
+    evaluate_point,
+    grid_points,
+    parse_axis,
+    with_values,
+)
 from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
-ASKED = {"schema": 1, "vary": {"a": [1, 2]}}
+REQUEST = {"schema": 1, "vary": {"a": [1, 2]}}
 
 
 def test_the_end_of_a_range_counts_in_spite_of_rounding():
@@ -32,7 +37,7 @@ def test_every_combination_once():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("probe.tipd_mm=1:2:1", "did you mean 'probe.tip_d_mm'?"),
         ("probe.tip_d_mm=2:1:0.5", "wrong sign"),
@@ -43,8 +48,8 @@ def test_every_combination_once():
         ("probe.tip_d_mm=1,,2", "empty value"),
     ],
 )
-def test_an_invalid_range_is_refused(text, said):
-    with pytest.raises(InputError, match=said.replace("?", r"\?")):
+def test_an_invalid_range_is_refused(text, message):
+    with pytest.raises(InputError, match=message.replace("?", r"\?")):
         parse_axis(text)
 
 
@@ -64,7 +69,7 @@ def test_invalid_and_buckling_designs_give_a_reason():
 
 
 def test_a_reading_out_of_range_is_not_ok():
-    """20 N near the base: the probe bears it, the range of 12 N does not."""
+    """20 N near the base: the probe is stable, the range of 12 N is exceeded."""
     found = evaluate_point(design_dict(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
     assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
 
@@ -92,7 +97,7 @@ def test_the_error_of_one_touch_is_the_prediction():
 
 
 def journal_of(path: Path, records: int) -> bytes:
-    with Journal.open(path, ASKED).appending() as appender:
+    with Journal.open(path, REQUEST).appending() as appender:
         for i in range(records):
             appender.add({"point": i, "error_mm": float(i)})
     return path.read_bytes()
@@ -103,7 +108,7 @@ def test_an_incomplete_record_is_dropped_and_complete_ones_are_kept(tmp_path):
     whole = journal_of(path, 2)
     for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
         path.write_bytes(whole[:-cut])
-        journal = Journal.open(path, ASKED)
+        journal = Journal.open(path, REQUEST)
         assert sorted(journal.results) == [0] and "incomplete" in journal.notes[0]
         with journal.appending() as appender:
             appender.add({"point": 1, "error_mm": 1.0})
@@ -114,13 +119,13 @@ def test_results_of_another_sweep_and_corrupt_lines_are_refused_unchanged(tmp_pa
     path = tmp_path / "sweep.jsonl"
     content = journal_of(path, 3)
     with pytest.raises(InputError, match="another sweep"):
-        Journal.open(path, ASKED | {"vary": {"b": [1]}})
+        Journal.open(path, REQUEST | {"vary": {"b": [1]}})
     lines = content.splitlines(keepends=True)
     for rubbish in (b"rubbish\n", b'{"point": "one"}\n'):
         broken = b"".join([lines[0], rubbish, *lines[2:]])
         path.write_bytes(broken)
         with pytest.raises(InputError, match="line 2 is not a record"):
-            Journal.open(path, ASKED)
+            Journal.open(path, REQUEST)
         assert path.read_bytes() == broken
 
 

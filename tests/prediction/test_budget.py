@@ -16,9 +16,14 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
 from probedesign.prediction.budget import CAUSES
-from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
+from probedesign.prediction.monte_carlo import (
+    MonteCarloPlan,
+    PrintSamples,
+    locate_draws,
+    perturbed_rod,
+    run_monte_carlo,
+)
 from probedesign.prediction.predict import predict, predict_touch
-from probedesign.prediction.print_samples import PrintSamples, perturbed_rod
 from probedesign.prediction.touches import SurfaceRod, slide
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force
@@ -74,8 +79,8 @@ def test_a_press_agrees_with_the_independent_solver(large, fraction, phi, force,
 
 def test_a_buckled_press_stays_buckled(large):
     press = surface_rod(large).begin_press(large.length, 1.5)
-    held = [press.increase_to(force) is not None for force in (0.01, 0.1, 1.0)]
-    assert held == [True, False, False]
+    stable = [press.increase_to(force) is not None for force in (0.01, 0.1, 1.0)]
+    assert stable == [True, False, False]
     again = surface_rod(large).begin_press(large.length, 1.5)
     assert again.increase_to(0.98 * press.force) is not None and again.increase_to(1.05 * press.force) is None
 
@@ -270,10 +275,12 @@ def test_tolerances_come_from_the_design(large):
     data = large.design.model_dump(by_alias=True, exclude_none=True)
     data["tolerances"] = {"diameter_mm": 0.02, "tared": False}
     data["material"]["stiffness_spread"] = 0.07
-    said = build_probe(check_design(data)).tolerances
-    assert (said.diameter_mm, said.tared, said.youngs_modulus) == (0.02, False, 0.07)
-    assert said.sources()["diameter_mm"] == "design" and said.sources()["length_mm"].startswith("assumed")
-    assert set(said.sources()) == set(SOURCES)
+    tolerances = build_probe(check_design(data)).tolerances
+    assert (tolerances.diameter_mm, tolerances.tared, tolerances.youngs_modulus) == (0.02, False, 0.07)
+    assert tolerances.sources()["diameter_mm"] == "design" and tolerances.sources()["length_mm"].startswith(
+        "assumed"
+    )
+    assert set(tolerances.sources()) == set(SOURCES)
     assert set(SOURCES) == {f.name for f in fields(Tolerances)} - {"tared"}
 
 

@@ -14,9 +14,8 @@ from probedesign.core.errors import InputError
 from probedesign.design import load_design
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
-from probedesign.prediction.monte_carlo import MonteCarloPlan, locate_draws, run_monte_carlo
+from probedesign.prediction.monte_carlo import MonteCarloPlan, PrintSamples, locate_draws, run_monte_carlo
 from probedesign.prediction.predict import along_csv, conditions_csv, predict
-from probedesign.prediction.print_samples import PrintSamples
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 
@@ -66,7 +65,8 @@ def press_of(estimator, schedule, touch=TOUCH):
 def test_the_budget_is_the_covariance_of_the_fusion(large, schedule):
     estimator = large.estimator()
     press = press_of(estimator, schedule)
-    c = estimator.fuse(press.wrenches, press.Ts_world_base, large.model.gravity_base,
+    poses = [reading.T_world_base for reading in press.fusion.readings]
+    c = estimator.fuse(press.wrenches, poses, large.model.gravity_base,
                        moments_only=schedule.moments_about is not None,
                        moments_about=schedule.moments_about or "base")  # fmt: skip
     assert c.ok and np.linalg.norm(c.p_surface_world) < 0.05 * c.rms
@@ -119,10 +119,10 @@ def test_the_grid_is_that_of_single_touches(prediction):
     of_both = [[(c.contact_fraction, c.force_N, c.direction) for c in rows]
                for rows in (prediction.conditions, prediction.fused)]  # fmt: skip
     assert of_both[0] == of_both[1]
-    held = {(c.contact_fraction, c.force_N, c.direction): c.result for c in prediction.conditions}
+    single = {(c.contact_fraction, c.force_N, c.direction): c.result for c in prediction.conditions}
     for c in prediction.fused:
         key = (c.contact_fraction, c.force_N, c.direction)
-        assert (c.result == "gives_way") == (held[key] == "gives_way")
+        assert (c.result == "gives_way") == (single[key] == "gives_way")
 
 
 def test_more_touches_and_more_channels_reduce_the_error(large):
@@ -216,14 +216,14 @@ def test_without_gravity_the_workspace_is_a_body_of_revolution(large):
 # Tables
 
 
-def test_the_tables_hold_every_condition_with_units_in_their_names(prediction):
+def test_the_tables_contain_every_condition_with_units_in_their_names(prediction):
     rows = list(csv.DictReader(io.StringIO(conditions_csv(prediction).decode())))
     assert len(rows) == len(prediction.conditions) + len(prediction.fused)
     plain = {"contact_fraction", "direction", "touches", "result", "sensor_use", "limit"}
     ends = ("_mm", "_N", "_mN", "_Nmm")
     assert all(name in plain or name.endswith(ends) for name in rows[0])
-    last, told = rows[-1], prediction.fused[-1]
-    assert (last["touches"], last["result"]) == ("5", told.result)
+    last, expected = rows[-1], prediction.fused[-1]
+    assert (last["touches"], last["result"]) == ("5", expected.result)
     first = next(r for r in rows if r["touches"] == "5" and r["result"] == "ok")
     wanted = next(c for c in prediction.fused if c.result == "ok")
     assert float(first["predicted_error_mm"]) == pytest.approx(

@@ -15,9 +15,8 @@ from probedesign.design.catalog.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.optimization.grid import design_dict
-from probedesign.optimization.objective import design_metrics
-from probedesign.optimization.task import Task
+from probedesign.optimization.design_space import design_dict
+from probedesign.optimization.objective import Task, design_metrics
 from probedesign.prediction.budget import radius_95
 from probedesign.prediction.fused import LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import Condition, predict, predict_touch
@@ -135,19 +134,19 @@ def test_no_cause_exceeds_the_total(prediction):
             )
 
 
-def test_friction_costs_most_towards_the_tip(large):
+def test_the_error_by_friction_is_largest_near_the_tip(large):
     """At 0.95 L what the direction of the force leaves open is what the frictionless model only seemed to know."""
     with_, without = (
         predict_touch(large.estimator().with_friction(mu), 0.95, 0.02, "+y") for mu in (0.6, 0.0)
     )
     assert with_.budget_mm["friction"] > 0.5 * with_.predicted_error_mm
-    # A prior of none is held to a hundredth of the angle that a sensor resolves.
+    # A prior of zero is limited to a hundredth of the angle that a sensor resolves.
     assert without.budget_mm["friction"] < 5e-3 * without.predicted_error_mm
     added = with_.predicted_error_mm**2 - without.predicted_error_mm**2
     assert with_.budget_mm["friction"] ** 2 == pytest.approx(added, rel=1e-5)  # what the prior adds over none
 
 
-def test_noisy_readings_err_as_predicted(large):
+def test_noisy_readings_have_the_predicted_error(large):
     estimator, readings, rare = Estimator(large.model, Tolerances.none()), 200, 1e-4
     found = predict_touch(estimator, 0.4, 0.1, "+y")
     touch = touches_of(estimator, [(0.4, "+y")], [0.1])[0.1]
@@ -196,7 +195,7 @@ def test_the_lever_arm_is_as_uncertain_as_the_force(large):
     assert 1e-3 * found.std_s_mm == pytest.approx(wanted, rel=0.2)  # bending and moment noise are left out
 
 
-# What else a condition tells
+# Other values of a condition
 
 
 def test_compliances_are_those_of_pressing_on(large):
@@ -219,7 +218,7 @@ def test_compliances_are_those_of_pressing_on(large):
 
 
 def test_the_detectable_force_is_the_limit_of_detection(large):
-    """Detected with probability one half, by prediction, search and estimator alike."""
+    """Prediction, optimisation and estimator have the same force of detection probability one half."""
     found = predict(large.model, (0.6,), (0.01,), ("+y",)).detection[0]
     force = 1e-3 * found.detectable_force_mN
     assert predict_touch(large.estimator(), 0.6, 0.99 * force, "+y").result == "no_contact"
@@ -247,23 +246,23 @@ def made_of(youngs_mpa):
 
 
 def test_a_force_beyond_buckling_is_not_detectable():
-    """So soft a tip hangs and gives way under less than the sensor tells."""
+    """A tip this soft buckles under less force than the sensor detects."""
     soft = made_of(0.02)
-    borne = {(r.contact_fraction, r.direction): r.greatest_force_N for r in soft.reach}
+    limits = {(r.contact_fraction, r.direction): r.greatest_force_N for r in soft.reach}
     felt = {(d.contact_fraction, d.direction): d.detectable_force_mN for d in soft.detection}
     assert felt[1.0, "+x"] is None or felt[1.0, "-x"] is None
-    assert all(force is None or force <= 1e3 * borne[line] for line, force in felt.items())
+    assert all(force is None or force <= 1e3 * limits[line] for line, force in felt.items())
     assert felt[0.5, "+x"] is not None
 
 
 def test_what_is_not_located_has_no_budget_in_the_tables(capsys):
-    """Moments alone of a probe that does not bend tell no place, whatever a linear formula makes of it."""
+    """Moments alone do not locate a touch of a probe that does not bend, although a linear formula gives a number."""
     print_tables(made_of(20000.0))
     fused = capsys.readouterr().out.split("Error budget")[2]
     assert "none, no place is located" in fused and "e+" not in fused.split("Force limits")[0]
 
 
-def test_mirror_sides_err_alike(large):
+def test_mirrored_directions_have_equal_errors(large):
     one, other = (predict_touch(large.estimator(), 0.6, 0.05, d) for d in ("+y", "-y"))
     # The base in the sensor's frame need not be mirror-symmetric, its noise about the base's z is.
     assert one.predicted_error_mm == pytest.approx(other.predicted_error_mm, rel=1e-6)
@@ -280,9 +279,9 @@ def test_the_grid_is_whole(prediction):
 
 def test_the_documented_keys_are_in_the_json(prediction):
     document = json.loads(json.dumps(prediction.as_dict(), allow_nan=False))
-    promised = {"contact_fraction", "force_N", "direction", "predicted_error_mm", "predicted_error_95_mm"}
+    required = {"contact_fraction", "force_N", "direction", "predicted_error_mm", "predicted_error_95_mm"}
     for condition in document["conditions"]:
-        assert promised <= condition.keys()
+        assert required <= condition.keys()
         if condition["result"] == "ok":
             assert 0.0 < condition["predicted_error_mm"] < condition["predicted_error_95_mm"]
     assert document["name"] == "large" and document["assumptions"]
@@ -343,7 +342,7 @@ def test_the_quantile_of_the_round_cases(variances, radius, scale):
 
 
 @pytest.mark.parametrize("variances", [(1.0, 0.3, 0.1), (1.0, 0.05, 0.04), (1.0, 0.9, 1e-6)])
-def test_the_quantile_of_any_ellipsoid_holds_its_share(variances):
+def test_the_quantile_of_any_ellipsoid_contains_its_share(variances):
     draws = np.random.default_rng(1).normal(size=(200_000, 3)) * np.sqrt(variances)
     inside = (np.linalg.norm(draws, axis=1) <= radius_95(np.diag(variances))).mean()
     # Four standard deviations of a binomial share.

@@ -22,9 +22,9 @@ def table():
 def test_the_probes_are_those_of_the_design_files():
     for name in PROBES:
         built_in, file = paper_design(name), load_design(ROOT / f"designs/{name}.toml")
-        said = file.model_dump()
-        said["material"] = {**said["material"]}
-        assert built_in.model_dump() == said
+        tables = file.model_dump()
+        tables["material"] = {**tables["material"]}
+        assert built_in.model_dump() == tables
 
 
 def test_the_data_are_those_of_the_tests():

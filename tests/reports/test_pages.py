@@ -16,8 +16,7 @@ from probedesign.prediction.fused import FUSED_CAUSES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
 from probedesign.reports.html_page import Section, html_document
-from probedesign.reports.prediction_charts import GROUPS, shares_of
-from probedesign.reports.prediction_page import prediction_page
+from probedesign.reports.prediction_page import GROUPS, prediction_page, shares_of
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
