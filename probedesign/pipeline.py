@@ -324,7 +324,7 @@ def write_identified(
 
     from probedesign.design.edit import edit_text
     from probedesign.design.io import write_design
-    from probedesign.identification.design_update import check_overwritable, design_changes
+    from probedesign.identification.identify import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()
@@ -452,7 +452,7 @@ def deploy(design_path: Path, out: Path | None = None) -> Path:
 
 def unapplied_parameters(design_path: Path) -> str:
     """Return a sentence on the identified parameters that the design does not have; empty if it has all."""
-    from probedesign.identification.design_update import design_diff
+    from probedesign.identification.identify import design_diff
 
     probe = probe_of(design_path)
     file = EXPORTS / probe.design.name / "identification/identification.json"

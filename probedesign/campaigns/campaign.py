@@ -12,6 +12,15 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 
+TESTS, WRENCHES, MARKERS = "tests.csv", "wrenches.csv", "markers.csv"
+PUSH_DIRECTIONS = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+}
+"""Unit vectors in base axes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Markers:

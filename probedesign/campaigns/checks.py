@@ -10,9 +10,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from probedesign.campaigns.campaign import Campaign, Markers, Test
+from probedesign.campaigns.campaign import PUSH_DIRECTIONS, TESTS, WRENCHES, Campaign, Markers, Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
-from probedesign.campaigns.tables import PUSH_DIRECTIONS, TESTS, WRENCHES
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MM, N_MM
@@ -46,6 +45,50 @@ by a right angle up to the second, the distance to it is shorter by a fifth of t
 TINY = 1e-12
 """A force that no sensor distinguishes from zero [N]."""
 METRES = "metres in a column of millimetres?"
+
+
+# all checks
+
+
+def check_probe(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a campaign of another probe, or with values that this probe cannot produce.
+
+    Args:
+        campaign: the data.
+        model: of the probe it is used for.
+
+    Raises:
+        InputError: the fingerprints or the names differ; a place is beyond the tip; or values are in another unit.
+    """
+    _check_identity(campaign, model)
+    name, length = model.name, model.rod.length
+    for number, s in enumerate(campaign.marker_s, 1):
+        if s > length * (1.0 + 1e-9):
+            beyond = f"marker {number} at s = {s / MM:g} mm is beyond the tip of {name} at {length / MM:g} mm"
+            raise InputError(f"{campaign.folder / MANIFEST}: {beyond}; correct markers.s_mm in campaign.toml")
+    for test in campaign.tests:
+        if test.s_contact > length * (1.0 + 1e-9):
+            beyond = (
+                f"s_contact_mm = {test.s_contact / MM:g} is beyond the tip of {name} at {length / MM:g} mm"
+            )
+            raise InputError(f"{campaign.folder / TESTS}: test {test.name}: {beyond}; a wrong unit?")
+    check_plausible(campaign, model)
+    check_agreement(campaign, model)
+
+
+def _check_identity(campaign: Campaign, model: ProbeModel) -> None:
+    where = f"{campaign.folder}: these data are of another probe"
+    fingerprint, name = campaign.fingerprint, model.name
+    if fingerprint is not None and fingerprint != model.fingerprint:
+        raise InputError(f"{where}: fingerprint {fingerprint}, not {model.fingerprint} of {name}")
+    if campaign.name == name:
+        return
+    if fingerprint is not None:
+        both = f"probe = {campaign.name!r}, and fingerprint {fingerprint} is that of {name!r}"
+        raise InputError(f"{campaign.folder / MANIFEST}: {both}; correct the one that is wrong")
+    raise InputError(
+        f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
+    )
 
 
 # order of the markers

@@ -1,28 +1,33 @@
-"""Photographs of a campaign: the markers detected in each, written to `pixels.csv`."""
+"""Photographs of a campaign: the markers detected in each, cached photograph by photograph, written to `pixels.csv`."""
 
+import hashlib
+import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from probedesign.campaigns.cameras import CONTROL_POINTS, IMAGES, PIXELS, read_cameras
 from probedesign.campaigns.campaign import Test
-from probedesign.campaigns.detection_cache import DetectionCache, cache_key
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.tables import read_tests
+from probedesign.campaigns.reading import CONTROL_POINTS, IMAGES, PIXELS, read_cameras, read_tests
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.vision.camera import Camera
-from probedesign.vision.marker_sequence import DetectedMarkers, ImageSide, find_markers
+from probedesign.vision.dots import Dot
+from probedesign.vision.markers import DetectedMarkers, ImageSide, find_markers
 from probedesign.vision.triangulate import triangulate
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 HEADER = "test,camera,marker,u_px,v_px,std_px"
+CACHE = f"{PIXELS}.unfinished"
+DETECTION_VERSION = 1
+"""Version of the detection; a cache of another version is not used."""
 Progress = Callable[[str, float | None], None]
 
 
@@ -171,6 +176,95 @@ def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tu
         example = f"{tests[0].name}-{manifest.cameras.names[0]}.png"
         raise InputError(f"{images}: no photograph is named after a test and a camera, as {example} would be")
     return taken
+
+
+# cache of finished photographs
+
+
+def cache_key(photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None) -> str:
+    """Return the hash of everything that a detection depends on: the photograph's content and the arguments.
+
+    Raises:
+        InputError: the photograph cannot be read.
+    """
+    try:
+        with photograph.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{photograph}: cannot be read: {error.strerror}") from None
+    arguments = json.dumps([DETECTION_VERSION, content, s.tolist(), np.asarray(base).tolist(), dark])
+    return hashlib.sha256(arguments.encode()).hexdigest()
+
+
+@dataclass
+class DetectionCache:
+    """Finished photographs of a campaign.
+
+    Attributes:
+        folder: of the campaign.
+        used: number of results that were taken from the cache.
+    """
+
+    folder: Path
+    used: int = 0
+    _done: dict[str, DetectedMarkers] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Read the file; incomplete and foreign lines are skipped."""
+        try:
+            lines = self.path.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError):
+            lines = []
+        self._done = dict(pair for line in lines if (pair := _parsed(line)))
+
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self.folder / CACHE
+
+    def get(self, key: str) -> DetectedMarkers | None:
+        """Return the markers of a finished photograph; None if it is not finished."""
+        found = self._done.get(key)
+        self.used += found is not None
+        return found
+
+    def add(self, key: str, found: DetectedMarkers) -> None:
+        """Append the markers of one photograph to the file.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        dots = [[*dot.pixel, dot.std_px, *dot.shape.ravel()] for dot in found.dots]
+        line = json.dumps({"key": key, "dark": found.dark, "dots": dots})
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(f"\n{line}\n")  # the newline in front ends an incomplete line
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._done[key] = found
+
+    def remove(self) -> None:
+        """Delete the file."""
+        self.path.unlink(missing_ok=True)
+
+    def __len__(self) -> int:
+        """Return the number of finished photographs."""
+        return len(self._done)
+
+
+def _parsed(line: str) -> tuple[str, DetectedMarkers] | None:
+    try:
+        entry: dict[str, Any] = json.loads(line)
+        rows = np.array(entry["dots"], dtype=float)
+        if rows.ndim != 2 or rows.shape[1] != 7 or not np.isfinite(rows).all():
+            return None
+        dots = tuple(Dot(row[:2], float(row[2]), row[3:].reshape(2, 2)) for row in rows)
+        return str(entry["key"]), DetectedMarkers(rows[:, :2], rows[:, 2], dots, bool(entry["dark"]))
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+# detection
 
 
 @dataclass

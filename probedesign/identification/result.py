@@ -13,19 +13,8 @@ from scipy.stats import norm, t
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM, MPA
-from probedesign.identification.observability import (
-    UnobservableDirection,
-    conditional_estimate,
-    cov_conditional,
-)
-from probedesign.identification.parameters import (
-    COMPONENTS,
-    DIAMETERS,
-    OWNER,
-    PARAMETERS,
-    PRINT,
-    columns_of,
-)
+from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
+from probedesign.identification.parameters import COMPONENTS, DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.solver import (
     ROBUST_KINDS,

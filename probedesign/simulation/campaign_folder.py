@@ -19,7 +19,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
-from probedesign.simulation.sensor_noise import reading_std
+from probedesign.simulation.rod_and_sensor import reading_std
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
 
 TRUTH = "truth.json"

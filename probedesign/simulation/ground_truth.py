@@ -19,7 +19,7 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
-from probedesign.simulation.rod_contact import solve_contact
+from probedesign.simulation.rod_and_sensor import solve_contact
 
 CampaignKind = Literal["cameras", "stage"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM

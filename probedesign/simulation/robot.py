@@ -24,8 +24,8 @@ from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block
+from probedesign.simulation.rod_and_sensor import bias_step, sample_std
 from probedesign.simulation.scenes import PressedObject
-from probedesign.simulation.sensor_noise import bias_step, sample_std
 
 # cyclic motion
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns import Campaign
 from probedesign.campaigns import campaign as tables
-from probedesign.campaigns.reading import check_probe
+from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.campaigns import read_campaign
-from probedesign.campaigns.reading import check_probe
+from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe

@@ -12,7 +12,7 @@ from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.mapping.base_pose import BasePoseUncertainty
 from probedesign.mapping.touch_point import ConditionalPoint
-from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

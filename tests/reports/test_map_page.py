@@ -9,7 +9,7 @@ from probedesign.mapping.contact_map import build_map
 from probedesign.mapping.map_files import map_csv, map_lines, map_ply
 from probedesign.reports.map_page import map_page
 from probedesign.reports.map_picture import MapScene, map_svg
-from probedesign.simulation.card_house import SOURCE, card_house, touch_targets, true_outlines
+from probedesign.simulation.scenes import SOURCE, card_house, touch_targets, true_outlines
 from tests.mapping.synthetic_touches import STD_E, touch
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.simulation.robot import SimulatedTrajectory
-from probedesign.simulation.sensor_noise import bias_step, reading_std, sample_std
+from probedesign.simulation.rod_and_sensor import bias_step, reading_std, sample_std
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.units import MILLINEWTON
-from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import FIRM_FORCE, RunErrors, simulate_run
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator

@@ -26,8 +26,7 @@ from probedesign.reports.validation_page import (
 )
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
-from probedesign.validation.coverage import coverage_of
-from probedesign.validation.validate import COLUMNS, validate
+from probedesign.validation.validate import COLUMNS, coverage_of, validate
 from tests.reports.test_pages import assert_whole
 
 DESIGNS = Path(__file__).parents[2] / "designs"

@@ -11,18 +11,18 @@ from scipy.ndimage import gaussian_filter
 cv2 = pytest.importorskip("cv2")
 
 from probedesign.core.errors import InputError  # noqa: E402
-from probedesign.simulation.stereo_render import (  # noqa: E402
+from probedesign.simulation.stereo_rig import (  # noqa: E402
     PaintedDots,
     RenderStyle,
     render,
 )
 from probedesign.vision.dots import fit_dot, patch_of  # noqa: E402
-from probedesign.vision.images import (  # noqa: E402
+from probedesign.vision.markers import (  # noqa: E402
+    find_markers,
     overlay,
     read_grey,
     write_png,
 )
-from probedesign.vision.marker_sequence import find_markers  # noqa: E402
 
 SIGHT = camera("left", focal=2300.0, size=SIZE)
 TUBE, DOTS = probe()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.units import MM
-from probedesign.simulation.rod_contact import DEFAULT_FORCE, safe_force, solve_contact
+from probedesign.simulation.rod_and_sensor import DEFAULT_FORCE, safe_force, solve_contact
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 
