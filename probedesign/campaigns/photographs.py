@@ -1,6 +1,7 @@
 """Photographs of a campaign: the markers detected in each, cached photograph by photograph, written to `pixels.csv`."""
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Callable
@@ -96,27 +97,48 @@ def find_all(
     taken = _photographs(folder, manifest, read_tests(folder, manifest))
     calibrated = base_side is None or (folder / CONTROL_POINTS).exists()
     cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
-    search = _Search(cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark, DetectionCache(folder),
-                     on_progress, sum(map(len, taken)))  # fmt: skip
+    by_name = {camera.name: camera for camera in cameras}
+    cache, s, total = DetectionCache(folder), np.array(manifest.markers.s_mm) * MM, sum(map(len, taken))
+    progress = (number / total for number in itertools.count())
+
+    def detect(one: Photograph) -> DetectedMarkers:
+        """Return the markers of one photograph."""
+        on_progress(f"dots of {one.path.name}", next(progress))
+        base = base_side or by_name[one.camera].project(one.test.T_world_base[:3, 3])
+        return cache.detect(one.path, s, base, dark)
+
     tests = []
     for photographs in taken:
         try:
-            tests.append(search.test(photographs))
+            tests.append(_checked(photographs, tuple(map(detect, photographs)), by_name))
         except InputError as error:
             if not skip:
-                raise InputError(
-                    f"{error} (--skip leaves out the tests whose photographs are refused)"
-                ) from None
+                hint = "(--skip leaves out the tests whose photographs are refused)"
+                raise InputError(f"{error} {hint}") from None
             tests.append(PhotographedTest(photographs, problem=str(error)))
         except KeyboardInterrupt:
-            done = len(search.cache)
+            done = len(cache)
             kept = f"; {done} photographs are cached, the same command continues from there" if done else ""
             raise KeyboardInterrupt(f"interrupted{kept}") from None
     if all(test.problem for test in tests):
         raise InputError(tests[0].problem)
-    used = search.cache.used
-    cached = (f"{used} of {search.total} photographs were taken from the cache",) if used else ()
+    cached = (f"{cache.used} of {total} photographs were taken from the cache",) if cache.used else ()
     return tests, (*notes, *cached)
+
+
+def _checked(
+    photographs: tuple[Photograph, ...], found: tuple[DetectedMarkers, ...], cameras: dict[str, Camera]
+) -> PhotographedTest:
+    """Return one test, its markers checked by triangulation if the cameras are calibrated."""
+    if not cameras:
+        return PhotographedTest(photographs, found)
+    taken_by = [cameras[one.camera] for one in photographs]
+    pixels, std_px = (np.array([getattr(one, name) for one in found]) for name in ("pixels", "std_px"))
+    try:
+        located = triangulate(taken_by, pixels, std_px)
+    except InputError as error:
+        raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
+    return PhotographedTest(photographs, found, float(np.sqrt(np.nanmean(located.residual_px**2))))
 
 
 def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Path:
@@ -139,20 +161,12 @@ def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Pa
 
 
 def check_free(folder: Path, force: bool) -> None:
-    """Refuse to replace `pixels.csv`, which may have been clicked by hand.
-
-    Raises:
-        InputError: it exists and `force` is not set.
-    """
+    """Refuse to replace `pixels.csv`, which may have been clicked by hand, without `force`."""
     check_overwrite(folder / PIXELS, force)
 
 
 def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Photograph, ...]]:
-    """Return the photographs of each test that has any.
-
-    Raises:
-        InputError: there are none, or a test has those of one camera only.
-    """
+    """Return the photographs of each test that has any; refuse none, and those of one camera only."""
     images = folder / IMAGES
     assert manifest.cameras is not None  # checked by the caller
     if not images.is_dir():
@@ -182,11 +196,7 @@ def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tu
 
 
 def cache_key(photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None) -> str:
-    """Return the hash of everything that a detection depends on: the photograph's content and the arguments.
-
-    Raises:
-        InputError: the photograph cannot be read.
-    """
+    """Return the hash of everything that a detection depends on: the photograph's content and the arguments."""
     try:
         with photograph.open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
@@ -222,18 +232,15 @@ class DetectionCache:
         """Path of the file."""
         return self.folder / CACHE
 
-    def get(self, key: str) -> DetectedMarkers | None:
-        """Return the markers of a finished photograph; None if it is not finished."""
-        found = self._done.get(key)
-        self.used += found is not None
-        return found
-
-    def add(self, key: str, found: DetectedMarkers) -> None:
-        """Append the markers of one photograph to the file.
-
-        Raises:
-            InputError: the folder cannot be written to.
-        """
+    def detect(
+        self, photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None
+    ) -> DetectedMarkers:
+        """Return the markers of a photograph, see `find_markers`; appended to the file if it was not finished."""
+        key = cache_key(photograph, s, base, dark)
+        if key in self._done:
+            self.used += 1
+            return self._done[key]
+        found = find_markers(photograph, s, base, dark)
         dots = [[*dot.pixel, dot.std_px, *dot.shape.ravel()] for dot in found.dots]
         line = json.dumps({"key": key, "dark": found.dark, "dots": dots})
         try:
@@ -242,6 +249,7 @@ class DetectionCache:
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
         self._done[key] = found
+        return found
 
     def remove(self) -> None:
         """Delete the file."""
@@ -262,64 +270,3 @@ def _parsed(line: str) -> tuple[str, DetectedMarkers] | None:
         return str(entry["key"]), DetectedMarkers(rows[:, :2], rows[:, 2], dots, bool(entry["dark"]))
     except (ValueError, TypeError, KeyError):
         return None
-
-
-# detection
-
-
-@dataclass
-class _Search:
-    """Detection in all photographs of a campaign.
-
-    Attributes:
-        cameras: calibrated ones.
-        s: arclength of the markers [m], (m,).
-        base_side: None if the base is projected by the cameras.
-        dark: whether the dots are darker than the probe; None for either.
-        cache: of finished photographs.
-        on_progress: called with the step and the fraction done.
-        total: number of photographs.
-        count: number of photographs so far.
-    """
-
-    cameras: list[Camera]
-    s: Array
-    base_side: ImageSide | None
-    dark: bool | None
-    cache: DetectionCache
-    on_progress: Progress
-    total: int
-    count: int = 0
-
-    def test(self, photographs: tuple[Photograph, ...]) -> PhotographedTest:
-        """Return the markers of one test, checked by triangulation if the cameras are calibrated."""
-        by_name = {camera.name: camera for camera in self.cameras}
-        found = [self._photograph(one, by_name.get(one.camera)) for one in photographs]
-        if not self.cameras:
-            return PhotographedTest(photographs, tuple(found))
-        try:
-            located = triangulate(
-                [by_name[one.camera] for one in photographs],
-                np.array([one.pixels for one in found]),
-                np.array([one.std_px for one in found]),
-            )
-        except InputError as error:
-            raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
-        return PhotographedTest(photographs, tuple(found), float(np.sqrt(np.nanmean(located.residual_px**2))))
-
-    def _photograph(self, one: Photograph, camera: Camera | None) -> DetectedMarkers:
-        """Return the markers of one photograph, from the cache if it is finished."""
-        self.on_progress(f"dots of {one.path.name}", self.count / self.total)
-        self.count += 1
-        base: Array | ImageSide
-        if self.base_side is None:
-            assert camera is not None  # `read_cameras` returns all that the campaign names
-            base = camera.project(one.test.T_world_base[:3, 3])
-        else:
-            base = self.base_side
-        key = cache_key(one.path, self.s, base, self.dark)
-        found = self.cache.get(key)
-        if found is None:
-            found = find_markers(one.path, self.s, base, self.dark)
-            self.cache.add(key, found)
-        return found

@@ -103,16 +103,16 @@ def read_campaign(path: str | Path) -> Campaign:
     names = {test.name: i for i, test in enumerate(tests)}
     wrenches, frame, assumptions = read_wrenches(folder, names)
     markers, notes = _markers(folder, manifest, names)
-    marker_s, marker_side = np.zeros(0), None
+    marker_s, side = np.zeros(0), None
     if manifest.markers is not None:
         marker_s, side = np.array(manifest.markers.s_mm) * MM, manifest.markers.side_deg
-        marker_side = None if side is None else float(np.radians(side))
+    marker_side = None if side is None else float(np.radians(side))
     std_base = manifest.base.std_mm * MM
     for test, seen in zip(tests, markers, strict=True):
         if seen is not None:
             where = f"{folder / seen.file}: test {test.name}"
             check_marker_order(where, seen, marker_s, marker_side, test.T_world_base[:3, 3], std_base)
-    weighing = manifest.weighing
+    one = manifest.weighing
     return Campaign(
         name=manifest.probe,
         fingerprint=manifest.fingerprint,
@@ -126,9 +126,7 @@ def read_campaign(path: str | Path) -> Campaign:
             replace(test, wrenches=readings, frame=frame, markers=seen)
             for test, readings, seen in zip(tests, wrenches, markers, strict=True)
         ),
-        weighing=None
-        if weighing is None
-        else Weighing(GRAM * weighing.mass_g, GRAM * weighing.std_g, weighing.of),
+        weighing=None if one is None else Weighing(GRAM * one.mass_g, GRAM * one.std_g, one.of),
         folder=folder,
         notes=(*notes, *assumptions),
     )
@@ -152,10 +150,7 @@ def _markers(
 
 
 def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
-    """Read `tests.csv`.
-
-    Returns:
-        The tests, without wrenches and markers.
+    """Read `tests.csv`; wrenches and markers are in other tables.
 
     Raises:
         InputError: it is missing or invalid; one line.
@@ -215,12 +210,8 @@ def _std(rows: TableRows, given: NDArray[np.bool_], what: str, name: str) -> Arr
     return rows.std(name, given, f"{column} has no standard deviation; give it in {name}_mm")
 
 
-def indices_of_tests(rows: TableRows, names: dict[str, int]) -> list[int]:
-    """Return the index of the test of each row of another table.
-
-    Raises:
-        InputError: a row names no test of `tests.csv`.
-    """
+def indices_of_tests(rows: TableRows, names: dict[str, int]) -> NDArray[np.intp]:
+    """Return the index of the test of each row of another table; refuse a test that `tests.csv` does not have."""
     found = []
     for row, name in enumerate(rows.texts("test")):
         if name not in names:
@@ -228,32 +219,29 @@ def indices_of_tests(rows: TableRows, names: dict[str, int]) -> list[int]:
             hint = f"did you mean {near[0]!r}?" if near else "add it there"
             rows.fail(row, f"test {name[:40]!r} is not in {TESTS}; {hint}" if name else "names no test")
         found.append(names[name])
-    return found
+    return np.array(found, dtype=np.intp)
 
 
 def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame, tuple[str, ...]]:
-    """Read `wrenches.csv`, if there is one.
+    """Return readings of each test [N, N·m], (n, 6), their frame, and notes on assumptions, from `wrenches.csv` if any.
 
     Args:
         folder: of the data.
         tests: index of each test by name.
 
-    Returns:
-        Readings of each test [N, N·m], (n, 6), their frame, and notes on assumptions, a line each.
-
     Raises:
-        InputError: it is invalid; one line.
+        InputError: the table is invalid; one line.
     """
     path = folder / WRENCHES
     if not path.exists():
         return [np.zeros((0, 6)) for _ in tests], "base", ()
     rows = read_rows(path, WRENCHES_SCHEMA)
     frame = rows.lines.frame
-    which = np.array(indices_of_tests(rows, tests))
+    which = indices_of_tests(rows, tests)
     wrench = rows.required(*WRENCH)
     time, names = rows.numbers("time")[:, 0], rows.texts("test")
     keys: list[tuple[object, ...]] = [
-        (name, i if np.isnan(t) else float(t)) for i, (name, t) in enumerate(zip(names, time, strict=True))
+        (name, i if np.isnan(t) else t) for i, (name, t) in enumerate(zip(names, time.tolist(), strict=True))
     ]
     rows.check_unique(keys, lambda row: f"test {names[row]} at {time[row]:g} s")
     note = f"{WRENCHES}: names no frame, the sensor's is assumed; its first line should be `# frame: sensor` or `base`"
@@ -261,19 +249,16 @@ def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Fra
 
 
 def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> list[Markers | None]:
-    """Read `markers.csv`, if there is one: positions by a reference other than the campaign's cameras.
-
-    Returns:
-        The markers of each test; None where it has none.
+    """Return the markers of each test by a reference other than the campaign's cameras, from `markers.csv` if any.
 
     Raises:
-        InputError: it is invalid; one line.
+        InputError: the table is invalid; one line.
     """
     path = folder / MARKERS
     if not path.exists():
         return [None] * len(tests)
     rows = read_rows(path, MARKERS_SCHEMA)
-    which, numbers = np.array(indices_of_tests(rows, tests)), marker_numbers(rows, manifest)
+    which, numbers = indices_of_tests(rows, tests), marker_numbers(rows, manifest)
     names = rows.texts("test")
     rows.check_unique(list(zip(names, numbers.tolist(), strict=True)),
                       lambda row: f"test {names[row]}, marker {numbers[row] + 1}")  # fmt: skip
@@ -291,11 +276,7 @@ def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> lis
 
 
 def marker_numbers(rows: TableRows, manifest: Manifest) -> NDArray[np.intp]:
-    """Return the index of the marker of each row, from 0.
-
-    Raises:
-        InputError: one is not a number, or beyond the campaign's markers.
-    """
+    """Return the index of the marker of each row, from 0; refuse what is not the number of a marker of the campaign."""
     count = 0 if manifest.markers is None else len(manifest.markers.s_mm)
     if count == 0:
         rows.fail(0, "has markers, but campaign.toml has no [markers]; add s_mm, the arclength of each")
@@ -312,10 +293,7 @@ def marker_numbers(rows: TableRows, manifest: Manifest) -> NDArray[np.intp]:
 
 
 def read_cameras(folder: Path, manifest: Manifest) -> tuple[list[Camera], tuple[str, ...]]:
-    """Calibrate the cameras that `[cameras]` names.
-
-    Returns:
-        The cameras in that order, and notes for the user, each one line.
+    """Return the cameras that `[cameras]` names, calibrated, in that order, and notes for the user, each one line.
 
     Raises:
         InputError: there are none, or their control points are invalid; one line.
@@ -348,11 +326,7 @@ def read_cameras(folder: Path, manifest: Manifest) -> tuple[list[Camera], tuple[
 
 
 def _camera_names(rows: TableRows, manifest: Manifest) -> list[str]:
-    """Return the name of the camera of each row.
-
-    Raises:
-        InputError: `[cameras]` does not have it.
-    """
+    """Return the name of the camera of each row; refuse one that `[cameras]` does not have."""
     names = rows.texts("camera")
     known = () if manifest.cameras is None else manifest.cameras.names
     for row, name in enumerate(names):
@@ -365,27 +339,21 @@ def _camera_names(rows: TableRows, manifest: Manifest) -> list[str]:
 def read_pixels(
     folder: Path, manifest: Manifest, tests: dict[str, int]
 ) -> tuple[list[Markers | None], tuple[str, ...]]:
-    """Read `pixels.csv`, if there is one, and locate its markers in space.
-
-    Returns:
-        The markers of each test, None where it has none; notes, each one line.
+    """Return the markers of each test, located by cameras from `pixels.csv` if any, and notes, each one line.
 
     Raises:
-        InputError: it is invalid, or the cameras contradict each other; one line.
+        InputError: the table is invalid, or the cameras contradict each other; one line.
     """
     path = folder / PIXELS
     if not path.exists():
-        if (folder / IMAGES).is_dir() and not (folder / MARKERS).exists():
-            note = f"{IMAGES}/ has photographs, but there is no {PIXELS}; run `probedesign markers {folder}`"
-            return [None] * len(tests), (note,)
-        return [None] * len(tests), ()
+        note = f"{IMAGES}/ has photographs, but there is no {PIXELS}; run `probedesign markers {folder}`"
+        without = (folder / IMAGES).is_dir() and not (folder / MARKERS).exists()
+        return [None] * len(tests), (note,) if without else ()
     rows = read_rows(path, PIXELS_SCHEMA)
-    which, numbers = np.array(indices_of_tests(rows, tests)), marker_numbers(rows, manifest)
+    which, numbers = indices_of_tests(rows, tests), marker_numbers(rows, manifest)
     names, camera_names = rows.texts("test"), _camera_names(rows, manifest)
-    keys: list[tuple[object, ...]] = list(zip(names, camera_names, numbers.tolist(), strict=True))
-    rows.check_unique(
-        keys, lambda row: f"test {names[row]}, camera {camera_names[row]}, marker {numbers[row] + 1}"
-    )
+    rows.check_unique(list(zip(names, camera_names, numbers.tolist(), strict=True)),
+                      lambda i: f"test {names[i]}, camera {camera_names[i]}, marker {numbers[i] + 1}")  # fmt: skip
     uv, std = rows.required(*PIXEL), rows.std("std", np.zeros(len(rows), dtype=bool), "")
     cameras, notes = read_cameras(folder, manifest)
     order = [camera.name for camera in cameras]

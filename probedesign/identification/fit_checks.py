@@ -12,7 +12,6 @@ standard deviations and V = I - J C Jᵀ the share of their unit variance that t
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import binom, chi2
@@ -75,13 +74,9 @@ class UnobservableDirection:
 def unobservable_direction(
     point: Linearization, weight: Array, requested: Sequence[str], tolerance: float = 1.0
 ) -> UnobservableDirection | None:
-    """Return the least observable direction among the requested parameters if its uncertainty exceeds the limits.
+    """Return the least observable direction of the requested parameters if it exceeds their limits.
 
-    Args:
-        point: the campaign, solved.
-        weight: of its blocks.
-        requested: names of `PARAMETERS`.
-        tolerance: factor on the limits `Parameter.max_std`.
+    The limits are `Parameter.max_std`, over `tolerance`.
     """
     columns = columns_of(requested)
     limits = np.array(
@@ -127,28 +122,17 @@ def _description(components: dict[str, float], std: float) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}: these tests cannot separate them"
 
 
-class ConditionalEstimate(NamedTuple):
-    """An entry of the parameter vector, conditional on the design's dimensions.
+def conditional_estimate(fit: Fit, column: int) -> tuple[float, float, float | None]:
+    """Return an entry of the parameter vector given the design's dimensions: value, standard deviation, by diameter.
 
-    Attributes:
-        value: of it.
-        std: of it.
-        by_diameter: derivative by the logarithm of the base diameter, where the tolerances let all diameters differ
-            together, or one factor on them was requested; None where neither is estimated.
+    The last is the derivative by the logarithm of the base diameter, where the tolerances let all diameters differ
+    together, or one factor on them was requested; None where neither is estimated. The diameters are not conditioned.
     """
-
-    value: float
-    std: float
-    by_diameter: float | None
-
-
-def conditional_estimate(fit: Fit, column: int) -> ConditionalEstimate:
-    """Return one entry of the parameter vector given the design's dimensions; the diameters are not conditioned."""
     active = np.flatnonzero(fit.point.problem.active)
     x, cov, i = fit.point.values.x[active], fit.cov, int(np.searchsorted(active, column))
     given = np.flatnonzero((active == DIAMETERS) | (active >= PRINT))
     if column == DIAMETERS or not len(given):
-        return ConditionalEstimate(float(x[i]), float(np.sqrt(cov[i, i])), None)
+        return float(x[i]), float(np.sqrt(cov[i, i])), None
     gain = np.linalg.solve(cov[np.ix_(given, given)], cov[given, i])
     variance = cov[i, i] - gain @ cov[given, i]
     common, first = fit.point.problem.common, int(active[given[0]])
@@ -156,8 +140,8 @@ def conditional_estimate(fit: Fit, column: int) -> ConditionalEstimate:
     base = 1.0 if first == DIAMETERS else None
     if first == PRINT and max(common.tolerances.diameter_mm, common.tolerances.diameter_share) > 0.0:
         base = float(common.print_modes[0, 0])
-    return ConditionalEstimate(float(x[i] - gain @ x[given]), float(np.sqrt(variance)),
-                               None if base is None else float(gain[0] / base))  # fmt: skip
+    by_diameter = None if base is None else float(gain[0] / base)
+    return float(x[i] - gain @ x[given]), float(np.sqrt(variance)), by_diameter
 
 
 def cov_conditional(fit: Fit, columns: Sequence[int]) -> Array:
@@ -208,13 +192,7 @@ def inconsistency(
     outliers: Sequence[tuple[ResidualBlock, float]],
     noise: Sequence[NoiseScale],
 ) -> str:
-    """Return why the tests contradict the design, or each other, with what to check; empty if they do not.
-
-    Args:
-        blocks: of the whole campaign.
-        outliers: from `solver.outliers`.
-        noise: of each kind.
-    """
+    """Return why the tests contradict the design, or each other, with what to check; empty if they do not."""
     kinds = {kind: n for kind in ROBUST_KINDS if (n := _count(blocks, outliers, kind=kind)).too_many}
     bad = _bad_tests(blocks, outliers)
     if kinds:
@@ -244,9 +222,8 @@ def outlier_notes(
 
 def _bad_tests(blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]) -> list[str]:
     """Return tests with more than one outlier that are the majority of its readings."""
-    counts = {
-        test: _count(blocks, outliers, test=test) for test in dict.fromkeys(b.test for b, _ in outliers)
-    }
+    tests = dict.fromkeys(block.test for block, _ in outliers)
+    counts = {test: _count(blocks, outliers, test=test) for test in tests}
     return [test for test, n in counts.items() if n.outliers > 1 and n.majority]
 
 
@@ -257,6 +234,7 @@ def _count(
     test: str | None = None,
 ) -> OutlierCount:
     def chosen(block: ResidualBlock) -> bool:
+        """Return whether a block counts."""
         return block.kind in ROBUST_KINDS and kind in (None, block.kind) and test in (None, block.test)
 
     far = [distance for block, distance in outliers if chosen(block)]

@@ -161,10 +161,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT) -> Identi
 
     Args:
         data: from `data_of`.
-        names: requested parameters, of `parameters.REQUESTABLE`.
-
-    Returns:
-        The numbers; a parameter that is not observable is left at the design value and reported so.
+        names: requested parameters, of `parameters.REQUESTABLE`; one that is not observable stays at the design value.
 
     Raises:
         InputError: an unknown name, too few tests, or tests in which no requested parameter is observable.
@@ -200,9 +197,8 @@ def _search(
     """Fit the observable parameters of `names`; fix the others at the design, one after the other."""
     requested, unobservable = tuple(names), list[UnobservableDirection]()
     while requested:
-        problem = LeastSquaresProblem(
-            data.common, data.tests, data.mass, data.common.prior_without(requested)
-        )
+        prior = data.common.prior_without(requested)
+        problem = LeastSquaresProblem(data.common, data.tests, data.mass, prior)
         start = start_point(problem, "E" in requested)
         assert start is not None  # by `_without_unsolvable`, test by test
         lost = unobservable_direction(start, weights(start.blocks, {}), requested, START_TOLERANCE)
@@ -272,12 +268,7 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
 
     The value written is conditional on the design's diameters, which the frozen probe uses too: of E and diameters it
     is E·d⁴ that was measured, and `youngs_modulus_by_diameter` states it. The standard deviations written include
-    the systematic effects.
-
-    Args:
-        found: the numbers.
-        design: before the changes.
-        day: for the comments.
+    the systematic effects. `day` is for the comments.
 
     Raises:
         InputError: no number of a design was identified, or the fit is not valid.
@@ -298,9 +289,8 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
         note = f"identified {day}: {one.std / one.value:.2g} by the fit"
         if one.std != one.std_total:
             note += ", the rest systematic effects, each as one standard deviation"
-        changes.append(
-            Change("tolerances", PARAMETERS[one.name].attribute, f"{one.relative_std_total:.2g}", note)
-        )
+        key, value = PARAMETERS[one.name].attribute, f"{one.relative_std_total:.2g}"
+        changes.append(Change("tolerances", key, value, note))
     E = found.of("E")
     if E is None:
         return tuple(changes)
@@ -334,19 +324,9 @@ def _value(one: Identified, found: Identification, day: str) -> Change:
 def check_overwritable(
     design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
 ) -> None:
-    """Refuse to replace what someone set or identified before, unless forced to.
+    """Refuse to replace what someone set or identified before in a file's text, unless `force` is set.
 
     A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
-
-    Args:
-        design: before the changes.
-        text: of its file.
-        changes: to make.
-        where: names the file in errors.
-        force: replace all the same.
-
-    Raises:
-        InputError: the file has another value already.
     """
     document = tomllib.loads(text)
     present = [f"{one.table}.{one.key}" for one in changes
@@ -378,13 +358,7 @@ def _value_in(document: dict[str, Any], change: Change) -> object:
 
 
 def design_diff(design: Design, fingerprint: str, file: Path) -> str:
-    """Return which numbers of an earlier identification a design does not have; empty if there are none.
-
-    Args:
-        design: to be used.
-        fingerprint: of its geometry.
-        file: `identification.json` of a probe of its name.
-    """
+    """Return which numbers of an earlier identification, in `file`, a design of this geometry lacks; empty if none."""
     try:
         data = json.loads(file.read_bytes())
         if data["result"] != "ok" or data["fingerprint"] != fingerprint:
@@ -394,14 +368,11 @@ def design_diff(design: Design, fingerprint: str, file: Path) -> str:
             if one["result"] == "identified" and one["name"] in MATERIAL:
                 quantity = getattr(design, MATERIAL[one["name"]].attribute)
                 unit = MPA if one["unit"] == "MPa" else 1.0
-                identified, present = (
-                    f"{one['value']:.4g}",
-                    f"{quantity.value / unit:.4g}",
-                )  # a design gets four digits
+                # a design gets four digits
+                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"
                 if identified != present:
-                    differences.append(
-                        f"{one['name']} {identified} {one['unit']}, where the design has {present}"
-                    )
+                    text = f"{one['name']} {identified} {one['unit']}, where the design has {present}"
+                    differences.append(text)
         return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
     except (
         OSError,

@@ -105,9 +105,9 @@ def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
         return np.zeros((0, 3))
     across, s = lateral_axis(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
     radius = model.rod.radius_at(s) * model.cross_section.reach(across * math.pi / 2.0)
-    aside = radius[:, None] * trial.shape.R_at(s)[:, :, across]
+    offset = radius[:, None] * trial.shape.R_at(s)[:, :, across]
     line = trial.shape.p_at(s)
-    return np.concatenate([line + aside, (line - aside)[::-1]])
+    return np.concatenate([line + offset, (line - offset)[::-1]])
 
 
 def estimated_contact(trial: ValidatedTest) -> Array | None:
@@ -165,12 +165,12 @@ MAX_SHAPES = 24
 
 def validation_page(validation: ValidationReport) -> bytes:
     """Return the page of a validation."""
-    model, honesty = validation.estimator.model, validation.coverage
+    model, coverage = validation.estimator.model, validation.coverage
     how = "probe assumed to match its file exactly" if validation.exact else "with the probe's tolerances"
     about = [
         f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
         f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
-        *honesty.words,
+        *coverage.words,
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
     shapes = (_shape(trial, model) for trial in drawn[:MAX_SHAPES])

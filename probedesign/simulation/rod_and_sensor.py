@@ -72,13 +72,11 @@ def solve_contact(
         eq = frictionless.equilibrium
         if frictionless.result != "ok":
             return RodContact(frictionless.result, eq, s, missing, missing, missing)
-        return RodContact(
-            "ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface_point(rod, eq)
-        )
+        surface = surface_point(rod, eq)
+        return RodContact("ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface)
     # The touched point lies opposite to the direction of the push.
-    contact = solve_surface_force(
-        rod, gravity_base, s, push_angle + math.pi, normal_force, friction_ratios, mode
-    )
+    angle = push_angle + math.pi
+    contact = solve_surface_force(rod, gravity_base, s, angle, normal_force, friction_ratios, mode)
     eq = contact.equilibrium
     if contact.result != "ok":
         return RodContact(contact.result, eq, s, missing, missing, missing)
@@ -109,11 +107,8 @@ def sample_std(model: ProbeModel) -> Array:
 
 
 def bias_step(rng: np.random.Generator, rate: float, seconds: float) -> Array:
-    """Return how far the bias walks in a time, in the unit of the rate, (6,).
+    """Return how far the bias walks in a time [s], (6,).
 
-    Args:
-        rng: random numbers.
-        rate: standard deviation of each channel per √s.
-        seconds: the time [s].
+    `rate` is the standard deviation of each channel per √s, in any unit, which is also that of the result.
     """
     return rng.normal(0.0, rate * math.sqrt(seconds), 6)

@@ -75,6 +75,7 @@ class StraightPress:
         """
 
         def force_at(travel: float) -> float:
+            """Return the force [N], infinite without a stable contact."""
             contact = self.at(travel, last)
             return contact.magnitude if contact.ok else math.inf
 
@@ -149,7 +150,7 @@ class PressedObject:
         point: point of the object at the start of the travel, in base axes [m], (3,).
         travel: travel of the base [m], (k,), increasing.
         wrench_base: wrench there [N, N·m], (k, 6).
-        s_contact: arclength of the contact at the end of the travel [m]; with friction, of the touched section.
+        s_contact: arclength of the touched section at the end of the travel [m].
         force: force there [N].
         friction: coefficient μ of this object.
         travel_back: travel of the base during retraction [m], (j,), increasing.
@@ -210,9 +211,8 @@ def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, friction: f
     direction = np.cross(np.array([0.0, 1.0, 0.0]) if along is None else along, free.R_at(s)[:, 2])
     direction /= np.linalg.norm(direction)
     start = free.p_at(s) + (float(rod.radius_at(s)) + clear) * direction
-    press = StraightPress(
-        CoulombSolver(rod, friction, "reference"), model.gravity_base, start, direction, along
-    )
+    solver = CoulombSolver(rod, friction, "reference")
+    press = StraightPress(solver, model.gravity_base, start, direction, along)
     limit = clear + (MAX_POINT_DEPTH if along is None else MAX_DEPTH) * length
     first = press.first_contact(limit)
     end = press.travel_for(safe_force(rod), first, limit) if first.ok else 0.0
@@ -238,14 +238,7 @@ def _wrenches(free: Equilibrium, contacts: Sequence[CoulombContact]) -> Array:
 def _retract(
     press: StraightPress, free: Equilibrium, end: CoulombContact, touched: float
 ) -> tuple[Array, Array]:
-    """Return travels, increasing, and wrenches from the free probe to the end of a press; halve steps at the release.
-
-    Args:
-        press: the press.
-        free: equilibrium of the free probe.
-        end: contact at the end of the press.
-        touched: travel at the first contact [m].
-    """
+    """Return travels [m], increasing, and wrenches of the way back from a press; steps are halved at the release."""
     contacts, travels = [end], [press.travel_of(end)]
     step = (travels[0] - touched) / (N_KNOTS_BACK - 1)
     while contacts[-1].ok and travels[-1] > 0.0:
@@ -330,11 +323,8 @@ def _card(name: str, start: tuple[float, float], end: tuple[float, float]) -> Ca
 
 def _tent(name: str, ridge: float, foot: float) -> list[Card]:
     half_width, height = CARD[1] * math.sin(LEAN), CARD[1] * math.cos(LEAN)
-    top = (ridge, foot + height)
-    return [
-        _card(f"{name}, left", (ridge - half_width, foot), top),
-        _card(f"{name}, right", (ridge + half_width, foot), top),
-    ]
+    feet = {"left": ridge - half_width, "right": ridge + half_width}
+    return [_card(f"{name}, {side}", (x, foot), (ridge, foot + height)) for side, x in feet.items()]
 
 
 def card_house() -> tuple[Card, ...]:
@@ -346,14 +336,7 @@ def card_house() -> tuple[Card, ...]:
 
 
 def true_outlines(source: str) -> tuple[Array, ...]:
-    """Return the outlines of the objects touched in a recording, if it is that of a simulated run.
-
-    Args:
-        source: source that the recording states.
-
-    Returns:
-        The corners of the cards [m], (4, 3) each, front edges first; empty for any other recording.
-    """
+    """Return the corners of the cards [m], (4, 3) each, if `source` is that of a simulated run; else nothing."""
     return tuple(card.corners for card in card_house()) if source == SOURCE else ()
 
 

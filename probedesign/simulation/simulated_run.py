@@ -33,7 +33,7 @@ from probedesign.rod.friction import (
     CoulombSolver,
     draw_friction,
 )
-from probedesign.rod.rod import Mode, Rod
+from probedesign.rod.rod import Rod
 from probedesign.simulation.robot import SimulatedTrajectory
 from probedesign.simulation.scenes import SOURCE, StraightPress, TouchTarget
 
@@ -166,15 +166,14 @@ def simulate_run(
     # A separate random stream: all other draws are the same with and without a rotation error.
     rotation = Rotation.from_rotvec(rng.spawn(1)[0].normal(0.0, errors.rotation)).as_matrix()
     bench = _Bench(model.rod, perturbed_rod(model.rod, log_changes), base_rotation(), rotation)
-    trajectory = SimulatedTrajectory(
-        bench.R_reported, bench.true_free.wrench_base, rng, time_scale, errors.bias_rate
-    )
+    free = bench.true_free.wrench_base
+    trajectory = SimulatedTrajectory(bench.R_reported, free, rng, time_scale, errors.bias_rate)
     friction_rng = rng.spawn(1)[0]
     touches = []
     for target in targets:
         friction = draw_friction(errors.friction, errors.friction_spread, friction_rng)
         touches.append(_touch(bench, trajectory, target, offset, errors.base_repeat, rng, friction))
-    return SimulatedRun(trajectory, tuple(touches), bench.true_free.wrench_base, bench.gravity)
+    return SimulatedRun(trajectory, tuple(touches), free, bench.gravity)
 
 
 class _Bench:
@@ -195,13 +194,14 @@ class _Bench:
         return start
 
     def press(self, target: TouchTarget, p_base: Array, friction: float, true: bool) -> StraightPress:
-        """Return the press onto an edge from `CLEARANCE` before it, towards a base position, by the true or the
-        designed probe."""
+        """Return the press of the true or the designed probe onto an edge, from `CLEARANCE` before it."""
         clear = (p_base - self.start(target)) @ target.direction + CLEARANCE
-        rod, mode = self._rod(true)
+        solver = (
+            CoulombSolver(self.true_rod, friction, "reference") if true else CoulombSolver(self.rod, friction)
+        )
         point, direction = self.R.T @ (target.p_world - p_base), self.R.T @ target.direction
-        return StraightPress(CoulombSolver(rod, friction, mode), self.gravity, point + clear * direction, direction,
-                             self.R.T @ target.card.along)  # fmt: skip
+        along = self.R.T @ target.card.along
+        return StraightPress(solver, self.gravity, point + clear * direction, direction, along)
 
     def depths(self, target: TouchTarget, forces: Sequence[float], friction: float) -> list[float]:
         """Return the depths at which the designed probe has given forces [m], for forces in increasing order [N]."""
@@ -215,9 +215,6 @@ class _Bench:
             depths.append(travel - CLEARANCE)
         return depths
 
-    def _rod(self, true: bool) -> tuple[Rod, Mode]:
-        return (self.true_rod, "reference") if true else (self.rod, "fast")
-
 
 def _require_ok(target: TouchTarget, result: str, hint: str = "") -> None:
     if result != "ok":
@@ -227,11 +224,7 @@ def _require_ok(target: TouchTarget, result: str, hint: str = "") -> None:
 def _press_poses(
     bench: _Bench, target: TouchTarget, p_bases: Iterable[Array], friction: float
 ) -> Iterator[tuple[float, Array, CoulombContact]]:
-    """Yield the travel at first contact [m], the base position [m], (3,), and the contact, position by position.
-
-    Raises:
-        InputError: the probe has no stable equilibrium, or does not touch.
-    """
+    """Yield the travel at first contact [m], the base position [m], (3,), and the contact, position by position."""
     hint = ": the base with its position error does not press it; try another --seed"
     contact, touched = None, np.nan
     for p in p_bases:
@@ -312,31 +305,19 @@ def write_run(
     force: bool = False,
     recording: str = FILES[0],
 ) -> tuple[Path, ...]:
-    """Write the recording and the poses, which `explore` reads, and the ground truth.
+    """Write the recording (.mcap or .csv) and the poses, which `explore` reads, and the ground truth; return the paths.
 
-    Args:
-        run: the simulated run.
-        model: the probe on the sensor.
-        folder: folder to write to.
-        rng: random numbers of the sensor noise.
-        force: replace existing files.
-        recording: name of the recording, .mcap or .csv.
-
-    Returns:
-        The written files.
+    `rng` draws the noise of the sensor.
 
     Raises:
-        InputError: files exist, or cannot be written.
+        InputError: files exist and `force` is not set, or they cannot be written.
     """
     paths = tuple(folder / name for name in (recording, *FILES[1:]))
     for path in paths:
         if path.exists() and not force:
             raise InputError(f"{path}: exists; add --force to replace it, or name another folder")
-    file = (
-        CsvRecorder(paths[0], force)
-        if recording.endswith(".csv")
-        else McapRecorder(paths[0], model, force, {"source": SOURCE})
-    )
+    table = recording.endswith(".csv")
+    file = CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force, {"source": SOURCE})
     try:
         for block in run.trajectory.blocks(model, rng):
             file.on_samples(block)

@@ -159,11 +159,8 @@ class SurfaceTube:
         inked = np.zeros(len(side), dtype=bool)
         for s, outward, diameter in zip(dots.s, dots.outward_world, dots.diameter, strict=True):
             close = np.abs(hits.s - s) <= diameter / 2
-            facing = np.einsum(
-                "ni,ni->n",
-                side[close],
-                _across(np.broadcast_to(outward, (int(close.sum()), 3)), tangent[close]),
-            )
+            outwards = np.broadcast_to(outward, (int(close.sum()), 3))
+            facing = np.einsum("ni,ni->n", side[close], _across(outwards, tangent[close]))
             around = radius[close] * np.arccos(np.clip(facing, -1.0, 1.0))
             inked[close] |= np.hypot(hits.s[close] - s, around) <= diameter / 2
         return inked
@@ -236,19 +233,9 @@ def render(
     size_px: tuple[int, int],
     style: RenderStyle | None = None,
 ) -> Picture:
-    """Render a photograph of a dotted probe in its mount.
+    """Render a photograph of a dotted probe in its mount, grey levels (height, width).
 
-    A probe that crosses itself in the picture is not rendered correctly.
-
-    Args:
-        camera: in front of which the whole probe lies.
-        probe: its surface.
-        dots: on it.
-        size_px: width and height [px].
-        style: of the photograph.
-
-    Returns:
-        Grey levels (height, width).
+    The whole probe must lie in front of the camera; one that crosses itself in the picture is not rendered correctly.
     """
     style = style or RenderStyle()
     rng = np.random.default_rng(style.seed)
@@ -273,16 +260,12 @@ def _window(
     columns = np.arange(max(low[0], 0), min(high[0] + 1, size_px[0]))
     rows = np.arange(max(low[1], 0), min(high[1] + 1, size_px[1]))
     v, u = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
-    away, nearest = (
-        cKDTree(line).query(np.column_stack([u, v])) if len(u) else (np.zeros(0), np.zeros(0, int))
-    )
-    close = away <= radius_px[nearest] + _gap(line)
+    if not len(u):
+        return v, u
+    away, nearest = cKDTree(line).query(np.column_stack([u, v]))
+    gap = float(np.linalg.norm(np.diff(line, axis=0), axis=1).max())  # between neighbours of the line
+    close = away <= radius_px[nearest] + gap
     return v[close], u[close]
-
-
-def _gap(line: Array) -> float:
-    """Return the largest distance between neighbours [px]."""
-    return float(np.linalg.norm(np.diff(line, axis=0), axis=1).max())
 
 
 def _drawn(
@@ -404,11 +387,8 @@ class StereoRig:
         found = []
         for name, angle in (("left", -AZIMUTH), ("right", AZIMUTH)):
             direction = np.array([math.sin(angle), -math.cos(angle), math.tan(ELEVATION)])
-            found.append(
-                Camera.looking(
-                    name, centre + distance * direction / np.linalg.norm(direction), centre, FOCAL_PX, SIZE_PX
-                )
-            )
+            p = centre + distance * direction / np.linalg.norm(direction)
+            found.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX))
         return found[0], found[1]
 
     def tube(self, eq: Equilibrium) -> SurfaceTube:
@@ -444,11 +424,7 @@ def take_photographs(
     seed: int,
     on_progress: Callable[[str, float | None], None],
 ) -> None:
-    """Render one photograph of each test by each camera, TEST-CAMERA.png.
-
-    Raises:
-        MissingDependencyError: OpenCV, which writes them, is not installed.
-    """
+    """Render one photograph of each test by each camera, TEST-CAMERA.png; OpenCV must be installed."""
     require()
 
     folder.mkdir()

@@ -78,12 +78,7 @@ class Coverage:
 
 
 def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
-    """Return the coverage of all touches.
-
-    Args:
-        tests: of one campaign.
-        exact: whether the probe was taken as exactly known.
-    """
+    """Return the coverage of all touches of a campaign; `exact` if the probe was taken as exactly known."""
     errors = [test.contact_error for test in tests if test.counts and test.contact_error is not None]
     n, within = len(errors), sum(error.within_95 for error in errors)
     nan = float("nan")
@@ -109,13 +104,10 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
         words.append(f"sample too small to judge the coverage (n < {MIN_TOUCHES})")
     nees = f"NEES ratio {ratio:.2g}, expected {low:.2g} to {high:.2g}"
     if ratio > high:
-        words.append(
-            f"{nees}: stated covariance too small" + ("; try without --exact-model" if exact else "")
-        )
+        nees += ": stated covariance too small" + ("; try without --exact-model" if exact else "")
     elif ratio < low:
-        words.append(f"{nees}: stated covariance is conservative")
-    else:
-        words.append(nees)
+        nees += ": stated covariance is conservative"
+    words.append(nees)
     words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
                  "narrower than one campaign justifies")  # fmt: skip
     return Coverage(n, within, float(share.low), float(share.high), ratio, low, high, tuple(mean.ravel().tolist()),
@@ -125,9 +117,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
 def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
     """Return a line on weights, which are separate: the lightest that are located have too low a coverage
     (docs/measurements.md)."""
-    errors = [
-        test.contact_error for test in tests if test.kind == "weight" and test.contact_error is not None
-    ]
+    errors = [one.contact_error for one in tests if one.kind == "weight" and one.contact_error is not None]
     if not errors:
         return ()
     within = sum(error.within_95 for error in errors)
@@ -189,13 +179,10 @@ class ValidationReport:
         found = {}
         for kind in ("free", "weight", "touch"):
             here = [test for test in self.tests if test.kind == kind]
+            errors = (test.contact_error.size / MM for test in here if test.contact_error is not None)
             if here:
-                found[kind] = {
-                    "shape_rms_mm": ErrorStatistics.of(test.shape_rms / MM for test in here),
-                    "contact_error_mm": ErrorStatistics.of(
-                        t.contact_error.size / MM for t in here if t.contact_error is not None
-                    ),
-                }
+                found[kind] = {"shape_rms_mm": ErrorStatistics.of(test.shape_rms / MM for test in here),
+                               "contact_error_mm": ErrorStatistics.of(errors)}  # fmt: skip
         return found
 
     @property
@@ -343,11 +330,7 @@ class MultiProbeReport:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Refuse a probe that occurs twice, whose files and rows could not be distinguished.
-
-    Raises:
-        InputError: one does.
-    """
+    """Refuse a probe that occurs twice, whose files and rows could not be distinguished."""
     for i, name in enumerate(names):
         if name in names[:i]:
             raise InputError(

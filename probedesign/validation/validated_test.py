@@ -82,11 +82,7 @@ def contact_error(
 ) -> ContactError | None:
     """Return the error of the touched point if the reference measured it, else of the arclength if that is known.
 
-    Args:
-        campaign: of the test.
-        test: with what is known.
-        estimate: of it.
-        contact: measured point in the base frame [m], (3,).
+    `contact` is the measured point in the base frame [m], (3,).
     """
     if estimate is None or not estimate.ok:
         return None
@@ -113,9 +109,9 @@ def predicted_error(model: ProbeModel, fraction: float, force: float, push_direc
 
     Args:
         model: of the probe.
-        fraction: contact over length; NaN if not known.
-        force: [N]; NaN if not known.
-        push_direction: of the object, a key of `DIRECTIONS`; empty if not known.
+        fraction: contact over length.
+        force: [N].
+        push_direction: of the object, a key of `DIRECTIONS`.
     """
     if not 0.0 < fraction <= 1.0 or not force > 0.0 or not push_direction:
         return math.nan
@@ -203,12 +199,8 @@ class ValidatedTest:
 def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: bool) -> ValidatedTest:
     """Estimate one test and compare it with the reference.
 
-    Args:
-        campaign: of the test.
-        test: the test.
-        estimator: of the frozen probe, from `load_estimator`.
-        exact: take probe, mount and bench as exactly known; noise and drift of the sensor and the prior on friction
-            remain.
+    `exact` takes probe, mount and bench as exactly known; noise and drift of the sensor and the prior on friction
+    remain.
     """
     model = estimator.model
     kind: TestKind = "touch" if test.force_world is None else "free" if test.free else "weight"
@@ -234,32 +226,19 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
     force, direction = float(np.linalg.norm(force_base)), _push_direction(test, force_base)
     s = estimate.s_contact if math.isnan(test.s_contact) and estimate is not None else test.s_contact
     fraction = s / model.rod.length
+    shape_rms = math.sqrt(float(np.mean(np.sum((hat - markers) ** 2, axis=1)))) if len(hat) else math.nan
+    reference_rms = math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(markers) else math.nan
     return ValidatedTest(
-        test, kind, method, "no_reading" if estimate is None else estimate.result, estimate, shape,
-        force=force,
-        fraction=fraction,
-        markers_base=markers,
-        markers_hat=hat,
-        markers_off=off,
-        shape_rms=math.sqrt(float(np.mean(np.sum((hat - markers) ** 2, axis=1)))) if len(hat) else math.nan,
-        reference_rms=math.sqrt(float(np.mean(np.trace(cov, axis1=1, axis2=2)))) if len(markers) else math.nan,
-        contact_base=contact,
-        push_direction=direction,
+        test, kind, method, "no_reading" if estimate is None else estimate.result, estimate, shape, force, fraction,
+        markers, hat, off, shape_rms, reference_rms, contact, direction,
         predicted=predicted_error(model, fraction, force, direction) if kind == "touch" else math.nan,
         contact_error=contact_error(campaign, test, estimate, contact),
-        readings=len(reading.wrenches_base),
-        tares=reading.tares,
+        readings=len(reading.wrenches_base), tares=reading.tares,
     )  # fmt: skip
 
 
 def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> TaredReading:
-    """Return the readings of one test, tared by all free tests with readings; a free test by the others.
-
-    Args:
-        campaign: of the test.
-        test: with wrenches.
-        estimator: of the probe.
-    """
+    """Return the readings of one test, tared by all free tests with readings; a free test by the others."""
     gravity, own = test.gravity_base, test.wrenches_base(estimator.model)
     offsets = []
     for other in campaign.tests:

@@ -46,7 +46,6 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 
     Raises:
         InputError: it is missing, or not an image.
-        MissingDependencyError: OpenCV is not installed.
     """
     require()
     import cv2
@@ -72,12 +71,7 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write an image, grey (height, width) or blue, green, red (height, width, 3), atomically.
-
-    Raises:
-        InputError: the folder cannot be written to.
-        MissingDependencyError: OpenCV is not installed.
-    """
+    """Write an image, grey (height, width) or blue, green, red (height, width, 3), atomically."""
     require()
     import cv2
 
@@ -126,9 +120,8 @@ class SequenceSearch:
             best = rows[0]
             if len(best.chosen) == len(self.s):
                 break
-            rows = sorted((longer for row in rows for longer in self._longer(row)), key=lambda row: row.cost)[
-                :BEAM
-            ]
+            longer = [one for row in rows for one in self._longer(row)]
+            rows = sorted(longer, key=lambda row: row.cost)[:BEAM]
         return best
 
     def continues_beyond(self, row: MarkerSequence) -> bool:
@@ -140,16 +133,13 @@ class SequenceSearch:
 
     def _pairs(self) -> list[MarkerSequence]:
         """Return every spot with each of its neighbours, from the base onwards."""
-        rows = []
-        for i, pixel in enumerate(self.spots.pixels):
-            away = np.linalg.norm(self.spots.pixels - pixel, axis=1)
-            for j in np.argsort(np.where(self._alike(i), away, np.inf))[: NEIGHBOURS + 1]:
-                if (
-                    j != i
-                    and self._alike(i)[j]
-                    and self._base_distance(pixel) < self._base_distance(self.spots.pixels[j])
-                ):
-                    rows.append(MarkerSequence((i, int(j)), self._start_cost(pixel, self.spots.pixels[j])))
+        rows, pixels = [], self.spots.pixels
+        for i, pixel in enumerate(pixels):
+            alike = self._alike(i)
+            nearest = np.argsort(np.where(alike, np.linalg.norm(pixels - pixel, axis=1), np.inf))
+            for j in nearest[: NEIGHBOURS + 1]:
+                if j != i and alike[j] and self._base_distance(pixel) < self._base_distance(pixels[j]):
+                    rows.append(MarkerSequence((i, int(j)), self._start_cost(pixel, pixels[j])))
         return sorted(rows, key=lambda row: row.cost)
 
     def _base_distance(self, pixel: Array) -> float:
@@ -224,7 +214,10 @@ def find_markers(
             f"{path}: a row has at least three dots, from base to tip; the markers' s_mm name {len(places)}"
         )
     grey = read_grey(path)
-    tried = [_searched(grey, shade, places, base) for shade in ((True, False) if dark is None else (dark,))]
+    tried = []
+    for shade in (True, False) if dark is None else (dark,):
+        search = SequenceSearch(detect_spots(grey, shade), places, base)
+        tried.append((search, search.best()))
     complete = [(search, row) for search, row in tried if len(row.chosen) == len(places)]
     if not complete:
         longest = max((row for _, row in tried), key=lambda row: len(row.chosen))
@@ -242,19 +235,8 @@ def find_markers(
     return _fitted(path, grey, search.spots, row)
 
 
-def _searched(
-    grey: NDArray[np.uint8], dark: bool, s: Array, base: Array | ImageSide
-) -> tuple[SequenceSearch, MarkerSequence]:
-    search = SequenceSearch(detect_spots(grey, dark), s, base)
-    return search, search.best()
-
-
 def _fitted(path: Path, grey: NDArray[np.uint8], seen: DetectedSpots, row: MarkerSequence) -> DetectedMarkers:
-    """Return the markers of a row, each dot fitted.
-
-    Raises:
-        InputError: one does not fit.
-    """
+    """Return the markers of a row, each dot fitted; refuse one that does not fit."""
     dots: list[Dot] = []
     directions = np.gradient(seen.pixels[list(row.chosen)], axis=0)
     for number, (i, direction) in enumerate(zip(row.chosen, directions, strict=True), 1):
@@ -274,17 +256,9 @@ def _fitted(path: Path, grey: NDArray[np.uint8], seen: DetectedSpots, row: Marke
 
 
 def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8]:
-    """Return the part of a photograph about the markers, with their outlines, centres and numbers.
+    """Return the part of a photograph about its markers, with their outlines, centres and numbers.
 
-    Args:
-        grey: the photograph (height, width).
-        found: markers in it.
-
-    Returns:
-        Blue, green, red (height, width, 3).
-
-    Raises:
-        MissingDependencyError: OpenCV is not installed.
+    The picture is blue, green, red (height, width, 3).
     """
     require()
     import cv2
@@ -294,11 +268,14 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
     scale = max(1, int(np.ceil(WIDTH_PX / part.shape[1])))
     large = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     picture = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)
-    points = np.array([_at(dot.pixel, low, scale) for dot in found.dots])
+    # (0, 0) is the centre of a pixel in the photograph and in its enlarged part
+    pixels = np.array([dot.pixel for dot in found.dots])
+    points = np.asarray((pixels - low + 0.5) * scale - 0.5, dtype=np.float64)
     cv2.polylines(picture, [_fixed(points)], False, YELLOW, 1, cv2.LINE_AA, _FRACTION)
-    normals = _normals(points)
+    normals, angle = _normals(points), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    circle = np.array([np.cos(angle), np.sin(angle)])
     for number, (dot, point) in enumerate(zip(found.dots, points, strict=True), 1):
-        outline = _fixed(point + scale * _outline(dot.shape))
+        outline = _fixed(point + scale * np.linalg.solve(dot.shape, circle).T)
         cv2.polylines(picture, [outline], True, GREEN, 1, cv2.LINE_AA, _FRACTION)
         # The number is beside the dot, outside the probe, on the outer side of its bend.
         far = 10 + scale * dot.diameter_px * 1.6
@@ -316,20 +293,9 @@ def _part(grey: NDArray[np.uint8], found: DetectedMarkers) -> tuple[NDArray[np.i
     return low, high
 
 
-def _at(pixel: Array, low: NDArray[np.int64], scale: int) -> Array:
-    """Return a pixel of the photograph in the enlarged part; (0, 0) is the centre of a pixel in both."""
-    return np.asarray((pixel - low + 0.5) * scale - 0.5)
-
-
 def _fixed(points: Array) -> NDArray[np.int32]:
     """Return points between pixels in OpenCV's fixed-point format."""
     return np.asarray(np.round(points * 2**_FRACTION), dtype=np.int32).reshape(-1, 1, 2)
-
-
-def _outline(shape: Array) -> Array:
-    """Return points |M x| = 1, (60, 2)."""
-    angle = np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
-    return np.asarray(np.linalg.solve(shape, np.array([np.cos(angle), np.sin(angle)])).T)
 
 
 def _normals(points: Array) -> Array:
