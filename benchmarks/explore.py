@@ -33,7 +33,7 @@ from probedesign.frozen_probe import write_frozen
 from probedesign.mapping.contact_map import CHI2_95
 from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.rod.friction import ASSUMED_FRICTION
-from probedesign.simulation.card_house import card_house, touch_targets
+from probedesign.simulation.scenes import card_house, touch_targets
 from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
 
 COMMANDS, HOUSES = 3, 20

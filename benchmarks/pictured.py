@@ -20,12 +20,10 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, identify
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
-from probedesign.simulation.stereo_render import RenderStyle, render
-from probedesign.simulation.stereo_rig import SIZE_PX, StereoRig
+from probedesign.simulation.stereo_rig import SIZE_PX, RenderStyle, StereoRig, render
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
-from probedesign.vision.images import write_png
-from probedesign.vision.marker_sequence import find_markers
+from probedesign.vision.markers import find_markers, write_png
 from probedesign.vision.triangulate import triangulate
 
 DRAWS = 40

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from probedesign.live.sources.source import Source
     from probedesign.mapping.explore import Exploration
     from probedesign.mapping.touch_point import LocatedTouch
-    from probedesign.optimization.optimum import MonteCarloCheck, OptimizationProblem, Optimum
+    from probedesign.optimization.constraints import OptimizationProblem
+    from probedesign.optimization.optimum import MonteCarloCheck, Optimum
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
     from probedesign.prediction.table_one import TableOne

@@ -12,6 +12,15 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 
+TESTS, WRENCHES, MARKERS = "tests.csv", "wrenches.csv", "markers.csv"
+PUSH_DIRECTIONS = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+}
+"""Unit vectors in base axes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Markers:
@@ -82,9 +91,8 @@ class Test:
     @property
     def force_base(self) -> Array | None:
         """Known force on the probe in base axes [N], (3,); None if not known."""
-        return (
-            None if self.force_world is None else np.asarray(self.T_world_base[:3, :3].T @ self.force_world)
-        )
+        force = self.force_world
+        return None if force is None else np.asarray(self.T_world_base[:3, :3].T @ force)
 
     @cached_property
     def mean_wrench(self) -> Array:
@@ -97,17 +105,13 @@ class Test:
 
     def mean_wrench_base(self, model: ProbeModel) -> Array:
         """Return the mean reading about the base, without the weight between base and sensor [N, N·m], (6,)."""
-        return (
-            self.mean_wrench if self.frame == "base" else model.to_base(self.mean_wrench, self.gravity_base)
-        )
+        mean = self.mean_wrench
+        return mean if self.frame == "base" else model.to_base(mean, self.gravity_base)
 
     def mean_wrench_sensor(self, model: ProbeModel) -> Array:
         """Return the mean reading as the sensor measures it [N, N·m], (6,)."""
-        return (
-            self.mean_wrench
-            if self.frame == "sensor"
-            else model.to_sensor(self.mean_wrench, self.gravity_base)
-        )
+        mean = self.mean_wrench
+        return mean if self.frame == "sensor" else model.to_sensor(mean, self.gravity_base)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from probedesign.campaigns.campaign import Campaign, Markers, Test
+from probedesign.campaigns.campaign import PUSH_DIRECTIONS, TESTS, WRENCHES, Campaign, Markers, Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
-from probedesign.campaigns.tables import PUSH_DIRECTIONS, TESTS, WRENCHES
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MM, N_MM
@@ -45,7 +44,60 @@ NEAR_BASE = 0.3
 by a right angle up to the second, the distance to it is shorter by a fifth of the marker spacing."""
 TINY = 1e-12
 """A force that no sensor distinguishes from zero [N]."""
-METRES = "metres in a column of millimetres?"
+
+
+# all checks
+
+
+def check_probe(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse a campaign of another probe, or with values that this probe cannot produce.
+
+    Args:
+        campaign: the data.
+        model: of the probe it is used for.
+
+    Raises:
+        InputError: the fingerprints or the names differ; a place is beyond the tip; or values are not plausible.
+    """
+    _check_identity(campaign, model)
+    beyond = f"is beyond the tip of {model.name} at {model.rod.length / MM:g} mm"
+    longest = model.rod.length * (1.0 + 1e-9)
+    for number, s in enumerate(campaign.marker_s, 1):
+        if s > longest:
+            raise InputError(f"{campaign.folder / MANIFEST}: marker {number} at s = {s / MM:g} mm {beyond}; correct "
+                             "markers.s_mm in campaign.toml")  # fmt: skip
+    for test in campaign.tests:
+        if test.s_contact > longest:
+            _refuse(campaign, TESTS, test, f"s_contact_mm = {test.s_contact / MM:g} {beyond}; a wrong unit?")
+    for check in (_check_mass, _check_arclengths, _check_sag, _check_contacts, _check_marker_distances,
+                  _check_known_forces, _check_range, _check_lever):  # fmt: skip
+        check(campaign, model)
+    pushes = _pushes(campaign, model)
+    _check_loads(campaign, pushes)
+    _check_directions(campaign, pushes)
+    _check_numbering(campaign, model)
+
+
+def _check_identity(campaign: Campaign, model: ProbeModel) -> None:
+    where = f"{campaign.folder}: these data are of another probe"
+    fingerprint, name = campaign.fingerprint, model.name
+    if fingerprint is not None and fingerprint != model.fingerprint:
+        raise InputError(f"{where}: fingerprint {fingerprint}, not {model.fingerprint} of {name}")
+    if campaign.name != name and fingerprint is None:
+        raise InputError(
+            f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
+        )
+    if campaign.name != name:
+        both = f"probe = {campaign.name!r}, and fingerprint {fingerprint} is that of {name!r}"
+        raise InputError(f"{campaign.folder / MANIFEST}: {both}; correct the one that is wrong")
+
+
+def _refuse(campaign: Campaign, file: str, test: Test, problem: str) -> NoReturn:
+    raise InputError(f"{campaign.folder / file}: test {test.name}: {problem}")
+
+
+def _length(model: ProbeModel) -> str:
+    return f"{model.name} is {model.rod.length / MM:g} mm long"
 
 
 # order of the markers
@@ -77,13 +129,11 @@ def check_marker_order(
     margin[0] += 0.0 if marker_side is None else SURFACE_OFFSET
     excess = np.where(np.triu(np.ones_like(arc), 1) > 0, distance - arc - margin, -np.inf)
     if len(s) >= 3:
-        spacing, on_probe = (
-            np.median(np.linalg.norm(np.diff(p[1:], axis=0), axis=1)),
-            np.median(np.diff(s[1:])),
-        )
+        spacing = float(np.median(np.linalg.norm(np.diff(p[1:], axis=0), axis=1)))
+        on_probe = float(np.median(np.diff(s[1:])))
         if not 0.05 < spacing / on_probe < 20.0:
-            what = f"markers lie {spacing / MM:.4g} mm apart, on the probe {on_probe / MM:.4g}"
-            raise InputError(f"{where}: {what}; metres in a column of millimetres, or the other way round?")
+            raise InputError(f"{where}: markers lie {spacing / MM:.4g} mm apart, on the probe {on_probe / MM:.4g}; "
+                             "metres in a column of millimetres, or the other way round?")  # fmt: skip
     if excess.max() <= 0.0:
         return
     reverse = np.concatenate([[0], np.arange(len(s) - 1, 0, -1)])
@@ -102,41 +152,9 @@ def check_marker_order(
 # plausible values
 
 
-def check_plausible(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse values that cannot be of a probe of this length on its sensor.
-
-    Single readings beyond the sensor's range pass: the estimate of their test has the result `out_of_range`.
-
-    Args:
-        campaign: the data.
-        model: of the probe.
-
-    Raises:
-        InputError: places, a sag, forces or moments are not plausible; one line.
-    """
-    _check_mass(campaign, model)
-    _check_arclengths(campaign, model)
-    _check_sag(campaign, model)
-    _check_contacts(campaign, model)
-    _check_marker_distances(campaign, model)
-    _check_known_forces(campaign, model)
-    _check_range(campaign, model)
-    _check_lever(campaign, model)
-
-
-def _refuse(campaign: Campaign, file: str, test: str, problem: str) -> NoReturn:
-    raise InputError(f"{campaign.folder / file}: test {test}: {problem}")
-
-
-def _length(model: ProbeModel) -> str:
-    return f"{model.name} is {model.rod.length / MM:g} mm long"
-
-
 def _check_mass(campaign: Campaign, model: ProbeModel) -> None:
     """Refuse a mass far from the designed flexible part's; a whole print weighs a few times as much."""
-    if campaign.weighing is None:
-        return
-    mass = campaign.weighing.mass
+    mass = model.mass if campaign.weighing is None else campaign.weighing.mass
     if not model.mass / UNIT_FACTOR < mass < model.mass * UNIT_FACTOR:
         raise InputError(
             f"{campaign.folder}/{MANIFEST}: weighing: mass_g = {mass / GRAM:.4g}, of a probe whose flexible part "
@@ -144,16 +162,19 @@ def _check_mass(campaign: Campaign, model: ProbeModel) -> None:
         )
 
 
+def _check_metres(
+    campaign: Campaign, model: ProbeModel, file: str, distances: list[tuple[Test, float]], what: str
+) -> None:
+    """Refuse distances from the base [m] that are all a hundredth of the probe; `what` has a field for the largest."""
+    test, farthest = max(distances, key=lambda pair: pair[1], default=(None, math.inf))
+    if test is not None and farthest < model.rod.length / UNIT_FACTOR:
+        problem = what.format(f"{farthest / MM:.4g}")
+        _refuse(campaign, file, test, f"{problem}, {_length(model)}; metres in a column of millimetres?")
+
+
 def _check_arclengths(campaign: Campaign, model: ProbeModel) -> None:
-    s = {test.name: test.s_contact for test in campaign.tests if not np.isnan(test.s_contact)}
-    if s and max(s.values()) < model.rod.length / UNIT_FACTOR:
-        name = max(s, key=lambda test: s[test])
-        _refuse(
-            campaign,
-            TESTS,
-            name,
-            f"s_contact_mm = {s[name] / MM:.4g} is the largest, {_length(model)}; {METRES}",
-        )
+    known = [(test, test.s_contact) for test in campaign.tests if not np.isnan(test.s_contact)]
+    _check_metres(campaign, model, TESTS, known, "s_contact_mm = {} is the largest")
 
 
 def _check_sag(campaign: Campaign, model: ProbeModel) -> None:
@@ -162,20 +183,17 @@ def _check_sag(campaign: Campaign, model: ProbeModel) -> None:
         sag, margin = test.tip_sag, DEVIATIONS * test.std_sag
         if np.isnan(sag):
             continue
-        value = f"tip_sag_mm = {sag / MM:.4g}"
-        if abs(sag) > model.rod.length * (1.0 + SURFACE_STRETCH) + margin:
-            _refuse(campaign, TESTS, test.name, f"{value}, {_length(model)}; a wrong unit?")
-        if sag < -margin:
-            _refuse(
-                campaign,
-                TESTS,
-                test.name,
-                f"{value}: a tip hangs below its undeformed place, which is positive",
-            )
+        value, problem = f"tip_sag_mm = {sag / MM:.4g}", ""
         designed = _design_sag(test.gravity_base, model) if test.free else 0.0
-        if not designed / SAG_FACTOR - margin < sag < designed * SAG_FACTOR + margin and designed > margin:
-            problem = f"{value}, of a probe with a sag of {designed / MM:.3g} mm as designed"
-            _refuse(campaign, TESTS, test.name, f"{problem}; centimetres, or another pose of the base?")
+        if abs(sag) > model.rod.length * (1.0 + SURFACE_STRETCH) + margin:
+            problem = f", {_length(model)}; a wrong unit?"
+        elif sag < -margin:
+            problem = ": a tip hangs below its undeformed place, which is positive"
+        elif not designed / SAG_FACTOR - margin < sag < designed * SAG_FACTOR + margin and designed > margin:
+            problem = (f", of a probe with a sag of {designed / MM:.3g} mm as designed; centimetres, or another pose "
+                       "of the base?")  # fmt: skip
+        if problem:
+            _refuse(campaign, TESTS, test, value + problem)
 
 
 def _design_sag(gravity: Array, model: ProbeModel) -> float:
@@ -189,54 +207,55 @@ def _design_sag(gravity: Array, model: ProbeModel) -> float:
 
 def _check_contacts(campaign: Campaign, model: ProbeModel) -> None:
     """Refuse a touched point beyond the probe, and touched points that are all at the base."""
-    distances: dict[str, float] = {}
+    longest = (1.0 + SURFACE_STRETCH) * model.rod.length + float(model.rod.radius.max())
+    distances = []
     for test in campaign.tests:
         if test.p_contact_world is None:
             continue
         distance = float(np.linalg.norm(test.p_contact_world - test.T_world_base[:3, 3]))
-        distances[test.name] = distance
-        margin = SURFACE_STRETCH * model.rod.length + float(model.rod.radius.max())
-        margin += DEVIATIONS * (test.std_contact + campaign.std_base)
-        if distance > model.rod.length + margin:
+        distances.append((test, distance))
+        if distance > longest + DEVIATIONS * (test.std_contact + campaign.std_base):
             problem = f"contact is {distance / MM:.4g} mm from the base, {_length(model)}"
-            _refuse(campaign, TESTS, test.name, f"{problem}; a wrong unit, or another pose of the base?")
-    if distances and max(distances.values()) < model.rod.length / UNIT_FACTOR:
-        name = max(distances, key=lambda test: distances[test])
-        problem = f"contact is {distances[name] / MM:.4g} mm from the base, the farthest, {_length(model)}"
-        _refuse(campaign, TESTS, name, f"{problem}; {METRES}")
+            _refuse(campaign, TESTS, test, f"{problem}; a wrong unit, or another pose of the base?")
+    _check_metres(campaign, model, TESTS, distances, "contact is {} mm from the base, the farthest")
 
 
 def _check_marker_distances(campaign: Campaign, model: ProbeModel) -> None:
     """Refuse markers that are all at the base; `check_marker_order` refuses those beyond the probe."""
-    seen = [(test, test.markers) for test in campaign.tests if test.markers is not None]
-    farthest = [float(np.linalg.norm(m.p_world - t.T_world_base[:3, 3], axis=1).max()) for t, m in seen]
-    if seen and max(farthest) < model.rod.length / UNIT_FACTOR:
-        test, markers = seen[int(np.argmax(farthest))]
-        problem = f"a marker is {max(farthest) / MM:.4g} mm from the base, the farthest, {_length(model)}"
-        _refuse(campaign, markers.file, test.name, f"{problem}; {METRES}")
+    seen = {test: test.markers for test in campaign.tests if test.markers is not None}
+    distances = [(test, float(np.linalg.norm(markers.p_world - test.T_world_base[:3, 3], axis=1).max()))
+                 for test, markers in seen.items()]  # fmt: skip
+    file = next(iter(seen.values())).file if seen else ""
+    _check_metres(campaign, model, file, distances, "a marker is {} mm from the base, the farthest")
 
 
 def _check_known_forces(campaign: Campaign, model: ProbeModel) -> None:
     for test in campaign.tests:
         known = 0.0 if test.force_world is None else float(np.linalg.norm(test.force_world))
         if known > model.wrench_range[:3].max():
-            problem = f"known force of {known:.4g} N exceeds the sensor's range"
-            _refuse(campaign, TESTS, test.name, f"{problem}; millinewtons in a column of newtons?")
+            _refuse(campaign, TESTS, test, f"known force of {known:.4g} N exceeds the sensor's range; millinewtons in "
+                                           "a column of newtons?")  # fmt: skip
 
 
 def _check_range(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse readings of which most loaded tests exceed the sensor's range: then the unit is another."""
+    """Refuse readings of which most loaded tests exceed the sensor's range: then the unit is another.
+
+    Single readings beyond the range pass: the estimate of their test has the result `out_of_range`.
+    """
     read = [test for test in campaign.tests if len(test.wrenches)]
     loaded = [test for test in read if not test.free] or read
-    ratios = {test.name: np.abs(test.mean_wrench_sensor(model)) / model.wrench_range for test in loaded}
-    beyond = [name for name, ratio in ratios.items() if ratio.max() > 1.0]
+    ratios = [(test, np.abs(test.mean_wrench_sensor(model)) / model.wrench_range) for test in loaded]
+    beyond = [(test, ratio) for test, ratio in ratios if ratio.max() > 1.0]
     if 2 * len(beyond) > len(loaded):
-        name = max(beyond, key=lambda test: float(ratios[test].max()))
-        axis = int(np.argmax(ratios[name]))
-        value, unit = ratios[name][axis] * model.wrench_range[axis], "N" if axis < 3 else "N·m"
-        channel = f"|{'FM'[axis // 3]}{'xyz'[axis % 3]}| = {value:.4g} {unit}"
-        problem = f"{channel} exceeds the sensor's range, as in {len(beyond)} of {len(loaded)} tests"
-        _refuse(campaign, WRENCHES, name, f"{problem}; {'mN' if axis < 3 else 'N·mm'} in a column of {unit}?")
+        test, ratio = max(beyond, key=lambda pair: float(pair[1].max()))
+        axis = int(np.argmax(ratio))
+        value, unit, wrong = (
+            ratio[axis] * model.wrench_range[axis],
+            *(("N", "mN") if axis < 3 else ("N·m", "N·mm")),
+        )
+        _refuse(campaign, WRENCHES, test,
+                f"|{'FM'[axis // 3]}{'xyz'[axis % 3]}| = {value:.4g} {unit} exceeds the sensor's range, as in "
+                f"{len(beyond)} of {len(loaded)} tests; {wrong} in a column of {unit}?")  # fmt: skip
 
 
 def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
@@ -249,14 +268,13 @@ def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
         arm = 0.0 if test.frame == "base" else float(np.linalg.norm(model.T_sensor_base[:3, 3]))
         force, moment = (float(np.linalg.norm(part)) for part in (test.mean_wrench[:3], test.mean_wrench[3:]))
         if moment > MAX_LEVER * (model.rod.length + arm) * force + noise:
-            over.append((test.name, force, moment))
+            over.append((test, force, moment))
     if 2 * len(over) > len(read):
-        name, force, moment = over[0]
+        test, force, moment = over[0]
         lever = moment / max(force, TINY)
-        problem = (
-            f"{force:.4g} N with {moment / N_MM:.4g} N·mm act {lever / MM:.4g} mm away, {_length(model)}"
-        )
-        _refuse(campaign, WRENCHES, name, f"{problem}; are forces and moments in the units of their columns?")
+        _refuse(campaign, WRENCHES, test,
+                f"{force:.4g} N with {moment / N_MM:.4g} N·mm act {lever / MM:.4g} mm away, {_length(model)}; are "
+                "forces and moments in the units of their columns?")  # fmt: skip
 
 
 # agreement of the tables
@@ -279,22 +297,6 @@ class MeasuredPush:
     def contradicts(self, known: Array) -> bool:
         """Return whether the force cannot be the known one [N], (3,)."""
         return bool(np.linalg.norm(self.force - known) > HALF * np.linalg.norm(known) + self.margin)
-
-
-def check_agreement(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse a campaign most of whose tests contradict themselves.
-
-    Args:
-        campaign: the data.
-        model: of the probe.
-
-    Raises:
-        InputError: known loads or push directions contradict the readings, or markers are numbered too high; one line.
-    """
-    pushes = _pushes(campaign, model)
-    _check_loads(campaign, pushes)
-    _check_directions(campaign, pushes)
-    _check_numbering(campaign, model)
 
 
 def _pushes(campaign: Campaign, model: ProbeModel) -> list[MeasuredPush]:
@@ -325,31 +327,28 @@ def _check_loads(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
     wrong = [(push, force) for push, force in loads if push.contradicts(force)]
     if 2 * len(wrong) > len(loads):
         push, force = max(wrong, key=lambda pair: float(pair[1] @ pair[1]))
-        problem = f"known force of {float(np.linalg.norm(force)):.4g} N is {_comparison(push.force, force)}"
-        _refuse(campaign, TESTS, push.test.name, f"{problem} (in {len(wrong)} of {len(loads)} tests)")
+        _refuse(campaign, TESTS, push.test,
+                f"known force of {float(np.linalg.norm(force)):.4g} N is {_comparison(push.force, force)} (in "
+                f"{len(wrong)} of {len(loads)} tests)")  # fmt: skip
 
 
 def _comparison(measured: Array, known: Array) -> str:
     """Return the relation of a known force to the measured one, and what may be wrong."""
     size, known_size = float(np.linalg.norm(measured)), float(np.linalg.norm(known))
     cosine = float(measured @ known) / max(size * known_size, TINY)
+    times = f"{known_size / max(size, TINY):.4g} times what the sensor read"
+    if UNIT_FACTOR * size < known_size:
+        return f"{times}; millinewtons in a column of newtons?"
     if size < HALF * known_size:
-        unit = (
-            "millinewtons in a column of newtons?"
-            if UNIT_FACTOR * size < known_size
-            else "is it the right weight, and are both in newtons?"
-        )
-        return f"{known_size / max(size, TINY):.4g} times what the sensor read; {unit}"
+        return f"{times}; is it the right weight, and are both in newtons?"
     if cosine < -HALF:
-        return (
-            "the opposite of what the sensor read; known forces act on the probe, and readings are what it does to "
-            "its mount: change the sign of one"
-        )
+        return ("the opposite of what the sensor read; known forces act on the probe, and readings are what it does to "
+                "its mount: change the sign of one")  # fmt: skip
     if cosine < HALF:
         return (
             "in another direction than was read; check the base's rotation in campaign.toml, and the columns"
         )
-    return f"{known_size / size:.4g} times what the sensor read; are both in newtons?"
+    return f"{times}; are both in newtons?"
 
 
 def _check_directions(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
@@ -363,11 +362,9 @@ def _check_directions(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
     if 2 * len(opposite) > len(along):
         push, value = min(opposite, key=lambda pair: pair[1])
         direction = push.test.direction
-        problem = f"pushed towards {direction}, the sensor read {value:.4g} N along {direction}"
-        problem += f", and the opposite in {len(opposite)} of {len(along)} tests"
-        _refuse(
-            campaign, WRENCHES, push.test.name, f"{problem}; change the sign of the columns, or of direction"
-        )
+        _refuse(campaign, WRENCHES, push.test,
+                f"pushed towards {direction}, the sensor read {value:.4g} N along {direction}, and the opposite in "
+                f"{len(opposite)} of {len(along)} tests; change the sign of the columns, or of direction")  # fmt: skip
 
 
 def _check_numbering(campaign: Campaign, model: ProbeModel) -> None:
@@ -392,10 +389,6 @@ def _check_numbering(campaign: Campaign, model: ProbeModel) -> None:
     step, gap = float(np.median(np.diff(campaign.marker_s))), float(np.mean(short))
     std = math.sqrt(float(np.mean(variance)) / len(short) + campaign.std_base**2)
     if gap > HALF * step + DEVIATIONS * std:
-        problem = (
-            f"markers lie {gap / MM:.3g} mm nearer to the base than by their numbers, here and on average"
-        )
-        remedy = (
-            f"are they numbered {max(round(gap / step), 1)} too high, or is s_mm measured from elsewhere?"
-        )
-        _refuse(campaign, first.markers.file, first.name, f"{problem}; {remedy}")
+        _refuse(campaign, first.markers.file, first,
+                f"markers lie {gap / MM:.3g} mm nearer to the base than by their numbers, here and on average; are "
+                f"they numbered {max(round(gap / step), 1)} too high, or is s_mm measured from elsewhere?")  # fmt: skip

@@ -78,9 +78,8 @@ class CamerasTable(Table):
             raise Inconsistent("cameras.names", f"= {list(self.names)} must be two or more different names")
         for name in self.names:
             if not name.replace("_", "a").replace("-", "a").isalnum() or not name.isascii():
-                raise Inconsistent(
-                    "cameras.names", f"{name[:40]!r} is not a valid name; use letters, digits, - and _"
-                )
+                text = f"{name[:40]!r} is not a valid name; use letters, digits, - and _"
+                raise Inconsistent("cameras.names", text)
         return self
 
 

@@ -1,28 +1,34 @@
-"""Photographs of a campaign: the markers detected in each, written to `pixels.csv`."""
+"""Photographs of a campaign: the markers detected in each, cached photograph by photograph, written to `pixels.csv`."""
 
+import hashlib
+import itertools
+import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from probedesign.campaigns.cameras import CONTROL_POINTS, IMAGES, PIXELS, read_cameras
 from probedesign.campaigns.campaign import Test
-from probedesign.campaigns.detection_cache import DetectionCache, cache_key
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.tables import read_tests
+from probedesign.campaigns.reading import CONTROL_POINTS, IMAGES, PIXELS, read_cameras, read_tests
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.vision.camera import Camera
-from probedesign.vision.marker_sequence import DetectedMarkers, ImageSide, find_markers
+from probedesign.vision.dots import Dot
+from probedesign.vision.markers import DetectedMarkers, ImageSide, find_markers
 from probedesign.vision.triangulate import triangulate
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 HEADER = "test,camera,marker,u_px,v_px,std_px"
+CACHE = f"{PIXELS}.unfinished"
+DETECTION_VERSION = 1
+"""Version of the detection; a cache of another version is not used."""
 Progress = Callable[[str, float | None], None]
 
 
@@ -91,27 +97,48 @@ def find_all(
     taken = _photographs(folder, manifest, read_tests(folder, manifest))
     calibrated = base_side is None or (folder / CONTROL_POINTS).exists()
     cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
-    search = _Search(cameras, np.array(manifest.markers.s_mm) * MM, base_side, dark, DetectionCache(folder),
-                     on_progress, sum(map(len, taken)))  # fmt: skip
+    by_name = {camera.name: camera for camera in cameras}
+    cache, s, total = DetectionCache(folder), np.array(manifest.markers.s_mm) * MM, sum(map(len, taken))
+    progress = (number / total for number in itertools.count())
+
+    def detect(one: Photograph) -> DetectedMarkers:
+        """Return the markers of one photograph."""
+        on_progress(f"dots of {one.path.name}", next(progress))
+        base = base_side or by_name[one.camera].project(one.test.T_world_base[:3, 3])
+        return cache.detect(one.path, s, base, dark)
+
     tests = []
     for photographs in taken:
         try:
-            tests.append(search.test(photographs))
+            tests.append(_checked(photographs, tuple(map(detect, photographs)), by_name))
         except InputError as error:
             if not skip:
-                raise InputError(
-                    f"{error} (--skip leaves out the tests whose photographs are refused)"
-                ) from None
+                hint = "(--skip leaves out the tests whose photographs are refused)"
+                raise InputError(f"{error} {hint}") from None
             tests.append(PhotographedTest(photographs, problem=str(error)))
         except KeyboardInterrupt:
-            done = len(search.cache)
+            done = len(cache)
             kept = f"; {done} photographs are cached, the same command continues from there" if done else ""
             raise KeyboardInterrupt(f"interrupted{kept}") from None
     if all(test.problem for test in tests):
         raise InputError(tests[0].problem)
-    used = search.cache.used
-    cached = (f"{used} of {search.total} photographs were taken from the cache",) if used else ()
+    cached = (f"{cache.used} of {total} photographs were taken from the cache",) if cache.used else ()
     return tests, (*notes, *cached)
+
+
+def _checked(
+    photographs: tuple[Photograph, ...], found: tuple[DetectedMarkers, ...], cameras: dict[str, Camera]
+) -> PhotographedTest:
+    """Return one test, its markers checked by triangulation if the cameras are calibrated."""
+    if not cameras:
+        return PhotographedTest(photographs, found)
+    taken_by = [cameras[one.camera] for one in photographs]
+    pixels, std_px = (np.array([getattr(one, name) for one in found]) for name in ("pixels", "std_px"))
+    try:
+        located = triangulate(taken_by, pixels, std_px)
+    except InputError as error:
+        raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
+    return PhotographedTest(photographs, found, float(np.sqrt(np.nanmean(located.residual_px**2))))
 
 
 def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Path:
@@ -134,20 +161,12 @@ def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Pa
 
 
 def check_free(folder: Path, force: bool) -> None:
-    """Refuse to replace `pixels.csv`, which may have been clicked by hand.
-
-    Raises:
-        InputError: it exists and `force` is not set.
-    """
+    """Refuse to replace `pixels.csv`, which may have been clicked by hand, without `force`."""
     check_overwrite(folder / PIXELS, force)
 
 
 def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tuple[Photograph, ...]]:
-    """Return the photographs of each test that has any.
-
-    Raises:
-        InputError: there are none, or a test has those of one camera only.
-    """
+    """Return the photographs of each test that has any; refuse none, and those of one camera only."""
     images = folder / IMAGES
     assert manifest.cameras is not None  # checked by the caller
     if not images.is_dir():
@@ -173,59 +192,81 @@ def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tu
     return taken
 
 
+# cache of finished photographs
+
+
+def cache_key(photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None) -> str:
+    """Return the hash of everything that a detection depends on: the photograph's content and the arguments."""
+    try:
+        with photograph.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{photograph}: cannot be read: {error.strerror}") from None
+    arguments = json.dumps([DETECTION_VERSION, content, s.tolist(), np.asarray(base).tolist(), dark])
+    return hashlib.sha256(arguments.encode()).hexdigest()
+
+
 @dataclass
-class _Search:
-    """Detection in all photographs of a campaign.
+class DetectionCache:
+    """Finished photographs of a campaign.
 
     Attributes:
-        cameras: calibrated ones.
-        s: arclength of the markers [m], (m,).
-        base_side: None if the base is projected by the cameras.
-        dark: whether the dots are darker than the probe; None for either.
-        cache: of finished photographs.
-        on_progress: called with the step and the fraction done.
-        total: number of photographs.
-        count: number of photographs so far.
+        folder: of the campaign.
+        used: number of results that were taken from the cache.
     """
 
-    cameras: list[Camera]
-    s: Array
-    base_side: ImageSide | None
-    dark: bool | None
-    cache: DetectionCache
-    on_progress: Progress
-    total: int
-    count: int = 0
+    folder: Path
+    used: int = 0
+    _done: dict[str, DetectedMarkers] = field(init=False)
 
-    def test(self, photographs: tuple[Photograph, ...]) -> PhotographedTest:
-        """Return the markers of one test, checked by triangulation if the cameras are calibrated."""
-        by_name = {camera.name: camera for camera in self.cameras}
-        found = [self._photograph(one, by_name.get(one.camera)) for one in photographs]
-        if not self.cameras:
-            return PhotographedTest(photographs, tuple(found))
+    def __post_init__(self) -> None:
+        """Read the file; incomplete and foreign lines are skipped."""
         try:
-            located = triangulate(
-                [by_name[one.camera] for one in photographs],
-                np.array([one.pixels for one in found]),
-                np.array([one.std_px for one in found]),
-            )
-        except InputError as error:
-            raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
-        return PhotographedTest(photographs, tuple(found), float(np.sqrt(np.nanmean(located.residual_px**2))))
+            lines = self.path.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError):
+            lines = []
+        self._done = dict(pair for line in lines if (pair := _parsed(line)))
 
-    def _photograph(self, one: Photograph, camera: Camera | None) -> DetectedMarkers:
-        """Return the markers of one photograph, from the cache if it is finished."""
-        self.on_progress(f"dots of {one.path.name}", self.count / self.total)
-        self.count += 1
-        base: Array | ImageSide
-        if self.base_side is None:
-            assert camera is not None  # `read_cameras` returns all that the campaign names
-            base = camera.project(one.test.T_world_base[:3, 3])
-        else:
-            base = self.base_side
-        key = cache_key(one.path, self.s, base, self.dark)
-        found = self.cache.get(key)
-        if found is None:
-            found = find_markers(one.path, self.s, base, self.dark)
-            self.cache.add(key, found)
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self.folder / CACHE
+
+    def detect(
+        self, photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None
+    ) -> DetectedMarkers:
+        """Return the markers of a photograph, see `find_markers`; appended to the file if it was not finished."""
+        key = cache_key(photograph, s, base, dark)
+        if key in self._done:
+            self.used += 1
+            return self._done[key]
+        found = find_markers(photograph, s, base, dark)
+        dots = [[*dot.pixel, dot.std_px, *dot.shape.ravel()] for dot in found.dots]
+        line = json.dumps({"key": key, "dark": found.dark, "dots": dots})
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(f"\n{line}\n")  # the newline in front ends an incomplete line
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._done[key] = found
         return found
+
+    def remove(self) -> None:
+        """Delete the file."""
+        self.path.unlink(missing_ok=True)
+
+    def __len__(self) -> int:
+        """Return the number of finished photographs."""
+        return len(self._done)
+
+
+def _parsed(line: str) -> tuple[str, DetectedMarkers] | None:
+    try:
+        entry: dict[str, Any] = json.loads(line)
+        rows = np.array(entry["dots"], dtype=float)
+        if rows.ndim != 2 or rows.shape[1] != 7 or not np.isfinite(rows).all():
+            return None
+        dots = tuple(Dot(row[:2], float(row[2]), row[3:].reshape(2, 2)) for row in rows)
+        return str(entry["key"]), DetectedMarkers(rows[:, :2], rows[:, 2], dots, bool(entry["dark"]))
+    except (ValueError, TypeError, KeyError):
+        return None

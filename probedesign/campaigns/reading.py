@@ -1,26 +1,91 @@
-"""Reading a campaign: every table of its folder, checked against the others and against the probe."""
+"""Reading a campaign: the tables of its folder, each checked against the others, and the calibration of its cameras."""
 
+import difflib
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from probedesign.campaigns.cameras import PIXELS, read_pixels
-from probedesign.campaigns.campaign import Campaign, Markers, Weighing
-from probedesign.campaigns.checks import check_agreement, check_marker_order, check_plausible
+from probedesign.campaigns.campaign import (
+    MARKERS,
+    PUSH_DIRECTIONS,
+    TESTS,
+    WRENCHES,
+    Campaign,
+    Markers,
+    Test,
+    Weighing,
+)
+from probedesign.campaigns.checks import check_marker_order
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.tables import (
-    MARKERS,
-    TESTS,
-    base_pose,
-    read_markers,
-    read_tests,
-    read_wrenches,
+from probedesign.core.csv_tables import (
+    WRENCH,
+    WRENCH_ALIASES,
+    WRENCH_KINDS,
+    Frame,
+    TableRows,
+    TableSchema,
+    read_rows,
+    shown,
 )
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose
 from probedesign.core.units import GRAM, MM
-from probedesign.estimation.model import ProbeModel
+from probedesign.vision.calibrate import calibrate
+from probedesign.vision.camera import Camera
+from probedesign.vision.triangulate import MIN_STD_PX, triangulate
+
+FORCE = ("force_x_world", "force_y_world", "force_z_world")
+CONTACT = ("contact_x_world", "contact_y_world", "contact_z_world")
+BASE_POSITION = ("base_x_world", "base_y_world", "base_z_world")
+BASE_ROTATION = ("base_rx_world", "base_ry_world", "base_rz_world")
+POSITION = ("x_world", "y_world", "z_world")
+TESTS_SCHEMA = TableSchema(
+    "table of tests",
+    {"test": "name", **dict.fromkeys(FORCE, "force"), "s_contact": "length", "std_s": "length",
+     **dict.fromkeys(CONTACT, "length"), "std_contact": "length", "direction": "word", "tip_sag": "length",
+     "std_sag": "length", **dict.fromkeys(BASE_POSITION, "length"), **dict.fromkeys(BASE_ROTATION, "angle")},
+    ("test",),
+    "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
+    "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm,base_x_world_mm,"
+    "base_y_world_mm,base_z_world_mm,base_rx_world_deg,base_ry_world_deg,base_rz_world_deg",
+    {},
+)  # fmt: skip
+WRENCHES_SCHEMA = TableSchema(
+    "table of wrenches",
+    {"test": "name", "time": "time", **WRENCH_KINDS},
+    ("test", *WRENCH),
+    "test,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm",
+    {"t": "time", "timestamp": "time", **WRENCH_ALIASES},
+)
+MARKERS_SCHEMA = TableSchema(
+    "table of markers",
+    {"test": "name", "marker": "number", **dict.fromkeys(POSITION, "length"), "std": "length"},
+    ("test", "marker", *POSITION),
+    "test,marker,x_world_mm,y_world_mm,z_world_mm,std_mm",
+    {},
+)
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", re.ASCII)
+CONTROL_POINTS, PIXELS, IMAGES = "control_points.csv", "pixels.csv", "images"
+PIXEL = ("u", "v")
+CONTROL_POINTS_SCHEMA = TableSchema(
+    "table of control points",
+    {"point": "name", **dict.fromkeys(POSITION, "length"), "camera": "name", **dict.fromkeys(PIXEL, "pixel")},
+    ("point", *POSITION, "camera", *PIXEL),
+    "point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px",
+    {},
+)
+PIXELS_SCHEMA = TableSchema(
+    "table of pixels",
+    {"test": "name", "camera": "name", "marker": "number", **dict.fromkeys(PIXEL, "pixel"), "std": "pixel"},
+    ("test", "camera", "marker", *PIXEL),
+    "test,camera,marker,u_px,v_px,std_px",
+    {},
+)
 
 
 def read_campaign(path: str | Path) -> Campaign:
@@ -38,16 +103,16 @@ def read_campaign(path: str | Path) -> Campaign:
     names = {test.name: i for i, test in enumerate(tests)}
     wrenches, frame, assumptions = read_wrenches(folder, names)
     markers, notes = _markers(folder, manifest, names)
-    marker_s, marker_side = np.zeros(0), None
+    marker_s, side = np.zeros(0), None
     if manifest.markers is not None:
         marker_s, side = np.array(manifest.markers.s_mm) * MM, manifest.markers.side_deg
-        marker_side = None if side is None else float(np.radians(side))
+    marker_side = None if side is None else float(np.radians(side))
     std_base = manifest.base.std_mm * MM
     for test, seen in zip(tests, markers, strict=True):
         if seen is not None:
             where = f"{folder / seen.file}: test {test.name}"
             check_marker_order(where, seen, marker_s, marker_side, test.T_world_base[:3, 3], std_base)
-    weighing = manifest.weighing
+    one = manifest.weighing
     return Campaign(
         name=manifest.probe,
         fingerprint=manifest.fingerprint,
@@ -61,9 +126,7 @@ def read_campaign(path: str | Path) -> Campaign:
             replace(test, wrenches=readings, frame=frame, markers=seen)
             for test, readings, seen in zip(tests, wrenches, markers, strict=True)
         ),
-        weighing=None
-        if weighing is None
-        else Weighing(GRAM * weighing.mass_g, GRAM * weighing.std_g, weighing.of),
+        weighing=None if one is None else Weighing(GRAM * one.mass_g, GRAM * one.std_g, one.of),
         folder=folder,
         notes=(*notes, *assumptions),
     )
@@ -83,42 +146,239 @@ def _markers(
     return [a or b for a, b in zip(measured, located, strict=True)], notes
 
 
-def check_probe(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse a campaign of another probe, or with values that this probe cannot produce.
+# tables
 
-    Args:
-        campaign: the data.
-        model: of the probe it is used for.
+
+def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
+    """Read `tests.csv`; wrenches and markers are in other tables.
 
     Raises:
-        InputError: the fingerprints or the names differ; a place is beyond the tip; or values are in another unit.
+        InputError: it is missing or invalid; one line.
     """
-    _check_identity(campaign, model)
-    name, length = model.name, model.rod.length
-    for number, s in enumerate(campaign.marker_s, 1):
-        if s > length * (1.0 + 1e-9):
-            beyond = f"marker {number} at s = {s / MM:g} mm is beyond the tip of {name} at {length / MM:g} mm"
-            raise InputError(f"{campaign.folder / MANIFEST}: {beyond}; correct markers.s_mm in campaign.toml")
-    for test in campaign.tests:
-        if test.s_contact > length * (1.0 + 1e-9):
-            beyond = (
-                f"s_contact_mm = {test.s_contact / MM:g} is beyond the tip of {name} at {length / MM:g} mm"
+    rows = read_rows(folder / TESTS, TESTS_SCHEMA)
+    names = rows.texts("test")
+    for row, name in enumerate(names):
+        if not NAME.fullmatch(name):
+            rows.fail(
+                row, f"test {name[:40]!r} is not a valid name; use letters, digits, - and _, at most 64"
             )
-            raise InputError(f"{campaign.folder / TESTS}: test {test.name}: {beyond}; a wrong unit?")
-    check_plausible(campaign, model)
-    check_agreement(campaign, model)
+    rows.check_unique([(name,) for name in names], lambda row: f"test {names[row]}")
+    force, loaded = rows.all_or_none(*FORCE)
+    contact, seen = rows.all_or_none(*CONTACT)
+    poses = _poses(rows, manifest)
+    s, sag = rows.numbers("s_contact", "tip_sag").T
+    std_s = _std(rows, ~np.isnan(s), "s_contact", "std_s")
+    std_contact = _std(rows, seen, "contact_x_world", "std_contact")
+    std_sag = _std(rows, ~np.isnan(sag), "tip_sag", "std_sag")
+    directions = rows.texts("direction")
+    for row in np.flatnonzero(s < 0.0)[:1]:
+        rows.fail(int(row), f"{rows.columns['s_contact'].name} is negative; s counts from the base")
+    for i, direction in enumerate(directions):
+        if direction and direction not in PUSH_DIRECTIONS:
+            allowed = ", ".join(PUSH_DIRECTIONS)
+            rows.fail(i, f"direction = {shown(direction)} is none of {allowed} of the base; write one, or leave "
+                         "it empty")  # fmt: skip
+        if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
+            rows.fail(
+                i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty"
+            )
+    gravity = np.array(manifest.gravity.world_m_s2)
+    return [
+        Test(name, poses[i], gravity, force[i] if loaded[i] else None, float(s[i]), float(std_s[i]),
+             contact[i] if seen[i] else None, float(std_contact[i]), directions[i], float(sag[i]), float(std_sag[i]))
+        for i, name in enumerate(names)
+    ]  # fmt: skip
 
 
-def _check_identity(campaign: Campaign, model: ProbeModel) -> None:
-    where = f"{campaign.folder}: these data are of another probe"
-    fingerprint, name = campaign.fingerprint, model.name
-    if fingerprint is not None and fingerprint != model.fingerprint:
-        raise InputError(f"{where}: fingerprint {fingerprint}, not {model.fingerprint} of {name}")
-    if campaign.name == name:
-        return
-    if fingerprint is not None:
-        both = f"probe = {campaign.name!r}, and fingerprint {fingerprint} is that of {name!r}"
-        raise InputError(f"{campaign.folder / MANIFEST}: {both}; correct the one that is wrong")
-    raise InputError(
-        f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
-    )
+def _poses(rows: TableRows, manifest: Manifest) -> list[Array]:
+    """Return T_world_base of each row: its own, or that of `[base]`."""
+    values, given = rows.all_or_none(*BASE_POSITION, *BASE_ROTATION)
+    usual = base_pose(manifest)
+    return [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if own else usual
+            for v, own in zip(values, given, strict=True)]  # fmt: skip
+
+
+def base_pose(manifest: Manifest) -> Array:
+    """Return T_world_base of `[base]`, (4, 4)."""
+    R = Rotation.from_rotvec(np.radians(manifest.base.rotation_world_deg)).as_matrix()
+    return pose(R, np.array(manifest.base.p_world_mm) * MM)
+
+
+def _std(rows: TableRows, given: NDArray[np.bool_], what: str, name: str) -> Array:
+    """Return the standard deviation of a quantity, which is required where that is given; none is assumed."""
+    column = rows.columns[what].name if what in rows.columns else what
+    return rows.std(name, given, f"{column} has no standard deviation; give it in {name}_mm")
+
+
+def indices_of_tests(rows: TableRows, names: dict[str, int]) -> NDArray[np.intp]:
+    """Return the index of the test of each row of another table; refuse a test that `tests.csv` does not have."""
+    found = []
+    for row, name in enumerate(rows.texts("test")):
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1, 0.3)
+            hint = f"did you mean {near[0]!r}?" if near else "add it there"
+            rows.fail(row, f"test {name[:40]!r} is not in {TESTS}; {hint}" if name else "names no test")
+        found.append(names[name])
+    return np.array(found, dtype=np.intp)
+
+
+def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame, tuple[str, ...]]:
+    """Return readings of each test [N, N·m], (n, 6), their frame, and notes on assumptions, from `wrenches.csv` if any.
+
+    Args:
+        folder: of the data.
+        tests: index of each test by name.
+
+    Raises:
+        InputError: the table is invalid; one line.
+    """
+    path = folder / WRENCHES
+    if not path.exists():
+        return [np.zeros((0, 6)) for _ in tests], "base", ()
+    rows = read_rows(path, WRENCHES_SCHEMA)
+    frame = rows.lines.frame
+    which = indices_of_tests(rows, tests)
+    wrench = rows.required(*WRENCH)
+    time, names = rows.numbers("time")[:, 0], rows.texts("test")
+    keys: list[tuple[object, ...]] = [
+        (name, i if np.isnan(t) else t) for i, (name, t) in enumerate(zip(names, time.tolist(), strict=True))
+    ]
+    rows.check_unique(keys, lambda row: f"test {names[row]} at {time[row]:g} s")
+    note = f"{WRENCHES}: names no frame, the sensor's is assumed; its first line should be `# frame: sensor` or `base`"
+    return [wrench[which == i] for i in range(len(tests))], frame, () if rows.lines.names_frame else (note,)
+
+
+def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> list[Markers | None]:
+    """Return the markers of each test by a reference other than the campaign's cameras, from `markers.csv` if any.
+
+    Raises:
+        InputError: the table is invalid; one line.
+    """
+    path = folder / MARKERS
+    if not path.exists():
+        return [None] * len(tests)
+    rows = read_rows(path, MARKERS_SCHEMA)
+    which, numbers = indices_of_tests(rows, tests), marker_numbers(rows, manifest)
+    names = rows.texts("test")
+    rows.check_unique(list(zip(names, numbers.tolist(), strict=True)),
+                      lambda row: f"test {names[row]}, marker {numbers[row] + 1}")  # fmt: skip
+    default = manifest.markers.std_mm if manifest.markers is not None else None
+    p, needed = rows.required(*POSITION), np.full(len(rows), default is None)
+    std = rows.std("std", needed, "no std_mm here, nor markers.std_mm in campaign.toml; give one of them")
+    std = np.where(np.isnan(std), np.nan if default is None else default * MM, std)
+    found: list[Markers | None] = []
+    for test in range(len(tests)):
+        own = np.flatnonzero(which == test)
+        own = own[np.argsort(numbers[own])]
+        cov = std[own, None, None] ** 2 * np.eye(3)
+        found.append(Markers(numbers[own], p[own], cov, MARKERS) if len(own) else None)
+    return found
+
+
+def marker_numbers(rows: TableRows, manifest: Manifest) -> NDArray[np.intp]:
+    """Return the index of the marker of each row, from 0; refuse what is not the number of a marker of the campaign."""
+    count = 0 if manifest.markers is None else len(manifest.markers.s_mm)
+    if count == 0:
+        rows.fail(0, "has markers, but campaign.toml has no [markers]; add s_mm, the arclength of each")
+    texts = rows.texts("marker")
+    for row, text in enumerate(texts):
+        if not (text.isascii() and text.isdigit() and len(text) < 9):
+            rows.fail(row, f"marker {text[:20]!r} is not a number; marker 1 is the one nearest to the base")
+        if not 1 <= int(text) <= count:
+            rows.fail(row, f"marker {text} is beyond the list: markers.s_mm in campaign.toml has {count}")
+    return np.array([int(text) - 1 for text in texts], dtype=np.intp)
+
+
+# cameras
+
+
+def read_cameras(folder: Path, manifest: Manifest) -> tuple[list[Camera], tuple[str, ...]]:
+    """Return the cameras that `[cameras]` names, calibrated, in that order, and notes for the user, each one line.
+
+    Raises:
+        InputError: there are none, or their control points are invalid; one line.
+    """
+    path = folder / CONTROL_POINTS
+    if manifest.cameras is None:
+        raise InputError(f'{folder / MANIFEST}: has no [cameras]; add there names = ["left", "right"]')
+    if not path.exists():
+        raise InputError(f"{path}: is missing; cameras are calibrated from it")
+    rows = read_rows(path, CONTROL_POINTS_SCHEMA)
+    names, labels = _camera_names(rows, manifest), rows.texts("point")
+    rows.check_unique(list(zip(names, labels, strict=True)),
+                      lambda row: f"camera {names[row]}, point {labels[row]}")  # fmt: skip
+    world, pixels = rows.required(*POSITION), rows.required(*PIXEL)
+    cameras, notes = [], []
+    for name in manifest.cameras.names:
+        own = np.flatnonzero(np.array(names) == name)
+        if not len(own):
+            raise InputError(f"{path}: has no point of camera {name}")
+        try:
+            camera = calibrate(
+                name, world[own], pixels[own], manifest.cameras.distortion, [labels[i] for i in own]
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        outliers = f"; outliers left out: {', '.join(camera.outliers)}" if camera.outliers else ""
+        notes.append(f"camera {name}: {len(own)} control points, residual {camera.std_px:.2g} px{outliers}")
+        cameras.append(camera)
+    return cameras, tuple(notes)
+
+
+def _camera_names(rows: TableRows, manifest: Manifest) -> list[str]:
+    """Return the name of the camera of each row; refuse one that `[cameras]` does not have."""
+    names = rows.texts("camera")
+    known = () if manifest.cameras is None else manifest.cameras.names
+    for row, name in enumerate(names):
+        if name not in known:
+            rows.fail(row, f"camera {name[:40]!r} is not in cameras.names of campaign.toml, which has "
+                           f"{', '.join(known) or 'none'}")  # fmt: skip
+    return names
+
+
+def read_pixels(
+    folder: Path, manifest: Manifest, tests: dict[str, int]
+) -> tuple[list[Markers | None], tuple[str, ...]]:
+    """Return the markers of each test, located by cameras from `pixels.csv` if any, and notes, each one line.
+
+    Raises:
+        InputError: the table is invalid, or the cameras contradict each other; one line.
+    """
+    path = folder / PIXELS
+    if not path.exists():
+        note = f"{IMAGES}/ has photographs, but there is no {PIXELS}; run `probedesign markers {folder}`"
+        without = (folder / IMAGES).is_dir() and not (folder / MARKERS).exists()
+        return [None] * len(tests), (note,) if without else ()
+    rows = read_rows(path, PIXELS_SCHEMA)
+    which, numbers = indices_of_tests(rows, tests), marker_numbers(rows, manifest)
+    names, camera_names = rows.texts("test"), _camera_names(rows, manifest)
+    rows.check_unique(list(zip(names, camera_names, numbers.tolist(), strict=True)),
+                      lambda i: f"test {names[i]}, camera {camera_names[i]}, marker {numbers[i] + 1}")  # fmt: skip
+    uv, std = rows.required(*PIXEL), rows.std("std", np.zeros(len(rows), dtype=bool), "")
+    cameras, notes = read_cameras(folder, manifest)
+    order = [camera.name for camera in cameras]
+    camera_index = np.array([order.index(name) for name in camera_names])
+    found: list[Markers | None] = [None] * len(tests)
+    for name, test in tests.items():
+        own = np.flatnonzero(which == test)
+        if len(own):
+            try:
+                found[test] = _located(cameras, camera_index[own], numbers[own], uv[own], std[own])
+            except InputError as error:
+                raise InputError(f"{path}: test {name}: {error}") from None
+    return found, notes
+
+
+def _located(
+    cameras: list[Camera], which: NDArray[np.intp], numbers: NDArray[np.intp], uv: Array, std: Array
+) -> Markers:
+    """Return the markers of one test in space."""
+    seen = np.unique(numbers)
+    column = np.searchsorted(seen, numbers)
+    pixels = np.full((len(cameras), len(seen), 2), np.nan)
+    pixels[which, column] = uv
+    std_px = np.tile([[max(camera.std_px, MIN_STD_PX)] for camera in cameras], (1, len(seen)))
+    given = ~np.isnan(std)
+    std_px[which[given], column[given]] = std[given]
+    located = triangulate(cameras, pixels, std_px, [str(number + 1) for number in seen])
+    return Markers(seen, located.p_world, located.cov_world, PIXELS)

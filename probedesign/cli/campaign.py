@@ -124,7 +124,7 @@ def markers(
 
 def _write_overlays(data: Path, tests: "list[PhotographedTest]") -> Path:
     """Write the photographs with their markers outlined, and return the folder."""
-    from probedesign.vision.images import overlay, read_grey, write_png
+    from probedesign.vision.markers import overlay, read_grey, write_png
 
     folder = data / "overlays"
     for test in tests:

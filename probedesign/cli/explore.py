@@ -128,7 +128,7 @@ def _true_outlines(source: "Source") -> "tuple[Array, ...]":
     """Return the true outlines of a simulated object [m], (k, 3) each; none for a measured one."""
     from probedesign.live.sources.replay import ReplaySource
     from probedesign.mapping.explore import LoadedRecording
-    from probedesign.simulation.card_house import true_outlines
+    from probedesign.simulation.scenes import true_outlines
 
     return true_outlines(source.recorded_from) if isinstance(source, LoadedRecording | ReplaySource) else ()
 

@@ -109,7 +109,7 @@ def _write_design(
     from probedesign.design import load_design
     from probedesign.design.edit import edit_text
     from probedesign.design.io import write_design
-    from probedesign.identification.design_update import check_overwritable, design_changes
+    from probedesign.identification.identify import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()

@@ -14,9 +14,9 @@ from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
     from probedesign.core.parallel import OnProgress
+    from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.optimum import (
         MonteCarloCheck,
-        OptimizationProblem,
         OptimizeResult,
         Optimum,
         ParetoFront,

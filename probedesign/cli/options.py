@@ -221,7 +221,7 @@ class RehearsalOptions:
         import numpy as np
 
         from probedesign.rod.friction import MAX_FRICTION
-        from probedesign.simulation.card_house import touch_targets
+        from probedesign.simulation.scenes import touch_targets
         from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
 
         if self.seed < 0:

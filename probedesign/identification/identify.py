@@ -1,30 +1,43 @@
-"""Identification of a probe's parameters: one campaign and one design in, numbers with their intervals out."""
+"""Identification of a probe: a campaign and a design in; numbers with intervals and design changes out."""
 
+import json
 import math
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from probedesign.campaigns import Campaign, Test
-from probedesign.campaigns.reading import check_probe
+from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.units import MPA
+from probedesign.design import Design
+from probedesign.design.edit import Change
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import ASSUMED_STIFFNESS, IDENTIFIED, Tolerances
 from probedesign.identification import result
-from probedesign.identification.consistency import inconsistency, outlier_notes, rejected_prior
-from probedesign.identification.observability import UnobservableDirection, unobservable_direction
+from probedesign.identification.fit_checks import (
+    UnobservableDirection,
+    inconsistency,
+    outlier_notes,
+    rejected_prior,
+    unobservable_direction,
+)
 from probedesign.identification.parameters import (
     DEFAULT,
     LOG_E,
+    PARAMETERS,
     CommonParameters,
     check_requested,
     columns_of,
 )
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
-from probedesign.identification.result import Identification, Outlier
+from probedesign.identification.result import Identification, Identified, Outlier
 from probedesign.identification.solver import (
     Fit,
     LeastSquaresProblem,
@@ -42,6 +55,11 @@ SUSPICIOUS_FACTOR = 3.0
 two, and a factor on all forces cannot be distinguished from a factor on E."""
 START_TOLERANCE = 3.0
 """Factor on the limits of observability at the start of the search, where the parameters are rough."""
+IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
+"""Parameters that a design file holds."""
+MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
+REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter")
+"""Keys that an identification of E replaces as well, where E was not identified before."""
 
 
 @dataclass(frozen=True)
@@ -142,10 +160,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT) -> Identi
 
     Args:
         data: from `data_of`.
-        names: requested parameters, of `parameters.REQUESTABLE`.
-
-    Returns:
-        The numbers; a parameter that is not observable is left at the design value and reported so.
+        names: requested parameters, of `parameters.REQUESTABLE`; one that is not observable stays at the design value.
 
     Raises:
         InputError: an unknown name, too few tests, or tests in which no requested parameter is observable.
@@ -181,9 +196,8 @@ def _search(
     """Fit the observable parameters of `names`; fix the others at the design, one after the other."""
     requested, unobservable = tuple(names), list[UnobservableDirection]()
     while requested:
-        problem = LeastSquaresProblem(
-            data.common, data.tests, data.mass, data.common.prior_without(requested)
-        )
+        prior = data.common.prior_without(requested)
+        problem = LeastSquaresProblem(data.common, data.tests, data.mass, prior)
         start = start_point(problem, "E" in requested)
         assert start is not None  # by `_without_unsolvable`, test by test
         lost = unobservable_direction(start, weights(start.blocks, {}), requested, START_TOLERANCE)
@@ -243,3 +257,126 @@ def _remarks(found: Fit) -> list[str]:
         for one in found.noise
         if one.measured
     ]
+
+
+# changes of the design
+
+
+def design_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
+    """Return the keys that a design gets; poses and gravity belong to the bench and not to the probe.
+
+    The value written is conditional on the design's diameters, which the frozen probe uses too: of E and diameters it
+    is E·d⁴ that was measured, and `youngs_modulus_by_diameter` states it. The standard deviations written include
+    the systematic effects. `day` is for the comments.
+
+    Raises:
+        InputError: no number of a design was identified, or the fit is not valid.
+    """
+    if found.result != "ok":
+        why = found.why or "the search did not converge"
+        raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
+    numbers = [one for one in found.found if one.identified and one.name in IN_DESIGN]
+    if not numbers:
+        raise InputError(
+            f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}"
+        )
+    changes = [_value(one, found, day) for one in numbers]
+    material = [one for one in numbers if one.name in MATERIAL]
+    changes += [Change("material.provenance", _split_key(one.name)[1], '"identified"') for one in material]
+    for one in material:
+        assert one.std is not None
+        note = f"identified {day}: {one.std / one.value:.2g} by the fit"
+        if one.std != one.std_total:
+            note += ", the rest systematic effects, each as one standard deviation"
+        key, value = PARAMETERS[one.name].attribute, f"{one.relative_std_total:.2g}"
+        changes.append(Change("tolerances", key, value, note))
+    E = found.of("E")
+    if E is None:
+        return tuple(changes)
+    changes.append(Change("material", "stiffness_spread", f"{E.relative_std_total:.2g}",
+                          f"identified {day}: of E, as in [tolerances], for fusing touches"))  # fmt: skip
+    if E.by_diameter is not None:
+        changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
+                              f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
+    if found.of("G") is None and design.tolerances.shear_modulus is None:
+        # the tolerance of G follows stiffness_spread unless it is set
+        spread = design.material.stiffness_spread
+        usual = IDENTIFIED if design.youngs_modulus.provenance == "identified" else ASSUMED_STIFFNESS
+        changes.append(Change("tolerances", "shear_modulus", f"{usual if spread is None else spread:.2g}",
+                              "as before: the tests did not determine it"))  # fmt: skip
+    return tuple(changes)
+
+
+def _split_key(name: str) -> tuple[str, str]:
+    table, key = PARAMETERS[name].design_key.split(".")
+    return table, key
+
+
+def _value(one: Identified, found: Identification, day: str) -> Change:
+    caveat = f"; {one.caveat}" if one.caveat else ""
+    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
+    note = (f"identified {day}, {tests}: {one.low_total:.4g} ... {one.high_total:.4g} in 95 %, with these "
+            f"diameters{caveat}")  # fmt: skip
+    return Change(*_split_key(one.name), f"{one.value:.4g}", note)
+
+
+def check_overwritable(
+    design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
+) -> None:
+    """Refuse to replace what someone set or identified before in a file's text, unless `force` is set.
+
+    A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
+    """
+    document = tomllib.loads(text)
+    present = [f"{one.table}.{one.key}" for one in changes
+               if not _replaceable(one, design)
+               and _value_in(document, one) not in (None, tomllib.loads(f"v = {one.text}")["v"])]  # fmt: skip
+    if present and not force:
+        raise InputError(f"{where}: set or identified already: {', '.join(present)}; --force replaces these values "
+                         "and keeps them as comments, or write another file with --out")  # fmt: skip
+
+
+def _replaceable(change: Change, design: Design) -> bool:
+    """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty."""
+    if change.table == "material.provenance":
+        return True
+    key = f"{change.table}.{change.key}"
+    for name, one in MATERIAL.items():
+        if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
+            provenance: str = getattr(design.material.provenance, _split_key(name)[1])
+            return provenance != "identified"
+    return False
+
+
+def _value_in(document: dict[str, Any], change: Change) -> object:
+    """Return the value in a design file; None if there is none."""
+    value: Any = document
+    for part in (*change.table.split("."), change.key):
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
+def design_diff(design: Design, fingerprint: str, file: Path) -> str:
+    """Return which numbers of an earlier identification, in `file`, a design of this geometry lacks; empty if none."""
+    try:
+        data = json.loads(file.read_bytes())
+        if data["result"] != "ok" or data["fingerprint"] != fingerprint:
+            return ""
+        differences = []
+        for one in data["found"]:
+            if one["result"] == "identified" and one["name"] in MATERIAL:
+                quantity = getattr(design, MATERIAL[one["name"]].attribute)
+                unit = MPA if one["unit"] == "MPa" else 1.0
+                # a design gets four digits
+                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"
+                if identified != present:
+                    text = f"{one['name']} {identified} {one['unit']}, where the design has {present}"
+                    differences.append(text)
+        return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ):  # no identification was made, or another program's file
+        return ""

@@ -1,15 +1,15 @@
 """Parameters that a campaign can identify, the nuisance parameters of its tests, and the rod and poses they imply.
 
 All of them form one parameter vector: the blocks of `PARAMETERS` in order, then the modes of the print's dimension
-errors. A parameter is added by one entry of `PARAMETERS`: the solver, the observability analysis, the checks, the
-report and the design update iterate over the entries.
+errors. One entry of `PARAMETERS` adds a parameter: of the rod with `apply` and `jacobian`, of the sensor with
+`reading`. The solver, the checks, the report and the design update iterate over the entries.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +42,9 @@ Covers 1 % of density, 2 % of area and the change of the sag by a third of E (as
 
 Jacobian = Callable[["SolvedTest", "WithJacobian"], Array]
 """Derivative of a vector of the solved rod in base axes (...) by a parameter's components, (..., k)."""
+Reading = Callable[[Array, Array], tuple[Array, Array, Array]]
+"""What the sensor reads of a wrench about the base (6,), by a parameter's components (k,): the reading [N, N·m], (6,),
+and its derivatives by the wrench, (6, 6), and by the components, (6, k)."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class Parameter:
         jacobian: derivative of vectors of the solved rod in base axes; None where only the change of axes matters,
             which `residuals` adds.
         apply: the rod with the parameter at a value; None if the parameter does not change the rod.
+        reading: its effect on the sensor's readings; None if it has none. Effects follow each other in order.
         logarithm: whether the vector has the logarithm of a factor on the design value.
         max_std: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported.
             None for a nuisance parameter, which cannot be requested.
@@ -72,6 +76,7 @@ class Parameter:
     prior: Callable[["CommonParameters"], ArrayLike]
     jacobian: Jacobian | None = None
     apply: Callable[[Rod, float], Rod] | None = None
+    reading: Reading | None = None
     logarithm: bool = False
     max_std: float | None = None
     unit: str = ""
@@ -85,11 +90,8 @@ class Parameter:
     @cached_property
     def columns(self) -> slice:
         """Position of its components in the parameter vector."""
-        start = 0
-        for other in PARAMETERS.values():
-            if other.name == self.name:
-                break
-            start += len(other.labels)
+        names = list(PARAMETERS)
+        start = sum(len(PARAMETERS[name].labels) for name in names[: names.index(self.name)])
         return slice(start, start + len(self.labels))
 
     def reported(self, rod: Rod, x: float) -> float:
@@ -118,16 +120,17 @@ def _material(
 ) -> Parameter:  # fmt: skip
     """Return the parameter of a material property, the logarithm of a factor on the design's."""
 
-    def scaled(rod: Rod, x: float) -> Rod:
-        value: float = getattr(rod, attribute) * math.exp(x)
-        return replace(rod, **{attribute: value})  # type: ignore[arg-type]
+    def apply(rod: Rod, x: float) -> Rod:
+        """Return the rod with the property scaled."""
+        changes: dict[str, Any] = {attribute: getattr(rod, attribute) * math.exp(x)}
+        return replace(rod, **changes)
 
     def prior(common: "CommonParameters") -> float:
-        # A requested E has no prior; an E that is not requested is exactly the design's, as touches report it.
+        """Return the tolerance; an E that is not requested is exactly the design's, as touches report it."""
         return 0.0 if name == "E" else float(getattr(common.tolerances, attribute))
 
     return Parameter(
-        name, {name: label}, prior, _rod_column(f"log_{name}"), scaled, True, max_std, unit,
+        name, {name: label}, prior, _rod_column(f"log_{name}"), apply, logarithm=True, max_std=max_std, unit=unit,
         design_value=lambda rod: getattr(rod, attribute) / si, attribute=attribute, design_key=design_key,
         prior_name=prior_name, prior_source=prior_source,
     )  # fmt: skip
@@ -186,8 +189,8 @@ PARAMETERS: dict[str, Parameter] = {
                   max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE, prior_name="direction of gravity",
                   prior_source="world_m_s2 in campaign.toml, and the tolerance gravity_deg"),
         Parameter("diameters", {"diameters": "all diameters over the design's"}, lambda common: 0.0,
-                  _rod_column("log_diameter"), lambda rod, x: scaled_diameters(rod, math.exp(x)), True, 0.1,
-                  design_value=lambda rod: 1.0),
+                  _rod_column("log_diameter"), lambda rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
+                  max_std=0.1, design_value=lambda rod: 1.0),
         Parameter("mount_rotation", _xyz("mount_rotation", "rotation of the probe on the sensor about {}"),
                   lambda common: common.mount_rotation_std,
                   lambda test, vector: test.by_mount_rotation(vector),
@@ -196,7 +199,8 @@ PARAMETERS: dict[str, Parameter] = {
                   lambda common: common.tolerances.base_mm * MM,
                   prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
         Parameter("bias", {f"bias_{channel}": f"bias of {channel}" for channel in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")},
-                  lambda common: common.bias_std, prior_name="bias of the sensor",
+                  lambda common: common.bias_std, reading=lambda wrench, x: (wrench + x, np.eye(6), np.eye(6)),
+                  prior_name="bias of the sensor",
                   prior_source="when the sensor was zeroed: before the probe is mounted, or with it hanging free"),
     )
 }  # fmt: skip
@@ -221,17 +225,12 @@ def _span(first: str, last: str) -> slice:
 
 BASE_ROTATION, BASE_OFFSET = _span("tilt", "clocking"), PARAMETERS["offset"].columns
 MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
-GRAVITY_TILT, BIAS = PARAMETERS["gravity"].columns, PARAMETERS["bias"].columns
 LOG_E, DIAMETERS = PARAMETERS["E"].columns.start, PARAMETERS["diameters"].columns.start
 LOGARITHMS = [i for i, one in enumerate(OWNER) if one.logarithm]
 
 
 def check_requested(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of `--for` in the order of `PARAMETERS`.
-
-    Raises:
-        InputError: there is none, or one is unknown.
-    """
+    """Return the names of `--for` in the order of `PARAMETERS`; refuse none, and unknown ones."""
     for name in names:
         if name not in REQUESTABLE:
             raise unknown_name("--for", name, REQUESTABLE)
@@ -363,13 +362,8 @@ class ParameterValues:
         """Map of wrenches at the probe's base to the base frame of the sensor, (6, 6)."""
         return wrench_map(self.T_mount_error)
 
-    @property
-    def bias(self) -> Array:
-        """Bias of the readings [N, N·m], (6,)."""
-        return self.x[BIAS]
-
     def gravity(self, gravity_world: Array) -> tuple[Array, Array]:
         """Return gravity in the world [m/s²], (3,), and its derivatives by its two rotations, (3, 2)."""
         axes = np.linalg.svd(gravity_world[None])[2][1:] if gravity_world.any() else np.zeros((2, 3))
-        R = Rotation.from_rotvec(self.x[GRAVITY_TILT] @ axes).as_matrix()
+        R = Rotation.from_rotvec(self.x[PARAMETERS["gravity"].columns] @ axes).as_matrix()
         return R @ gravity_world, np.cross(axes, gravity_world).T

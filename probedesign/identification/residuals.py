@@ -10,7 +10,6 @@ from probedesign.core.frames import Array, skew
 from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_ROTATION,
-    BIAS,
     GRAVITY_COLUMNS,
     MOUNT_OFFSET,
     MOUNT_ROTATION,
@@ -117,6 +116,11 @@ class ResidualBlock(NamedTuple):
     J: Array
     J_nuisance: Array
     residual: Array
+
+    @property
+    def squared_distance(self) -> float:
+        """Squared Mahalanobis distance with the stated noise."""
+        return float(self.r @ self.r)
 
 
 class WithJacobian(NamedTuple):
@@ -234,9 +238,14 @@ class SolvedTest:
         J[:3, MOUNT_ROTATION] -= f
         J[3:, MOUNT_ROTATION] -= skew(modelled[3:] - arm @ modelled[:3]) + arm @ f
         J[3:, MOUNT_OFFSET] -= f
-        J[:, BIAS] = np.eye(6)
+        for parameter in PARAMETERS.values():
+            if parameter.reading is not None:
+                x = self.values.x[parameter.columns]
+                modelled, by_wrench, by_parameter = parameter.reading(modelled, x)
+                J, J_nuisance = by_wrench @ J, by_wrench @ J_nuisance
+                J[:, parameter.columns] += by_parameter
         assert self.measured.wrench_base is not None and self.measured.cov_wrench is not None
-        residual = self.measured.wrench_base - modelled - self.values.bias
+        residual = self.measured.wrench_base - modelled
         return self._block("wrenches", 0, residual, J, J_nuisance, self.measured.cov_wrench)
 
     def _markers(self) -> Iterator[ResidualBlock]:
@@ -310,9 +319,8 @@ class SolvedTest:
         share = (self.force @ t) / size + slope / np.hypot(1.0, slope)
         by_force = (t - (self.force @ t) / size**2 * self.force) / size
         root = self._by_root(lambda eq: eq.R_at(eq.s_contact)[:, 2])
-        vector = WithJacobian(
-            np.zeros(1), (self.force @ dt / size)[None], np.array([self.force @ root / size])
-        )
+        by_root = np.array([self.force @ root / size])
+        vector = WithJacobian(np.zeros(1), (self.force @ dt / size)[None], by_root)
         J_nuisance = self.nuisance_jacobian(vector)
         J_nuisance[0, 0:3] += by_force
         cov = np.array([[FRICTION**2]])
@@ -359,12 +367,12 @@ def solve_test(
     tip: Array | None = None,
     root: bool = False,
 ) -> SolvedTest:
-    """Solve one test at some parameter values.
+    """Solve one test at some parameter values and nuisance parameters, (measured.nuisance_size,).
 
     Args:
         measured: the test.
         values: of the parameters.
-        nuisance: the test's own parameters, (measured.nuisance_size,).
+        nuisance: the test's own parameters.
         tip: state of a neighbouring equilibrium, as the initial guess.
         root: whether derivatives by the root are needed.
     """
@@ -375,6 +383,7 @@ def solve_test(
     s = nuisance[-1] if measured.s_estimated else (None if measured.free else measured.s_contact)
 
     def solved(rod: Rod) -> Equilibrium:
+        """Return the equilibrium under the load of the test."""
         return rod.solve(gravity_base, force, s, guess=tip, columns="all")
 
     steps = (-ROOT_STEP, ROOT_STEP) if root else ()

@@ -13,28 +13,10 @@ from scipy.stats import norm, t
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM, MPA
-from probedesign.identification.observability import (
-    UnobservableDirection,
-    conditional_estimate,
-    cov_conditional,
-)
-from probedesign.identification.parameters import (
-    COMPONENTS,
-    DIAMETERS,
-    OWNER,
-    PARAMETERS,
-    PRINT,
-    columns_of,
-)
+from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
+from probedesign.identification.parameters import COMPONENTS, DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.solver import (
-    ROBUST_KINDS,
-    Fit,
-    NoiseScale,
-    column_scales,
-    linearize,
-    squared_distance,
-)
+from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale, column_scales, linearize
 from probedesign.rod.rod import Rod
 
 CONFIDENCE = 0.95
@@ -285,12 +267,7 @@ def identified_numbers(
 ) -> tuple[tuple[Identified, ...], Array, tuple[str, ...]]:
     """Return every requested number, the correlation of the identified ones, and their names.
 
-    Args:
-        fit: the end of the search.
-        identified: parameters that were fitted.
-        unobservable: parameters that were not.
-        requested: all that the user requested.
-        quantile: of the intervals.
+    `quantile` is that of the intervals, in standard deviations.
     """
     rod, columns = fit.point.problem.common.model.rod, columns_of(identified)
     why = {one.name: one.description for one in unobservable}
@@ -314,16 +291,17 @@ def _identified(fit: Fit, column: int, quantile: float) -> Identified:
     rod = fit.point.problem.common.model.rod
 
     def interval(x: float, std: float) -> tuple[float, float, float, float]:
+        """Return value, standard deviation and ends of the interval in the reported unit."""
         value, low, high = (parameter.reported(rod, x + sign * quantile * std) for sign in (0.0, -1.0, 1.0))
         return value, value * std if parameter.logarithm else parameter.scale * std, low, high
 
-    given = conditional_estimate(fit, column)
-    value, std, low, high = interval(given.value, given.std)
+    x, std_x, by_diameter = conditional_estimate(fit, column)
+    value, std, low, high = interval(x, std_x)
     i = int(fit.point.problem.active[:column].sum())
     of_print = interval(float(fit.point.values.x[column]), float(np.sqrt(fit.cov[i, i])))
     return Identified(name, parameter.labels[name], parameter.unit, "identified", value, parameter.design_value(rod),
                       std, low, high, *of_print,
-                      by_diameter=given.by_diameter if parameter.logarithm else None)  # fmt: skip
+                      by_diameter=by_diameter if parameter.logarithm else None)  # fmt: skip
 
 
 def residuals_of(fit: Fit) -> tuple[Residual, ...]:
@@ -340,7 +318,7 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
             s = tests[block.test].eq.s_contact / MM
         unit = {"wrenches": 1.0, "friction": 1.0, "scales": 1e3}.get(block.kind, 1.0 / MM)
         off = tuple(float(v) * unit for v in block.residual)
-        distance = float(np.sqrt(squared_distance(block) / len(block.r))) / scale
+        distance = float(np.sqrt(block.squared_distance / len(block.r))) / scale
         found.append(Residual(block.test, block.kind, block.item, s, off, distance, float(weight) * scale**2))
     return tuple(found)
 
@@ -356,14 +334,13 @@ def systematic_effects(fit: Fit, identified: Sequence[str]) -> tuple[SystematicE
         return ()
     point = fit.point
     errors = {
-        f"sensor gain {GAIN_UNCERTAINTY:.0%} too large": GAIN_UNCERTAINTY * _by_gain(fit),
+        f"sensor gain {GAIN_UNCERTAINTY:.0%} too large": GAIN_UNCERTAINTY * _by_readings(fit, _gain_reading),
         f"length scale of the reference {SCALE_UNCERTAINTY:.1%} too small": SCALE_UNCERTAINTY
-        * _by_scale(fit),
+        * _by_readings(fit, _length_reading),
     }
     if "root" not in identified:
-        other = linearize(
-            point.problem, point.values, [test.nuisance for test in point.tests], point, root=True
-        )
+        own = [test.nuisance for test in point.tests]
+        other = linearize(point.problem, point.values, own, point, root=True)
         if other.ok:
             by_root = ROOT_UNCERTAINTY * other.fixed_jacobian(columns_of(["root"]), fit.weight)[:, 0]
             errors = {f"root_rigid_radii {ROOT_UNCERTAINTY:g} larger": by_root, **errors}
@@ -386,38 +363,30 @@ def _change(fit: Fit, name: str, d_residuals: Array) -> float:
     return float(-(np.linalg.lstsq(rows * units, d_residuals)[0] * units)[i])
 
 
-def _by_gain(fit: Fit) -> Array:
-    """Return the derivative of the weighted residuals by the logarithm of the sensor's gain."""
-
-    def reading(block: ResidualBlock, test: MeasuredTest) -> tuple[Array, Array] | None:
-        wrench, cov = test.wrench_base, test.cov_wrench
-        return (wrench, cov) if block.kind == "wrenches" and wrench is not None and cov is not None else None
-
-    return _by_readings(fit, reading)
+def _gain_reading(block: ResidualBlock, test: MeasuredTest) -> tuple[Array, Array] | None:
+    """Return what the sensor's gain scales in a block and its covariance; None if nothing."""
+    wrench, cov = test.wrench_base, test.cov_wrench
+    return (wrench, cov) if block.kind == "wrenches" and wrench is not None and cov is not None else None
 
 
-def _by_scale(fit: Fit) -> Array:
-    """Return the derivative of the weighted residuals by the logarithm of the reference's length scale."""
-
-    def reading(block: ResidualBlock, test: MeasuredTest) -> tuple[Array, Array] | None:
-        base = test.T_world_base[:3, 3]
-        if block.kind == "markers":
-            i = test.marker_numbers.index(block.item)
-            return test.p_markers_world[i] - base, test.cov_markers[i]
-        if block.kind == "touches" and test.p_touch_world is not None:
-            return test.p_touch_world - base, test.std_touch**2 * np.eye(3)
-        if block.kind == "sags":
-            return np.array([test.sag]), np.array([[test.std_sag**2]])
-        return None
-
-    return _by_readings(fit, reading)
+def _length_reading(block: ResidualBlock, test: MeasuredTest) -> tuple[Array, Array] | None:
+    """Return what the length scale of the reference scales in a block and its covariance; None if nothing."""
+    base = test.T_world_base[:3, 3]
+    if block.kind == "markers":
+        i = test.marker_numbers.index(block.item)
+        return test.p_markers_world[i] - base, test.cov_markers[i]
+    if block.kind == "touches" and test.p_touch_world is not None:
+        return test.p_touch_world - base, test.std_touch**2 * np.eye(3)
+    if block.kind == "sags":
+        return np.array([test.sag]), np.array([[test.std_sag**2]])
+    return None
 
 
 def _by_readings(
     fit: Fit, reading: Callable[[ResidualBlock, MeasuredTest], tuple[Array, Array] | None]
 ) -> Array:
-    """Return rows of a change of the readings, whitened and weighted as the residuals are; `reading` gives the change
-    and the covariance of a block."""
+    """Return the derivative of the weighted residuals by the logarithm of a scale of the readings; `reading` gives what
+    it scales in a block, and the covariance."""
     rows = [np.zeros(fit.point.problem.n_active)]
     tests = {test.measured.name: test.measured for test in fit.point.tests}
     for block, w in zip(fit.point.blocks, fit.weight, strict=True):
@@ -433,13 +402,7 @@ def with_systematics(
     numbers: Sequence[Identified], effects: Sequence[SystematicEffect], quantile: float
 ) -> tuple[Identified, ...]:
     """Return the numbers with total standard deviations and intervals: the fit's and each systematic effect, as if
-    independent.
-
-    Args:
-        numbers: with the fit's standard deviations.
-        effects: on all of them.
-        quantile: of the intervals.
-    """
+    independent. `quantile` is that of the intervals."""
     result = []
     for one in numbers:
         if one.identified:
@@ -455,37 +418,27 @@ def with_systematics(
 
 
 def with_caveats(numbers: Sequence[Identified], rod: Rod) -> tuple[Identified, ...]:
-    """Return the numbers with a caveat where one is weakly identifiable.
-
-    Args:
-        numbers: all that was requested, systematic effects included.
-        rod: of the probe as designed.
-    """
+    """Return the numbers, with caveats where one is weakly identifiable or G is consistent with a fixed ratio to E."""
     E = next((one.value for one in numbers if one.name == "E"), rod.youngs_modulus / MPA)
-    design_ratio = rod.youngs_modulus / rod.shear_modulus
+    ratio = rod.youngs_modulus / rod.shear_modulus
     return tuple(
-        replace(one, caveat="; ".join(filter(None, (_weak(one), _ratio_caveat(one, E, design_ratio)))))
-        if one.identified
-        else one
-        for one in numbers
+        replace(one, caveat="; ".join(_caveats(one, E, ratio))) if one.identified else one for one in numbers
     )
 
 
-def _weak(one: Identified) -> str:
-    """Return a caveat for a factor whose total standard deviation comes near to the limit."""
-    parameter = PARAMETERS.get(one.name)
-    if parameter is None or not parameter.logarithm or parameter.max_std is None:
-        return ""
-    if one.relative_std_total < WEAK * parameter.max_std:
-        return ""
-    return (f"weakly identifiable: total standard deviation {one.relative_std_total:.0%} (limit "
-            f"{parameter.max_std:.0%}); consider fixing it at the design value")  # fmt: skip
+def _caveats(one: Identified, E: float, design_ratio: float) -> list[str]:
+    """Return caveats of a number: near the limit of observability, or a G that is consistent with a fixed ratio to E.
 
-
-def _ratio_caveat(one: Identified, E: float, design_ratio: float) -> str:
-    """Return which ratios to E the 95 % interval of G includes: that of an incompressible solid, and the design's."""
-    if one.name != "G" or one.low_total is None or one.high_total is None:
-        return ""
-    ratios = {"E/3": 3.0, f"the design's E/{design_ratio:.3g}": design_ratio}
-    inside = [name for name, ratio in ratios.items() if one.low_total <= E / ratio <= one.high_total]
-    return f"consistent with {' and '.join(inside)}" if inside else ""
+    The ratios to E are that of an incompressible solid and the design's.
+    """
+    parameter, caveats = PARAMETERS.get(one.name), []
+    limit = parameter.max_std if parameter is not None and parameter.logarithm else None
+    if limit is not None and one.relative_std_total >= WEAK * limit:
+        caveats.append(f"weakly identifiable: total standard deviation {one.relative_std_total:.0%} (limit {limit:.0%})"
+                       "; consider fixing it at the design value")  # fmt: skip
+    if one.name == "G" and one.low_total is not None and one.high_total is not None:
+        ratios = {"E/3": 3.0, f"the design's E/{design_ratio:.3g}": design_ratio}
+        inside = [name for name, ratio in ratios.items() if one.low_total <= E / ratio <= one.high_total]
+        if inside:
+            caveats.append(f"consistent with {' and '.join(inside)}")
+    return caveats

@@ -87,18 +87,13 @@ def _median(k: int) -> float:
     return float(chi2.median(k))
 
 
-def squared_distance(block: ResidualBlock) -> float:
-    """Return the squared Mahalanobis distance of a block with the stated noise."""
-    return float(block.r @ block.r)
-
-
 def weights(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> Array:
     """Return the weight of each block, relative to its stated information, (n,)."""
     result = np.ones(len(blocks))
     for i, block in enumerate(blocks):
         if block.kind in ROBUST_KINDS:
             variance = scales.get(block.kind, 1.0) ** 2
-            d2 = squared_distance(block) / variance
+            d2 = block.squared_distance / variance
             result[i] = min(1.0, _full_weight_limit(len(block.r)) / max(d2, 1e-12)) / variance
     return result
 
@@ -107,7 +102,7 @@ def robust_loss(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> fl
     """Return the loss that a fit minimises, half a χ² of blocks with full weight."""
     total = 0.0
     for block in blocks:
-        d2 = squared_distance(block)
+        d2 = block.squared_distance
         if block.kind in ROBUST_KINDS:
             d2 /= scales.get(block.kind, 1.0) ** 2
             limit = _full_weight_limit(len(block.r))
@@ -120,7 +115,7 @@ def _median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
     """Return the scale of each kind by the median of its distances, at least 1."""
     result = {}
     for kind in ROBUST_KINDS:
-        relative = [squared_distance(block) / _median(len(block.r)) for block in blocks if block.kind == kind]
+        relative = [block.squared_distance / _median(len(block.r)) for block in blocks if block.kind == kind]
         if relative:
             result[kind] = max(1.0, float(np.sqrt(np.median(relative))))
     return result
@@ -129,19 +124,12 @@ def _median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
 def _noise_scales(
     blocks: Sequence[ResidualBlock], weight: Array, leverage: Array, scales: dict[str, float]
 ) -> list[NoiseScale]:
-    """Estimate the scatter of each kind about the fit.
-
-    Args:
-        blocks: of the whole campaign.
-        weight: of each, with the present scales.
-        leverage: degrees of freedom of each block that the fit absorbs, (n,).
-        scales: present ones.
-    """
+    """Estimate the scatter of each kind about the fit; `leverage` is what the fit absorbs of each block, (n,)."""
     result = []
     for kind in dict.fromkeys(block.kind for block in blocks if block.kind in ROBUST_KINDS):
         at = [i for i, block in enumerate(blocks) if block.kind == kind]
         relative = weight[at] * scales.get(kind, 1.0) ** 2  # 1 for blocks with full weight
-        squares = float(np.sum(relative * [squared_distance(blocks[i]) for i in at]))
+        squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
         freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
         measured = freedom > 1.0 and chi2.sf(squares, freedom) < REJECTION_CHANCE
         scale = float(np.sqrt(squares / freedom)) if measured else 1.0
@@ -155,7 +143,7 @@ def outliers(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> list[
     result = []
     for block in blocks:
         if block.kind in ROBUST_KINDS:
-            d2 = squared_distance(block) / scales.get(block.kind, 1.0) ** 2
+            d2 = block.squared_distance / scales.get(block.kind, 1.0) ** 2
             if chi2.sf(d2, len(block.r)) < OUTLIER_CHANCE / max(count, 1):
                 result.append((block, float(np.sqrt(d2))))
     return sorted(result, key=lambda pair: -pair[1])
@@ -268,14 +256,10 @@ def linearize(
     last: Linearization | None = None,
     root: bool = False,
 ) -> Linearization:
-    """Solve every test at some parameter values.
+    """Solve every test at some parameter values, with its nuisance parameters.
 
-    Args:
-        problem: the fit.
-        values: of the parameters.
-        nuisance: parameters of each test's own.
-        last: a neighbouring linearization, whose equilibria are the initial guesses.
-        root: whether derivatives by the root are needed although it is fixed.
+    The equilibria of `last`, a neighbouring linearization, are the initial guesses. `root` asks for derivatives by the
+    root although it is fixed.
     """
     root = root or bool(problem.active[columns_of(["root"])[0]])
     solved: list[SolvedTest] = []
@@ -300,12 +284,7 @@ def column_scales(rows: Array) -> Array:
 
 
 def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | None:
-    """Return the linearization at the factor on E with the least loss; None if no factor has a solution.
-
-    Args:
-        problem: the fit.
-        free_E: whether E may differ from the design's.
-    """
+    """Return the linearization with the least loss over factors on E, or at the design's E; None without a solution."""
     best = None
     for factor in START_FACTORS if free_E else START_FACTORS[:1]:
         x = np.zeros(problem.common.size)

@@ -23,7 +23,7 @@ from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
 from probedesign.live.sources.source import Source
 from probedesign.rod.contact import solve_frictionless
-from probedesign.simulation.rod_contact import safe_force
+from probedesign.simulation.rod_and_sensor import safe_force
 
 
 def estimate_stream(

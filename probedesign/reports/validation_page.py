@@ -98,9 +98,9 @@ def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
         return np.zeros((0, 3))
     across, s = lateral_axis(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
     radius = model.rod.radius_at(s) * model.cross_section.reach(across * math.pi / 2.0)
-    flank = radius[:, None] * trial.shape.R_at(s)[:, :, across]
+    offset = radius[:, None] * trial.shape.R_at(s)[:, :, across]
     line = trial.shape.p_at(s)
-    return np.concatenate([line + flank, (line - flank)[::-1]])
+    return np.concatenate([line + offset, (line - offset)[::-1]])
 
 
 def estimated_contact(trial: ValidatedTest) -> Array | None:
@@ -143,12 +143,12 @@ def shape_chart(trial: ValidatedTest, model: ProbeModel) -> Chart:
 
 def validation_page(validation: ValidationReport) -> bytes:
     """Return the page of a validation."""
-    model = validation.estimator.model
+    model, coverage = validation.estimator.model, validation.coverage
     how = "probe assumed to match its file exactly" if validation.exact else "with the probe's tolerances"
     about = [
         f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
         f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
-        *validation.coverage.words,
+        *coverage.words,
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
     shapes = (_shape(trial, model) for trial in drawn[:MAX_SHAPES])

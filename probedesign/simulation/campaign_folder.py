@@ -19,7 +19,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
-from probedesign.simulation.sensor_noise import reading_std
+from probedesign.simulation.rod_and_sensor import reading_std
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
 
 TRUTH = "truth.json"
@@ -47,13 +47,11 @@ class SimulatedCampaign:
         folder: of it.
         files: names of its files.
         tests: number of tests.
-        truth: its ground truth.
     """
 
     folder: Path
     files: tuple[str, ...]
     tests: int
-    truth: GroundTruth
 
 
 def make_campaign(
@@ -63,11 +61,11 @@ def make_campaign(
     force: bool = False,
     on_progress: Callable[[str, float | None], None] = lambda step, share: None,
 ) -> SimulatedCampaign:
-    """Simulate a campaign and write its data folder.
+    """Simulate a campaign and write its data folder, atomically.
 
     Args:
         model: of the probe as designed.
-        folder: to write, atomically.
+        folder: to write.
         plan: of the campaign.
         force: replace an existing simulated campaign.
         on_progress: called with the step and the fraction done.
@@ -89,43 +87,39 @@ def make_campaign(
     }
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        try:
+            for name, text in tables.items():
+                (draft / name).write_bytes(text.encode())
+            if plan.images:
+                take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
+            os.chmod(draft, 0o755)
+            _replace(draft, folder)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
-    try:
-        for name, text in tables.items():
-            (aside / name).write_bytes(text.encode())
-        if plan.images:
-            take_photographs(rig, tests, aside / "images", plan.seed, on_progress)
-        os.chmod(aside, 0o755)
-        _replace(aside, folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    return SimulatedCampaign(folder, tuple(names), len(tests), truth)
+    return SimulatedCampaign(folder, tuple(names), len(tests))
 
 
 def _check_replaceable(folder: Path, force: bool) -> None:
     """Refuse to replace anything but a simulated campaign, and that without `force`."""
-    if not folder.exists():
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
-    if not folder.is_dir() or (any(folder.iterdir()) and not (folder / TRUTH).exists()):
+    if not (folder / TRUTH).exists():
         raise InputError(
             f"{folder}: has no {TRUTH}, so it is not a synthetic campaign and is not replaced; name another"
         )
-    if any(folder.iterdir()):
-        check_overwrite(folder, force)
+    check_overwrite(folder, force)
 
 
-def _replace(aside: Path, folder: Path) -> None:
+def _replace(draft: Path, folder: Path) -> None:
     """Move the new folder into place, then delete the old one."""
-    old = None
-    if folder.exists():
-        old = aside.with_name(f"{aside.name}.old")
+    old = draft.with_name(f"{draft.name}.old") if folder.exists() else None
+    if old is not None:
         os.replace(folder, old)
-    os.replace(aside, folder)
+    os.replace(draft, folder)
     if old is not None:
         shutil.rmtree(old, ignore_errors=True)
 
@@ -179,17 +173,16 @@ def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Genera
         force = ["", "", ""] if test.weight is None else [f"{value + 0.0:.6g}" for value in test.weight]
         s, contact, spread = ["", ""], ["", "", ""], ""
         std = STD_CONTACT[truth.plan.kind]
-        true_s = test.s_contact
         if test.weight is not None and test.weight.any():
-            s = _known(true_s + rng.normal() * STD_WEIGHT_ARCLENGTH, STD_WEIGHT_ARCLENGTH)
+            s = _known(test.s_contact + rng.normal() * STD_WEIGHT_ARCLENGTH, STD_WEIGHT_ARCLENGTH)
         elif test.p_surface_base is not None:
             if truth.plan.kind == "stage":
-                s = _known(true_s + rng.normal() * std, std)
+                s = _known(test.s_contact + rng.normal() * std, std)
             place = truth.to_world(test.p_surface_base) + rng.normal(size=3) * std
             contact, spread = [f"{value / MM:.4f}" for value in place], f"{std / MM:g}"
-        sag = (
-            _known(_sag(truth, test) + rng.normal() * STD_SAG, STD_SAG) if test.name == "hang-1" else ["", ""]
-        )
+        sag = ["", ""]
+        if test.name == "hang-1":
+            sag = _known(_sag(truth, test) + rng.normal() * STD_SAG, STD_SAG)
         rows.append(",".join([test.name, *force, *s, *contact, spread, test.direction, *sag]))
     return "\n".join(rows) + "\n"
 
@@ -227,9 +220,8 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
     if plan.marker_noise is not None:
         rows = ["test,marker,x_world_mm,y_world_mm,z_world_mm"]
         for test in tests:
-            on_axis = rig.truth.to_world(
-                test.equilibrium.p_at(np.minimum(rig.marker_s, rig.truth.rod.length))
-            )
+            s = np.minimum(rig.marker_s, rig.truth.rod.length)
+            on_axis = rig.truth.to_world(test.equilibrium.p_at(s))
             seen = on_axis + rng.normal(size=on_axis.shape) * plan.marker_noise
             rows += [f"{test.name},{i},{_row(p / MM, 4)}" for i, p in enumerate(seen, 1)]
         return {"markers.csv": "\n".join(rows) + "\n"}
@@ -243,7 +235,9 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
         for camera in rig.cameras:
             seen = camera.project(rig.markers(test))
             seen = seen + rng.normal(size=seen.shape) * CLICK_PX
-            _check_in_picture(seen, test.name)
+            if (seen < 0).any() or (seen > SIZE_PX).any():
+                raise InputError(f"test {test.name}: the probe leaves the cameras' field of view; use "
+                                 "--marker-noise-mm 1 instead")  # fmt: skip
             pixels += [
                 f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)
             ]
@@ -251,13 +245,6 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
     if plan.images:  # the markers are detected in them
         return calibrated
     return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}
-
-
-def _check_in_picture(pixels: Array, test: str) -> None:
-    if (pixels < 0).any() or (pixels > SIZE_PX).any():
-        raise InputError(
-            f"test {test}: the probe leaves the cameras' field of view; use --marker-noise-mm 1 instead"
-        )
 
 
 def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:

@@ -19,7 +19,7 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
-from probedesign.simulation.rod_contact import solve_contact
+from probedesign.simulation.rod_and_sensor import solve_contact
 
 CampaignKind = Literal["cameras", "stage"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM
@@ -73,17 +73,18 @@ class CampaignPlan:
 
     def __post_init__(self) -> None:
         """Raise InputError where a number is out of range or two options exclude each other."""
-        for name, modulus in (("youngs", self.youngs_modulus), ("shear", self.shear_modulus)):
-            if modulus is not None and not 1e3 <= modulus <= 1e11:
-                raise InputError(f"--{name}-modulus-mpa {modulus / 1e6:g} must lie in 0.001 ... 100000")
-        if self.marker_noise is not None and not 0.001 * MM <= self.marker_noise <= 20.0 * MM:
-            raise InputError(f"--marker-noise-mm {self.marker_noise / MM:g} must lie in 0.001 ... 20")
-        if not 1 <= self.readings <= 1000:
-            raise InputError(f"--readings {self.readings} must lie in 1 ... 1000")
-        if not 0.0 <= self.friction <= MAX_FRICTION:
-            raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
-        if not 0.0 <= self.friction_spread <= 1.0:
-            raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
+        moduli = {"youngs": self.youngs_modulus, "shear": self.shear_modulus}
+        limited = [(f"{name}-modulus-mpa", value, 1e3, 1e11, 1e6) for name, value in moduli.items()] + [
+            ("marker-noise-mm", self.marker_noise, 0.001 * MM, 20.0 * MM, MM),
+            ("readings", self.readings, 1, 1000, 1),
+            ("friction", self.friction, 0.0, MAX_FRICTION, 1.0),
+            ("friction-spread", self.friction_spread, 0.0, 1.0, 1.0),
+        ]  # fmt: skip
+        for option, value, low, high, unit in limited:
+            if value is not None and not low <= value <= high:
+                raise InputError(
+                    f"--{option} {value / unit:g} must lie in {low / unit:g} ... {high / unit:.6g}"
+                )
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
         if self.kind == "stage" and (self.images or self.marker_noise is not None):
@@ -110,10 +111,8 @@ def planned_touches(model: ProbeModel) -> list[PlannedTouch]:
     found = []
     for i, row in enumerate(rows):
         fraction, force = float(row["contact_fraction"]), float(row["force_N"])
-        direction = list(DIRECTIONS)[i % len(DIRECTIONS)]
-        found.append(
-            PlannedTouch(fraction, force if own else force * stiffness_ratio(model.rod, fraction), direction)
-        )
+        scale = 1.0 if own else stiffness_ratio(model.rod, fraction)
+        found.append(PlannedTouch(fraction, force * scale, list(DIRECTIONS)[i % len(DIRECTIONS)]))
     return found
 
 
@@ -165,15 +164,15 @@ class SimulatedTest:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Ground truth of a campaign: the perturbed_rod probe, its pose and gravity.
+    """Ground truth of a campaign: the probe as printed, its pose and gravity.
 
     Attributes:
         model: of the probe as designed.
         plan: of the campaign.
-        rod: as perturbed_rod.
+        rod: as printed.
         T_world_base: pose of the base as the campaign states it, (4, 4).
         T_world_mount: true pose of that frame, (4, 4).
-        T_world_true: true pose of the perturbed_rod base, (4, 4).
+        T_world_true: true pose of the base of the print, (4, 4).
         stated_gravity: as the campaign states it [m/s²], (3,).
         gravity_world: true gravity.
         tolerances: from which it was drawn.
@@ -191,11 +190,7 @@ class GroundTruth:
 
     @classmethod
     def draw(cls, model: ProbeModel, plan: CampaignPlan, rng: np.random.Generator) -> "GroundTruth":
-        """Draw a ground truth by the design's tolerances.
-
-        Raises:
-            InputError: the design is mounted without gravity.
-        """
+        """Draw a ground truth by the design's tolerances; refuse a design that is mounted without gravity."""
         size = float(np.linalg.norm(model.gravity_base))
         if size == 0.0:
             raise InputError("mount.gravity_base_m_s2 is zero; a campaign needs gravity")
@@ -211,11 +206,7 @@ class GroundTruth:
                    tolerances)  # fmt: skip
 
     def tests(self) -> list[SimulatedTest]:
-        """Return every test: free, weights, touches, free again.
-
-        Raises:
-            InputError: the free probe has no stable equilibrium.
-        """
+        """Return every test: free, weights, touches, free again; refuse a probe that has no stable equilibrium."""
         found = [self._free("hang-1")]
         if self.plan.kind == "cameras":
             for i, (fraction, newtons) in enumerate(planned_weights(self.model), 1):
@@ -264,10 +255,9 @@ class GroundTruth:
             if found.result == "ok":
                 break
             newtons /= 2.0
-        eq, ok = found.equilibrium, found.equilibrium.ok
-        return self._test(
-            name, eq, found.p_surface_base if ok else None, direction, None, found.s_contact, size
-        )
+        eq = found.equilibrium
+        surface = found.p_surface_base if eq.ok else None
+        return self._test(name, eq, surface, direction, None, found.s_contact, size)
 
     def _test(
         self,
@@ -306,7 +296,7 @@ def _displacement(shift: Array, turn: Array) -> Array:
 
 
 def _rod(model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, rng: np.random.Generator) -> Rod:
-    """Return the perturbed_rod probe; moduli of the plan are exact.
+    """Return the probe as printed; moduli of the plan are exact.
 
     Stiffness scatter between touches is not a property of the print.
     """
@@ -314,9 +304,8 @@ def _rod(model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, rng: np.
     by = np.zeros(4 + K)
     for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0)).values():
         by += rng.normal(size=len(rows)) @ rows
-    for i, (chosen, design) in enumerate(
-        ((plan.youngs_modulus, model.rod.youngs_modulus), (plan.shear_modulus, model.rod.shear_modulus))
-    ):
-        if chosen is not None:
-            by[i] = math.log(chosen / design)
+    if plan.youngs_modulus is not None:
+        by[0] = math.log(plan.youngs_modulus / model.rod.youngs_modulus)
+    if plan.shear_modulus is not None:
+        by[1] = math.log(plan.shear_modulus / model.rod.shear_modulus)
     return perturbed_rod(model.rod, by)

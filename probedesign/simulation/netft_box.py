@@ -30,7 +30,7 @@ from probedesign.live.sources.netft.wire import (
     Request,
     parse_request,
 )
-from probedesign.simulation.sensor_noise import bias_step, sample_std
+from probedesign.simulation.rod_and_sensor import bias_step, sample_std
 
 
 def configuration_page(configuration: NetFTConfiguration) -> bytes:

@@ -24,8 +24,8 @@ from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block
+from probedesign.simulation.rod_and_sensor import bias_step, sample_std
 from probedesign.simulation.scenes import PressedObject
-from probedesign.simulation.sensor_noise import bias_step, sample_std
 
 # cyclic motion
 
@@ -57,11 +57,7 @@ class BaseMotion:
         return MOVE_TIME + 2.0 * PRESS_TIME + HOLD_TIME
 
     def wrench_sensor(self, time: Array) -> Array:
-        """Return the wrench at the sensor without bias and noise [N, N·m], (n, 6).
-
-        Args:
-            time: time since the motion started [s], (n,).
-        """
+        """Return the wrench at the sensor without bias and noise [N, N·m], (n, 6), at times [s], (n,)."""
         index, travel, retracting = self._at(time)
         wrench = np.tile(self._free, (len(time), 1))
         for i in np.unique(index[index >= 0]):
@@ -191,12 +187,7 @@ class SimulatedTrajectory:
         return [TimedPose(t, tuple(at), q) for t, at in zip(time.tolist(), p.tolist(), strict=True)]
 
     def blocks(self, model: ProbeModel, rng: np.random.Generator) -> Iterator[Block]:
-        """Yield single samples of the sensor: constant bias, random walk, white noise and finite resolution.
-
-        Args:
-            model: the probe, for the noise of the sensor.
-            rng: random numbers of white noise and constant bias.
-        """
+        """Yield single samples of the sensor: constant bias, random walk, white noise and finite resolution."""
         gravity = self.R_world_base.T @ np.array([0.0, 0.0, -9.81])
         step = sample_std(model)  # the noise of one sample is one step of the resolution
         time = self._sample_times(SAMPLE_RATE)

@@ -1,12 +1,14 @@
-"""Scenes of the simulated Net F/T box: sharp points and edges, and the wrench while the base presses each of them.
+"""Objects that simulated probes press: sharp points and edges of the Net F/T box, and a house of cards for mapping.
 
-With friction the contact sticks and slips by Coulomb's law (`probedesign.rod.friction`), so the wrench during
-retraction differs from that during the press. Friction 0 is the frictionless contact of `probedesign.rod.obstacle`.
+A press follows the contact by Coulomb's law (`probedesign.rod.friction`) while the object moves relative to the base.
+The contact sticks and slips, so the wrench during retraction differs from that during the press; friction 0 slides
+freely.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -23,16 +25,83 @@ from probedesign.rod.friction import (
     CoulombSolver,
     draw_friction,
 )
-from probedesign.rod.obstacle import ObstacleContact, press_against_line, press_against_point
-from probedesign.simulation.card_house import LEAN
-from probedesign.simulation.rod_contact import safe_force
+from probedesign.simulation.rod_and_sensor import safe_force
 
+# a press along a straight line
+
+FIRST_STEP, DEPTH_TOLERANCE = 0.1 * MM, 1e-3 * MM
+"""First step of the search for the travel that gives a force, and its tolerance [m]."""
+
+
+@dataclass(frozen=True)
+class StraightPress:
+    """Press of a rod against a sharp point or an edge that approaches along a straight line, with Coulomb friction.
+
+    Attributes:
+        solver: of the contact.
+        gravity_base: gravity in base axes [m/s²], (3,).
+        start: point of the object before it travels, in base axes [m], (3,).
+        direction: of the base towards the object, so the object travels along its opposite, unit vector, (3,).
+        along: direction of the edge, (3,); None for a sharp point.
+    """
+
+    solver: CoulombSolver
+    gravity_base: Array
+    start: Array
+    direction: Array
+    along: Array | None
+
+    def first_contact(self, max_travel: float) -> CoulombContact:
+        """Return the first contact within a travel [m], which carries no force."""
+        travel = -max_travel * self.direction
+        return self.solver.touch(self.gravity_base, self.start + travel, travel, self.along)
+
+    def travel_of(self, contact: CoulombContact) -> float:
+        """Return the travel of the object at a contact [m]."""
+        return float((self.start - contact.object_point) @ self.direction)
+
+    def at(self, travel: float, last: CoulombContact) -> CoulombContact:
+        """Return the contact at a travel [m], continued from another one."""
+        return self.solver.advance(last, self.start - travel * self.direction)
+
+    def follow(self, first: CoulombContact, travels: Sequence[float]) -> list[CoulombContact]:
+        """Return the first contact and those at each travel [m] in turn."""
+        return list(accumulate(travels, lambda last, travel: self.at(travel, last), initial=first))
+
+    def travel_for(self, force: float, last: CoulombContact, limit: float = math.inf) -> float:
+        """Return the travel beyond a contact that gives a force [m]: bracketed by doubling steps, then bisected.
+
+        Less, where the contact is lost before it has the force, and at most `limit` [m].
+        """
+
+        def force_at(travel: float) -> float:
+            """Return the force [N], infinite without a stable contact."""
+            contact = self.at(travel, last)
+            return contact.magnitude if contact.ok else math.inf
+
+        start = low = self.travel_of(last)
+        high = min(start + FIRST_STEP, limit)
+        while (at_high := force_at(high)) < force:
+            if high >= limit:
+                return limit
+            low, high = high, min(2.0 * high - start, limit)
+        while high - low >= DEPTH_TOLERANCE:
+            middle = 0.5 * (low + high)
+            if (at_middle := force_at(middle)) < force:
+                low = middle
+            else:
+                high, at_high = middle, at_middle
+        return high if math.isfinite(at_high) else low
+
+
+# scenes of the simulated box
+
+LEAN = math.radians(15.0)
+"""Angle of a card of a tent from the vertical [rad]; assumed, such tents are stable."""
 CLEARANCE = 0.05
 """Distance between probe and object before the base moves towards it, as a fraction of the length."""
-TRIAL_DEPTH = 0.005
-"""Depth of the press that determines the stiffness of an object, as a fraction of the length."""
-MAX_DEPTH = 0.10
-"""Maximum depth of a press, as a fraction of the length."""
+MAX_DEPTH, MAX_POINT_DEPTH = 0.10, 0.005
+"""Maximum depth of a press, as a fraction of the length: of an edge, and of a sharp point, off which it soon slips."""
 _RELEASE_TOLERANCE = 1e-6
 """Tolerance of the position where the probe leaves an object, as a fraction of the length."""
 N_KNOTS = 17
@@ -81,7 +150,7 @@ class PressedObject:
         point: point of the object at the start of the travel, in base axes [m], (3,).
         travel: travel of the base [m], (k,), increasing.
         wrench_base: wrench there [N, N·m], (k, 6).
-        s_contact: arclength of the contact at the end of the travel [m]; with friction, of the touched section.
+        s_contact: arclength of the touched section at the end of the travel [m].
         force: force there [N].
         friction: coefficient μ of this object.
         travel_back: travel of the base during retraction [m], (j,), increasing.
@@ -113,7 +182,7 @@ def press_scene(
     friction_spread: float = ASSUMED_SPREAD,
     seed: int = 1,
 ) -> tuple[PressedObject, ...]:
-    """Press every object of a scene, with as much force as the probe can safely bear, in reference mode.
+    """Press every object of a scene with the force that the probe can safely bear, in reference mode.
 
     Args:
         model: the probe.
@@ -135,115 +204,178 @@ def press_scene(
 
 
 def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, friction: float) -> PressedObject:
-    length = model.rod.length
+    """Press an object until the force is the safe one, and retract; the contact is followed along the whole travel."""
+    rod, length, clear = model.rod, model.rod.length, CLEARANCE * model.rod.length
     along = None if obj.tilt is None else np.array([math.sin(obj.tilt), math.cos(obj.tilt), 0.0])
     s = obj.fraction * length
-    tangent = free.R_at(s)[:, 2]
-    direction = np.cross(np.array([0.0, 1.0, 0.0]) if along is None else along, tangent)
+    direction = np.cross(np.array([0.0, 1.0, 0.0]) if along is None else along, free.R_at(s)[:, 2])
     direction /= np.linalg.norm(direction)
-    surface = free.p_at(s) + direction * float(model.rod.radius_at(s))
-    start = surface + CLEARANCE * length * direction
-    if friction > 0.0:
-        return _press_with_friction(
-            model, free, obj, CoulombSolver(model.rod, friction, "reference"), direction, start, along
+    start = free.p_at(s) + (float(rod.radius_at(s)) + clear) * direction
+    solver = CoulombSolver(rod, friction, "reference")
+    press = StraightPress(solver, model.gravity_base, start, direction, along)
+    limit = clear + (MAX_POINT_DEPTH if along is None else MAX_DEPTH) * length
+    first = press.first_contact(limit)
+    end = press.travel_for(safe_force(rod), first, limit) if first.ok else 0.0
+    touched = press.travel_of(first)
+    if not first.ok or end <= touched:
+        why = "unstable" if first.ok else first.result
+        raise InputError(
+            f"{obj.name} at {obj.fraction:g} of the length: {why}; this probe cannot be used in the scene"
         )
-
-    def pressed(depth: float) -> ObstacleContact:
-        travel = -(CLEARANCE * length + depth) * direction  # the object moves, seen from the base
-        point = start + travel
-        if along is None:
-            return press_against_point(model.rod, model.gravity_base, point, travel, mode="reference")
-        return press_against_line(model.rod, model.gravity_base, point, along, travel, mode="reference")
-
-    depth = _press_depth(model, obj, lambda depth: (pressed(depth).result, pressed(depth).magnitude))
-    end = pressed(depth)
-    knots = np.linspace(0.0, depth, N_KNOTS)[1:]
-    presses = [pressed(d) for d in knots]
-    touched = float(end.way_touched)
-    rows = [free.wrench_base, free.wrench_base] + [press.equilibrium.wrench_base for press in presses]
-    travel = np.concatenate([[0.0, touched], CLEARANCE * length + knots])
-    kept = np.concatenate(
-        [[True], np.diff(travel) > 0.0]
-    )  # the sagging probe may be touched slightly earlier or later
-    wrenches = np.array(rows)[kept]
-    return PressedObject(
-        obj,
-        direction,
-        start,
-        travel[kept],
-        wrenches,
-        float(end.s_contact),
-        end.magnitude,
-        0.0,
-        travel[kept],
-        wrenches,
-    )
+    travel_on = np.linspace(touched, end, N_KNOTS)
+    on = press.follow(first, travel_on[1:].tolist())
+    travel, wrench = np.array([0.0, *travel_on]), _wrenches(free, on)
+    travel_back, wrench_back = (travel, wrench) if friction == 0.0 else _retract(press, free, on[-1], touched)
+    return PressedObject(obj, direction, start, travel, wrench, on[-1].s, on[-1].magnitude, friction, travel_back,
+                         wrench_back)  # fmt: skip
 
 
-def _press_with_friction(
-    model: ProbeModel,
-    free: Equilibrium,
-    obj: SceneObject,
-    solver: CoulombSolver,
-    direction: Array,
-    start: Array,
-    along: Array | None,
-) -> PressedObject:
-    """Press an object with friction and retract; the contact is tracked along the whole travel."""
-    clear = CLEARANCE * model.rod.length
-    last = start - (clear + MAX_DEPTH * model.rod.length) * direction
-    first = solver.touch(model.gravity_base, last, last - start, along)
+def _wrenches(free: Equilibrium, contacts: Sequence[CoulombContact]) -> Array:
+    """Return the wrench of the free probe and those at contacts [N, N·m], (1 + n, 6)."""
+    return np.array([free.wrench_base, *(contact.equilibrium.wrench_base for contact in contacts)])
 
-    def at(contact: CoulombContact, travel: float) -> CoulombContact:
-        return solver.advance(contact, start - travel * direction)
 
-    def trial(depth: float) -> tuple[str, float]:
-        contact = at(first, clear + depth)
-        return contact.result, contact.magnitude
-
-    depth = _press_depth(model, obj, trial)
-    touched = float((start - first.object_point) @ direction)
-    on, travel_on = [first], np.linspace(touched, clear + depth, N_KNOTS)
-    for travel in travel_on[1:]:
-        on.append(at(on[-1], float(travel)))
-    off, travel_off = [on[-1]], [clear + depth]
-    step = (clear + depth - touched) / (N_KNOTS_BACK - 1)
-    while off[-1].ok and travel_off[-1] > 0.0:
-        travel = max(travel_off[-1] - step, 0.0)
-        found = at(off[-1], travel)
-        if not found.ok:  # contact lost: bisect the position
+def _retract(
+    press: StraightPress, free: Equilibrium, end: CoulombContact, touched: float
+) -> tuple[Array, Array]:
+    """Return travels [m], increasing, and wrenches of the way back from a press; steps are halved at the release."""
+    contacts, travels = [end], [press.travel_of(end)]
+    step = (travels[0] - touched) / (N_KNOTS_BACK - 1)
+    while contacts[-1].ok and travels[-1] > 0.0:
+        travel = max(travels[-1] - step, 0.0)
+        found = press.at(travel, contacts[-1])
+        if not found.ok:
             step *= 0.5
-            if step > _RELEASE_TOLERANCE * model.rod.length:
+            if step > _RELEASE_TOLERANCE * press.solver.rod.length:
                 continue
-        off, travel_off = [*off, found], [*travel_off, travel]
-    wrenches_on = [free.wrench_base, *(contact.equilibrium.wrench_base for contact in on)]
-    wrenches_off = [contact.equilibrium.wrench_base for contact in off]
-    end, back = on[-1], np.array([0.0, *travel_off[::-1]])
+        contacts, travels = [*contacts, found], [*travels, travel]
+    back = np.array([0.0, *travels[::-1]])
     kept = np.concatenate([np.diff(back) > 0.0, [True]])
-    return PressedObject(
-        obj, direction, start, np.array([0.0, *travel_on]), np.array(wrenches_on), end.s, end.magnitude,
-        solver.friction, back[kept], np.array([free.wrench_base, *wrenches_off[::-1]])[kept],
-    )  # fmt: skip
+    return back[kept], _wrenches(free, contacts[::-1])[kept]
 
 
-def _press_depth(model: ProbeModel, obj: SceneObject, pressed: Callable[[float], tuple[str, float]]) -> float:
-    """Return the depth of a press for a force that the probe can bear [m], reduced where it would slip off.
+# the card house
+#
+# Seen from the front, x points to the right and z up; the probe comes along y and passes beside a card, under it or
+# within a tent. The cards extend from the plane y = 0, where their front edges are, to positive y. A tapered probe that
+# is pushed onto a card meets the front edge first and bends away from the card.
 
-    Args:
-        model: the probe.
-        obj: the object.
-        pressed: result and force [N] of a press as a function of its depth [m].
+CARD = (63.5e-3, 88.9e-3)
+"""Size of a poker card, 2.5 by 3.5 inches: depth and width in the house [m]; its thickness is neglected."""
+RIDGE = 30e-3
+"""Distance of the ridge of a lower tent from the middle of the house [m]; assumed."""
+SOURCE = "card house"
+"""Source stated in the recording of a simulated run, by which it is recognised."""
+
+
+@dataclass(frozen=True)
+class Card:
+    """A card of the house.
+
+    Attributes:
+        name: its name.
+        start, end: ends of its front edge [m], (3,).
+        normal: unit normal of one of its sides, perpendicular to y, (3,).
     """
-    trial = TRIAL_DEPTH * model.rod.length
-    while (press := pressed(trial))[0] != "ok":
-        trial *= 0.5
-        if trial < 1e-4 * TRIAL_DEPTH * model.rod.length:
-            raise InputError(
-                f"{obj.name} at {obj.fraction:g} of the length: {press[0]}; this probe cannot be used in the scene"
-            )
-    if obj.tilt is None:
-        return trial  # the probe soon slips off a sharp point
-    depth = min(trial * safe_force(model.rod) / press[1], MAX_DEPTH * model.rod.length)
-    while pressed(depth)[0] != "ok":
-        depth *= 0.5
-    return depth
+
+    name: str
+    start: Array
+    end: Array
+    normal: Array
+
+    @property
+    def along(self) -> Array:
+        """Direction of its front edge, unit vector, (3,)."""
+        edge = self.end - self.start
+        return np.asarray(edge / np.linalg.norm(edge))
+
+    @property
+    def corners(self) -> Array:
+        """Corners in order around the card, the front edge first [m], (4, 3)."""
+        depth = np.array([0.0, CARD[0], 0.0])
+        return np.array([self.start, self.end, self.end + depth, self.start + depth])
+
+
+@dataclass(frozen=True)
+class TouchTarget:
+    """A point of a front edge to be touched.
+
+    Attributes:
+        card: the touched card.
+        p_world: the point [m], (3,).
+        direction: direction of the push onto the card, unit vector, (3,).
+        fraction: place along the probe, as a fraction of its length.
+        repeated: whether the point is touched for the second time.
+    """
+
+    card: Card
+    p_world: Array
+    direction: Array
+    fraction: float
+    repeated: bool = False
+
+
+def _card(name: str, start: tuple[float, float], end: tuple[float, float]) -> Card:
+    a, b = (np.array([x, 0.0, z]) for x, z in (start, end))
+    along = (b - a) / np.linalg.norm(b - a)
+    return Card(name, a, b, np.cross(along, (0.0, 1.0, 0.0)))
+
+
+def _tent(name: str, ridge: float, foot: float) -> list[Card]:
+    half_width, height = CARD[1] * math.sin(LEAN), CARD[1] * math.cos(LEAN)
+    feet = {"left": ridge - half_width, "right": ridge + half_width}
+    return [_card(f"{name}, {side}", (x, foot), (ridge, foot + height)) for side, x in feet.items()]
+
+
+def card_house() -> tuple[Card, ...]:
+    """Return the cards: two tents, a card across both, a tent on top of it."""
+    floor = CARD[1] * math.cos(LEAN)
+    across = _card("roof", (-0.5 * CARD[1], floor), (0.5 * CARD[1], floor))
+    return (*_tent("left tent", -RIDGE, 0.0), *_tent("right tent", RIDGE, 0.0), across,
+            *_tent("upper tent", 0.0, floor))  # fmt: skip
+
+
+def true_outlines(source: str) -> tuple[Array, ...]:
+    """Return the corners of the cards [m], (4, 3) each, if `source` is that of a simulated run; else nothing."""
+    return tuple(card.corners for card in card_house()) if source == SOURCE else ()
+
+
+_HEIGHTS = {
+    "left tent, left": ((20, 45, 70), (32, 57)),
+    "left tent, right": ((25, 50), (37,)),
+    "right tent, left": ((30, 60), (45,)),
+    "right tent, right": ((20, 45, 70), (33,)),
+    "upper tent, left": ((20, 45, 70), (33,)),
+    "upper tent, right": ((25, 55), (40,)),
+}
+"""Heights above the foot of a card at which it is touched from outside and from within its tent [mm]."""
+_ROOF_X = (-20.0, 0.0, 20.0)
+"""Places where the roof is touched from below [mm]."""
+MIN_FRACTION, MAX_FRACTION = 0.50, 0.95
+"""Range of fractions of the length that touch: the distal half."""
+N_REPEATED = 5
+"""Number of targets that are touched twice, from another depth."""
+
+
+def touch_targets() -> tuple[TouchTarget, ...]:
+    """Return the targets in touching order: 25 points, then five of them again at another fraction of the length."""
+    found = []
+    for card in card_house():
+        middle = np.array([0.5 * (card.start[0] + card.end[0]), 0.0, card.start[2]])
+        if card.name == "roof":
+            found += [
+                (card, np.array([1e-3 * x, 0.0, middle[2]]), np.array([0.0, 0.0, 1.0])) for x in _ROOF_X
+            ]
+            continue
+        rise = card.along / card.along[2]
+        # The outer side of a leaning card faces upwards.
+        outward = card.normal if card.normal[2] > 0.0 else -card.normal
+        for heights, direction in zip(_HEIGHTS[card.name], (-outward, outward), strict=True):
+            found += [(card, card.start + 1e-3 * height * rise, direction) for height in heights]
+    n = len(found)
+    # Neighbours on a card get fractions far apart: 7 and 25 have no common divisor.
+    fractions = [MIN_FRACTION + (MAX_FRACTION - MIN_FRACTION) * (7 * i % n) / (n - 1) for i in range(n)]
+    first = [TouchTarget(*one, fraction) for one, fraction in zip(found, fractions, strict=True)]
+    again = [first[i] for i in range(0, n, n // N_REPEATED)][:N_REPEATED]
+    total = MIN_FRACTION + MAX_FRACTION
+    return (*first, *(TouchTarget(t.card, t.p_world, t.direction, total - t.fraction, True) for t in again))

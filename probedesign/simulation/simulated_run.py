@@ -4,13 +4,12 @@ The rod is solved in reference mode for a probe whose stiffness, base, poses and
 base dwells at each pose while readings are taken, and moves along straight lines in between.
 
 Contacts stick and slip by Coulomb's law with a friction coefficient drawn for each touch. Since friction depends on
-where the base came from, the contact is tracked from pose to pose. Friction 0 is the contact without friction.
+where the base came from, the contact is followed from pose to pose.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,7 +25,7 @@ from probedesign.live.poses.pose_file import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.mapping.touch_point import BasePoseUncertainty
-from probedesign.rod.equilibrium import Equilibrium
+from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,
     ASSUMED_SPREAD,
@@ -34,10 +33,9 @@ from probedesign.rod.friction import (
     CoulombSolver,
     draw_friction,
 )
-from probedesign.rod.obstacle import ObstacleContact, press_against_line
-from probedesign.rod.rod import Mode, Rod
-from probedesign.simulation.card_house import SOURCE, TouchTarget
+from probedesign.rod.rod import Rod
 from probedesign.simulation.robot import SimulatedTrajectory
+from probedesign.simulation.scenes import SOURCE, StraightPress, TouchTarget
 
 LIGHT_FORCE, FIRM_FORCE = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON
 """Forces between which the base alternates [N]; the firm one stays below 5 mN when the robot is off its place."""
@@ -162,22 +160,20 @@ def simulate_run(
         InputError: the probe has no stable equilibrium, or misses an edge.
     """
     errors = errors or RunErrors()
-    stiffness = float(np.exp(rng.normal(0.0, errors.stiffness)))
+    log_changes = np.zeros(4 + len(model.rod.s))
+    log_changes[0:2] = rng.normal(0.0, errors.stiffness)  # E and G
     offset = rng.normal(0.0, errors.base_offset, 3)
     # A separate random stream: all other draws are the same with and without a rotation error.
     rotation = Rotation.from_rotvec(rng.spawn(1)[0].normal(0.0, errors.rotation)).as_matrix()
-    true_rod = replace(model.rod, youngs_modulus=stiffness * model.rod.youngs_modulus,
-                       shear_modulus=stiffness * model.rod.shear_modulus)  # fmt: skip
-    bench = _Bench(model.rod, true_rod, base_rotation(), rotation)
-    trajectory = SimulatedTrajectory(
-        bench.R_reported, bench.true_free.wrench_base, rng, time_scale, errors.bias_rate
-    )
+    bench = _Bench(model.rod, perturbed_rod(model.rod, log_changes), base_rotation(), rotation)
+    free = bench.true_free.wrench_base
+    trajectory = SimulatedTrajectory(bench.R_reported, free, rng, time_scale, errors.bias_rate)
     friction_rng = rng.spawn(1)[0]
     touches = []
     for target in targets:
         friction = draw_friction(errors.friction, errors.friction_spread, friction_rng)
         touches.append(_touch(bench, trajectory, target, offset, errors.base_repeat, rng, friction))
-    return SimulatedRun(trajectory, tuple(touches), bench.true_free.wrench_base, bench.gravity)
+    return SimulatedRun(trajectory, tuple(touches), free, bench.gravity)
 
 
 class _Bench:
@@ -197,79 +193,27 @@ class _Bench:
         start: Array = target.p_world - self.R @ self.free.p_at(s) - radius * target.direction
         return start
 
-    def press(self, target: TouchTarget, p_base: Array, true: bool) -> ObstacleContact:
-        """Return the press against the edge without friction, after a straight approach to a base position."""
-        point, along, travel = self._edge(target, p_base)
-        rod, mode = self._rod(true)
-        return press_against_line(rod, self.gravity, point, along, travel, mode=mode)
-
-    def first_contact(self, target: TouchTarget, p_base: Array, solver: CoulombSolver) -> CoulombContact:
-        """Return the first contact with friction during a straight approach to a base position."""
-        point, along, travel = self._edge(target, p_base)
-        return solver.touch(self.gravity, point, travel, along)
-
-    def advance(
-        self, target: TouchTarget, p_base: Array, solver: CoulombSolver, last: CoulombContact
-    ) -> CoulombContact:
-        """Return the contact with friction after the base has moved on to a position."""
-        return solver.advance(last, self._edge(target, p_base)[0])
-
-    def solver(self, friction: float, true: bool) -> CoulombSolver:
-        """Return the solver of contacts with friction, for the true or the designed probe."""
-        rod, mode = self._rod(true)
-        return CoulombSolver(rod, friction, mode)
+    def press(self, target: TouchTarget, p_base: Array, friction: float, true: bool) -> StraightPress:
+        """Return the press of the true or the designed probe onto an edge, from `CLEARANCE` before it."""
+        clear = (p_base - self.start(target)) @ target.direction + CLEARANCE
+        solver = (
+            CoulombSolver(self.true_rod, friction, "reference") if true else CoulombSolver(self.rod, friction)
+        )
+        point, direction = self.R.T @ (target.p_world - p_base), self.R.T @ target.direction
+        along = self.R.T @ target.card.along
+        return StraightPress(solver, self.gravity, point + clear * direction, direction, along)
 
     def depths(self, target: TouchTarget, forces: Sequence[float], friction: float) -> list[float]:
         """Return the depths at which the designed probe has given forces [m], for forces in increasing order [N]."""
-        start = self.start(target)
-        if friction == 0.0:
-
-            def force_at(depth: float) -> float:
-                press = self.press(target, start + depth * target.direction, true=False)
-                if press.result == "no_contact":
-                    return 0.0
-                _require_ok(target, press.result)
-                return press.magnitude
-
-            return [_depth(force_at, force) for force in forces]
-        solver = self.solver(friction, true=False)
-        first = self.first_contact(target, start + _SEARCH_DEPTH * target.direction, solver)
-        _require_ok(target, first.result)
-        last, depths = first, list[float]()
-
-        def contact(depth: float) -> CoulombContact:
-            found = self.advance(target, start + depth * target.direction, solver, last)
-            _require_ok(target, found.result)
-            return found
-
-        touched = float((target.p_world - start - self.R @ first.object_point) @ target.direction)
+        press = self.press(target, self.start(target), friction, true=False)
+        contact, depths = press.first_contact(CLEARANCE + _SEARCH_DEPTH), list[float]()
+        _require_ok(target, contact.result)
         for force in forces:
-            depth = _depth(lambda depth: contact(depth).magnitude, force, max([touched, *depths]))
-            depths.append(depth)
-            last = contact(depth)
+            travel = press.travel_for(force, contact)
+            contact = press.at(travel, contact)
+            _require_ok(target, contact.result if contact.magnitude >= force else "unstable")
+            depths.append(travel - CLEARANCE)
         return depths
-
-    def _rod(self, true: bool) -> tuple[Rod, Mode]:
-        return (self.true_rod, "reference") if true else (self.rod, "fast")
-
-    def _edge(self, target: TouchTarget, p_base: Array) -> tuple[Array, Array, Array]:
-        """Return a point of the edge, its direction and its travel relative to the base, in base axes."""
-        travel = (p_base - self.start(target)) @ target.direction + CLEARANCE
-        point, along = self.R.T @ (target.p_world - p_base), self.R.T @ target.card.along
-        return point, along, -travel * (self.R.T @ target.direction)
-
-
-def _depth(force_at: Callable[[float], float], force: float, minimum: float = 0.0) -> float:
-    """Return the depth for a force [m], at least `minimum`: bracketed by doubling, then bisected."""
-    low, high = minimum, minimum + 0.1 * MM
-    while force_at(high) < force:
-        low, high = high, 2.0 * high - minimum
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if force_at(middle) < force else (low, middle)
-        if high - low < 1e-3 * MM:
-            break
-    return high
 
 
 def _require_ok(target: TouchTarget, result: str, hint: str = "") -> None:
@@ -277,52 +221,22 @@ def _require_ok(target: TouchTarget, result: str, hint: str = "") -> None:
         raise InputError(f"{target.card.name} at {target.fraction:.2f} of the length: {result}{hint}")
 
 
-class _PoseTruth(NamedTuple):
-    """Ground truth at one pose of the base.
-
-    Attributes:
-        p_base: true position of the base [m], (3,).
-        equilibrium: of the true probe.
-        p_surface_base: touched point [m], (3,).
-        s_surface: arclength of the touched section [m].
-        force: contact force [N].
-        ratio: tangential over normal force.
-    """
-
-    p_base: Array
-    equilibrium: Equilibrium
-    p_surface_base: Array
-    s_surface: float
-    force: float
-    ratio: float
-
-
 def _press_poses(
     bench: _Bench, target: TouchTarget, p_bases: Iterable[Array], friction: float
-) -> Iterator[tuple[float, _PoseTruth]]:
-    """Yield the travel at first contact [m] and the ground truth at each base position in turn.
-
-    Raises:
-        InputError: the probe has no stable equilibrium, or does not touch.
-    """
+) -> Iterator[tuple[float, Array, CoulombContact]]:
+    """Yield the travel at first contact [m], the base position [m], (3,), and the contact, position by position."""
     hint = ": the base with its position error does not press it; try another --seed"
-    solver, contact, touched = bench.solver(friction, true=True), None, np.nan
+    contact, touched = None, np.nan
     for p in p_bases:
-        if friction == 0.0:
-            press = bench.press(target, p, true=True)
-            _require_ok(target, press.result, hint)
-            eq, s = press.equilibrium, press.s_surface
-            yield float(press.way_touched), _PoseTruth(p, eq, press.p_surface_base, s, press.magnitude, 0.0)
-            continue
+        point = bench.R.T @ (target.p_world - p)
         if contact is None:
-            contact = bench.first_contact(target, p, solver)
+            press = bench.press(target, p, friction, true=True)
+            contact = press.first_contact(float((press.start - point) @ press.direction))
             _require_ok(target, contact.result, hint)
-            p_first = p + bench.R @ (bench.R.T @ (target.p_world - p) - contact.object_point)
-            touched = float((p_first - bench.start(target)) @ target.direction) + CLEARANCE
-        contact = bench.advance(target, p, solver, contact)
+            touched = press.travel_of(contact)
+        contact = press.solver.advance(contact, point)
         _require_ok(target, contact.result, hint)
-        ratio, eq = contact.tangential_force / contact.normal_force, contact.equilibrium
-        yield touched, _PoseTruth(p, eq, contact.p_surface_base, contact.s, contact.magnitude, ratio)
+        yield touched, p, contact
 
 
 def _touch(
@@ -340,35 +254,37 @@ def _touch(
     trajectory.travel_to(ready)
     depths = bench.depths(target, (LIGHT_FORCE, FIRM_FORCE), friction)
     commanded = [start + depth * target.direction for depth in depths * N_CYCLES]
-    begin, found = trajectory.end, list[_PoseTruth]()
+    begin = trajectory.end
+    p_true, contacts = list[Array](), list[CoulombContact]()
     offset_world = bench.R @ offset
     true_positions = (p + offset_world + rng.normal(0.0, base_repeat, 3) for p in commanded)
-    for goal, (touched, truth) in zip(
+    for goal, (touched, p, contact) in zip(
         commanded, _press_poses(bench, target, true_positions, friction), strict=True
     ):
-        if not found:
+        if not contacts:
             trajectory.approach(start + (touched - CLEARANCE) * target.direction)
-        trajectory.press(goal, truth.equilibrium.wrench_base)
-        found.append(truth)
+        trajectory.press(goal, contact.equilibrium.wrench_base)
+        p_true.append(p)
+        contacts.append(contact)
     trajectory.retreat(ready)
-    reported = trajectory.press_positions(len(found))
-    wrenches = np.array([truth.equilibrium.wrench_base for truth in found])
+    reported = trajectory.press_positions(len(contacts))
+    wrenches = np.array([contact.equilibrium.wrench_base for contact in contacts])
     moments = np.linalg.norm((wrenches - bench.true_free.wrench_base)[:, 3:], axis=1)
-    points = [truth.p_base + bench.R @ truth.p_surface_base for truth in found]
+    points = [p + bench.R @ contact.p_surface_base for p, contact in zip(p_true, contacts, strict=True)]
     return TrueTouch(
-        target, begin, trajectory.end, np.mean(points, axis=0), max(truth.force for truth in found),
+        target, begin, trajectory.end, np.mean(points, axis=0), max(contact.magnitude for contact in contacts),
         float(moments.max()),
-        min(_clearance(bench, target, p, truth) for p, truth in zip(reported, found, strict=True)),
+        min(_clearance(bench, target, p, contact) for p, contact in zip(reported, contacts, strict=True)),
         wrenches, np.array([pose(bench.R_reported, p) for p in reported]),
-        friction, np.array([truth.ratio for truth in found]),
+        friction, np.array([contact.tangential_force / contact.normal_force for contact in contacts]),
     )  # fmt: skip
 
 
-def _clearance(bench: _Bench, target: TouchTarget, p_base: Array, truth: _PoseTruth) -> float:
+def _clearance(bench: _Bench, target: TouchTarget, p_base: Array, contact: CoulombContact) -> float:
     """Return the distance of the probe beyond the contact from the card, as far as the card reaches [m]."""
     rod = bench.true_rod
-    s = np.linspace(truth.s_surface, rod.length, 30)[1:]
-    axis = p_base + np.array([bench.R @ truth.equilibrium.p_at(float(at)) for at in s])
+    s = np.linspace(contact.s, rod.length, 30)[1:]
+    axis = p_base + np.array([bench.R @ contact.equilibrium.p_at(float(at)) for at in s])
     distance = (target.p_world - axis) @ target.direction - rod.radius_at(s)
     within = axis[:, 1] <= target.card.corners[:, 1].max()
     return float(distance[within].min()) if within.any() else np.inf
@@ -377,16 +293,8 @@ def _clearance(bench: _Bench, target: TouchTarget, p_base: Array, truth: _PoseTr
 # files
 
 FILES = ("house.mcap", "poses.csv", "truth.csv")
-TRUTH_COLUMNS = (
-    "time_s",
-    "x_world_mm",
-    "y_world_mm",
-    "z_world_mm",
-    "fraction",
-    "force_N",
-    "again",
-    "friction",
-)
+TRUTH_COLUMNS = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again",
+                 "friction")  # fmt: skip
 
 
 def write_run(
@@ -397,30 +305,18 @@ def write_run(
     force: bool = False,
     recording: str = FILES[0],
 ) -> tuple[Path, ...]:
-    """Write the recording and the poses, which `explore` reads, and the ground truth.
+    """Write the recording (.mcap or .csv) and the poses, which `explore` reads, and the ground truth; return the paths.
 
-    Args:
-        run: the simulated run.
-        model: the probe on the sensor.
-        folder: folder to write to.
-        rng: random numbers of the sensor noise.
-        force: replace existing files.
-        recording: name of the recording, .mcap or .csv.
-
-    Returns:
-        The written files.
+    `rng` draws the noise of the sensor.
 
     Raises:
-        InputError: files exist, or cannot be written.
+        InputError: files exist and `force` is not set, or they cannot be written.
     """
     paths = tuple(folder / name for name in (recording, *FILES[1:]))
     for path in paths:
         check_overwrite(path, force)
-    file = (
-        CsvRecorder(paths[0], force)
-        if recording.endswith(".csv")
-        else McapRecorder(paths[0], model, force, {"source": SOURCE})
-    )
+    table = recording.endswith(".csv")
+    file = CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force, {"source": SOURCE})
     try:
         for block in run.trajectory.blocks(model, rng):
             file.on_samples(block)

@@ -6,10 +6,6 @@ from probedesign.core.errors import MissingDependencyError
 
 
 def require() -> None:
-    """Check that the package that reads photographs is installed.
-
-    Raises:
-        MissingDependencyError: it is not.
-    """
+    """Check that the package that reads photographs is installed; raise MissingDependencyError if it is not."""
     if find_spec("cv2") is None:
         raise MissingDependencyError.of_extra("reading photographs", "opencv", "vision")

@@ -71,36 +71,15 @@ class ControlPoints:
         """Raise the error of this camera's control points."""
         raise InputError(f"camera {self.camera}: {problem}")
 
-    @property
-    def off_plane_m(self) -> float:
-        """Distance of the points from the plane that fits them best [m, RMS]."""
-        return float(self._extents[2])
-
-    @property
-    def pixels_per_m(self) -> float:
-        """Scale of the picture [px/m]."""
-        spread = np.linalg.norm(self.pixels - self.pixels.mean(axis=0)) / np.sqrt(len(self.pixels))
-        return float(spread / np.linalg.norm(self._extents[:2]))
-
-    @property
-    def _extents(self) -> Array:
-        centred = self.points_world - self.points_world.mean(axis=0)
-        return np.asarray(np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred)))
-
     def check_depth(self, min_px: float) -> None:
-        """Refuse coplanar points.
-
-        Args:
-            min_px: distance from a plane that is required, in the picture [px].
-
-        Raises:
-            InputError: they are.
-        """
-        if self.off_plane_m * self.pixels_per_m < min_px:
-            self.fail(
-                f"its {len(self.labels)} control points lie in one plane, to {self.off_plane_m / MM:.2g} mm; "
-                "add points in front of it or behind it"
-            )
+        """Refuse coplanar points, which lie nearer to a plane than `min_px` in the picture."""
+        centred = self.points_world - self.points_world.mean(axis=0)
+        # [m, RMS]; the last one is the distance from the plane that fits best
+        extents = np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
+        spread = np.linalg.norm(self.pixels - self.pixels.mean(axis=0)) / np.sqrt(len(self.pixels))
+        if extents[2] * spread / np.linalg.norm(extents[:2]) < min_px:
+            self.fail(f"its {len(self.labels)} control points lie in one plane, to {extents[2] / MM:.2g} mm; add "
+                      "points in front of it or behind it")  # fmt: skip
 
 
 def min_points(distortion: int) -> int:
@@ -111,14 +90,7 @@ def min_points(distortion: int) -> int:
 def control_points(
     camera: str, points_world: ArrayLike, pixels: ArrayLike, labels: tuple[str, ...] | None, distortion: int
 ) -> ControlPoints:
-    """Return checked control points.
-
-    Args:
-        camera: its name.
-        points_world: [m], (n, 3).
-        pixels: (n, 2).
-        labels: names of the points; 1 ... n if None.
-        distortion: coefficients that will be fitted.
+    """Return control points (n, 3) [m] with pixels (n, 2) and names, 1 ... n if None, for a calibration.
 
     Raises:
         InputError: shapes that do not match, numbers that are not finite, too few, doubled or coplanar points.
@@ -295,9 +267,11 @@ def _fitted(control: ControlPoints, distortion: int) -> Camera:
     scale = _scale(start, control.points_world)
 
     def residuals(step: Array) -> Array:
+        """Return the pixels' residuals after a scaled step of the parameters."""
         return np.asarray((start.moved(step * scale).project(control.points_world) - control.pixels).ravel())
 
     def derivative(step: Array) -> Array:
+        """Return the derivative of the residuals by the scaled step."""
         moved = start.moved(step * scale)
         return np.asarray(moved.by_parameters(control.points_world).reshape(-1, len(scale)) * scale)
 
@@ -325,10 +299,8 @@ def _linear(control: ControlPoints, distortion: int) -> Camera:
         )
     K, R, centre = _decomposed(P)
     if np.linalg.det(R) < 0:
-        control.fail(
-            "its control points are mirrored: the world's axes must be right-handed, u count to the right and v "
-            "downwards"
-        )
+        control.fail("its control points are mirrored: the world's axes must be right-handed, u count to the right and "
+                     "v downwards")  # fmt: skip
     number = LINEAR + distortion
     return Camera(control.camera, K, R, centre, np.zeros(distortion), np.zeros((number, number)))
 
@@ -376,6 +348,4 @@ def _check_known(camera: Camera, control: ControlPoints) -> None:
     if (camera.depth(control.points_world) <= 0).any():
         control.fail("control points lie on both sides of it; check their order and their pixels")
     if camera.folds(control.points_world):
-        raise InputError(
-            f"camera {camera.name}: {len(camera.distortion)} distortion coefficients fit no lens; fit fewer"
-        )
+        control.fail(f"{len(camera.distortion)} distortion coefficients fit no lens; fit fewer")

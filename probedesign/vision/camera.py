@@ -87,26 +87,12 @@ class Camera:
         return np.asarray((np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world[2])
 
     def project(self, points_world: ArrayLike) -> Array:
-        """Project points into the picture.
-
-        Args:
-            points_world: in front of the camera [m], (..., 3).
-
-        Returns:
-            Pixels u, v (..., 2).
-        """
+        """Project points in front of the camera [m], (..., 3), into the picture: pixels u, v (..., 2)."""
         seen = self._plane(points_world)
         return np.asarray(self._pixels(seen * self._stretch(seen)[..., None]))
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Return the directions of pixels in the world.
-
-        Args:
-            pixels: u, v [px], (..., 2).
-
-        Returns:
-            Unit vectors (..., 3).
-        """
+        """Return the directions of pixels u, v (..., 2) in the world, unit vectors (..., 3)."""
         bent = np.asarray(np.linalg.solve(self.K, _homogeneous(pixels)[..., None])[..., :2, 0], dtype=float)
         seen = bent.copy()
         # a step gains a factor |2 k1 r²|, a tenth or less for any lens used for measuring

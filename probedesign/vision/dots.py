@@ -101,16 +101,13 @@ class Dot:
 
 
 def fit_dot(grey: NDArray[np.uint8], pixel: Array, diameter_px: float, along: Array) -> Dot | None:
-    """Fit a dot to the grey levels about a spot.
+    """Fit a dot to the grey levels (height, width) about a spot; None if they do not fit one.
 
     Args:
-        grey: the photograph, (height, width).
+        grey: the photograph.
         pixel: approximate centre [px], (2,).
         diameter_px: approximate diameter [px].
         along: direction of the probe's axis in the picture, of any length, (2,).
-
-    Returns:
-        The dot; None if the grey levels do not fit one.
     """
     dot = _fitted(grey, pixel, np.eye(2) * 2 / diameter_px, along)
     # The second fit has a window of the dot's shape instead of a circle.
@@ -131,22 +128,15 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array, along: Array) -
     weight = ROBUST / SUNK
 
     def residual(values: Array) -> Array:
+        """Return the grey levels' residuals and the prior's."""
         return np.append(_model(values, offsets, sight) - levels, weight * values[SINK])
 
     def by_values(values: Array) -> Array:
+        """Return the derivatives of the residuals."""
         return np.vstack([_by_values(values, offsets, sight), weight * np.eye(len(values))[SINK]])
 
-    found = least_squares(
-        residual,
-        start,
-        by_values,
-        loss="soft_l1",
-        f_scale=ROBUST,
-        x_scale=np.abs(start) + 0.1,
-        xtol=1e-5,
-        ftol=1e-6,
-        max_nfev=60,
-    )
+    found = least_squares(residual, start, by_values, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1,
+                          xtol=1e-5, ftol=1e-6, max_nfev=60)  # fmt: skip
     values = found.x
     fitted = np.array([[values[2], values[3]], [values[3], values[4]]])
     if not (np.linalg.eigvalsh(fitted) > 0).all() or np.hypot(*values[:2]) > radius:
@@ -258,9 +248,8 @@ def _outline_distance(values: Array, offsets: Array, sight: tuple[Array, Array])
     around, down = sight
     away = offsets - values[:2]
     round_ = away @ around
-    beyond, by_place, by_shape = _ellipse_distance(
-        values[2:5], away + (values[SINK] * round_**2)[:, None] * down
-    )
+    sunk = away + (values[SINK] * round_**2)[:, None] * down
+    beyond, by_place, by_shape = _ellipse_distance(values[2:5], sunk)
     by_down = by_place @ down
     by_centre = -by_place - (2 * values[SINK] * round_ * by_down)[:, None] * around
     return beyond, np.column_stack([by_centre, by_shape, round_**2 * by_down])

@@ -46,10 +46,6 @@ class MarkerObservations:
         """Whether a camera saw a marker, (c, m)."""
         return np.asarray(np.isfinite(self.pixels).all(axis=2))
 
-    def with_pixels(self, pixels: Array) -> "MarkerObservations":
-        """Return the same with other pixels."""
-        return replace(self, pixels=pixels)
-
 
 @dataclass(frozen=True)
 class Triangulated:
@@ -104,14 +100,14 @@ def _located(seen: MarkerObservations) -> Triangulated:
     weights = _weights(seen, points)
     for _ in range(_ITERATIONS):
         residual, by_point = _linearised(seen, points)
-        points = (
-            points
-            + np.linalg.solve(_information(by_point, weights), _gradient(by_point, weights, residual))[..., 0]
-        )
+        weighted = np.swapaxes(by_point, 2, 3) @ weights
+        gradient = (weighted @ residual[..., None]).sum(axis=0)
+        points = points + np.linalg.solve((weighted @ by_point).sum(axis=0), gradient)[..., 0]
     weights = _weights(seen, points)
     residual, by_point = _linearised(seen, points)
-    cov = np.linalg.inv(_information(by_point, weights))
-    gain = cov @ np.swapaxes(by_point, 2, 3) @ weights
+    weighted = np.swapaxes(by_point, 2, 3) @ weights
+    cov = np.linalg.inv((weighted @ by_point).sum(axis=0))
+    gain = cov @ weighted
     noise = np.where(seen.mask, seen.std_px, 0.0) ** 2
     cov_noise = np.einsum("cmia,cm,cmja->mij", gain, noise, gain)
     square = np.einsum("cma,cmab,cmb->m", residual, weights, residual)
@@ -149,25 +145,13 @@ def _linearised(seen: MarkerObservations, points: Array) -> tuple[Array, Array]:
     return np.where(seen.mask[..., None], residual, 0.0), by_point
 
 
-def _information(by_point: Array, weights: Array) -> Array:
-    return np.asarray((np.swapaxes(by_point, 2, 3) @ weights @ by_point).sum(axis=0))
-
-
-def _gradient(by_point: Array, weights: Array, residual: Array) -> Array:
-    return np.asarray((np.swapaxes(by_point, 2, 3) @ weights @ residual[..., None]).sum(axis=0))
-
-
 # checks
 
 
 def observations(
     cameras: Sequence[Camera], pixels: ArrayLike, std_px: ArrayLike | None, labels: Sequence[str] | None
 ) -> MarkerObservations:
-    """Return checked observations; see `triangulate`.
-
-    Raises:
-        InputError: fewer than two cameras, two along one line of sight, a marker that fewer than two saw.
-    """
+    """Return checked observations; see `triangulate`."""
     places = np.asarray(pixels, dtype=float)
     if len(cameras) < 2:
         raise InputError("markers in space need at least two cameras; with one, measure them otherwise")
@@ -188,13 +172,11 @@ def observations(
 def _check_seen_twice(seen: MarkerObservations) -> None:
     """Refuse a marker that fewer than two cameras saw."""
     for label, by in zip(seen.labels, seen.mask.T, strict=True):
-        if by.sum() >= 2:
-            continue
         names = [camera.name for camera, yes in zip(seen.cameras, by, strict=True) if yes]
-        where = f"camera {names[0]} only" if names else "no camera"
-        raise InputError(
-            f"marker {label} is seen by {where}; two must see it: add the other camera's pixel or leave it out"
-        )
+        if len(names) < 2:
+            where = f"camera {names[0]} only" if names else "no camera"
+            raise InputError(f"marker {label} is seen by {where}; two must see it: add the other camera's pixel or "
+                             "leave it out")  # fmt: skip
 
 
 def _check_angles(seen: MarkerObservations) -> None:
@@ -216,14 +198,8 @@ def _check_angles(seen: MarkerObservations) -> None:
 def _check_agreement(seen: MarkerObservations, found: Triangulated) -> None:
     """Refuse pixels that are not of one point, or of one behind a camera.
 
-    Args:
-        seen: the observations.
-        found: the markers located from them.
-
-    Raises:
-        InputError: it names the likely mistake, a hypothesis in which all pixels agree: swapped cameras, a
-            camera's markers numbered from the other end, two exchanged markers; or else the marker with the largest
-            residual.
+    The error names the likely mistake, a hypothesis in which all pixels agree: swapped cameras, a camera's markers
+    numbered from the other end, two exchanged markers; or else the marker with the largest residual.
     """
     wrong = _wrong(seen, found)
     if not wrong.any():
@@ -232,11 +208,9 @@ def _check_agreement(seen: MarkerObservations, found: Triangulated) -> None:
         if not _wrong(corrected, _located(corrected)).any():
             raise InputError(f"{mistake}: the pictures agree with this corrected, but not as given")
     worst = int(np.argmax(np.where(wrong, np.nan_to_num(_max_residual(found), nan=np.inf), -1.0)))
-    off = " and ".join(
-        f"{np.linalg.norm(r):.1f} px in {camera.name}"
-        for camera, r in zip(seen.cameras, found.residual_px[:, worst], strict=True)
-        if np.isfinite(r).all()
-    )
+    off = " and ".join(f"{np.linalg.norm(r):.1f} px in {camera.name}"
+                       for camera, r in zip(seen.cameras, found.residual_px[:, worst], strict=True)
+                       if np.isfinite(r).all())  # fmt: skip
     many = f" ({np.sum(wrong)} of {len(wrong)} markers are)" if np.sum(wrong) > 1 else ""
     raise InputError(
         f"marker {seen.labels[worst]}: its pixels are not of one point in front of the cameras, off by {off}{many}; "
@@ -248,9 +222,8 @@ def _wrong(seen: MarkerObservations, found: Triangulated) -> NDArray[np.bool_]:
     """Return which markers are behind a camera or have implausible residuals, (m,)."""
     free = 2 * seen.mask.sum(axis=0) - 3
     rear = np.array([(c.depth(found.p_world) <= 0) & m for c, m in zip(seen.cameras, seen.mask, strict=True)])
-    off = (found.agreement * free > stats.chi2.isf(FALSE_ALARM, free)) & (
-        _max_residual(found) > MIN_RESIDUAL_PX
-    )
+    improbable = found.agreement * free > stats.chi2.isf(FALSE_ALARM, free)
+    off = improbable & (_max_residual(found) > MIN_RESIDUAL_PX)
     return np.asarray(rear.any(axis=0) | off | ~np.isfinite(found.p_world).all(axis=1))
 
 
@@ -268,13 +241,13 @@ def _outlier_hypotheses(
         order = np.arange(len(names))
         order[[i, j]] = j, i
         if (seen.mask.sum(axis=0) == seen.mask[order].sum(axis=0)).all():
-            yield f"cameras {names[i]} and {names[j]} are swapped", seen.with_pixels(seen.pixels[order])
+            yield f"cameras {names[i]} and {names[j]} are swapped", replace(seen, pixels=seen.pixels[order])
     # With two cameras it is not known which one is wrong.
     suspects = names if len(names) > 2 else [" or ".join(names)]
     for i, name in enumerate(suspects):
         pixels = seen.pixels.copy()
         pixels[i, seen.mask[i]] = pixels[i, seen.mask[i]][::-1]
-        yield f"camera {name} numbers the markers from the other end", seen.with_pixels(pixels)
+        yield f"camera {name} numbers the markers from the other end", replace(seen, pixels=pixels)
     if 2 <= wrong.sum() <= 3:
         for a, b in combinations(np.flatnonzero(wrong), 2):
             for i, name in enumerate(suspects):
@@ -282,4 +255,4 @@ def _outlier_hypotheses(
                 pixels[i, [a, b]] = pixels[i, [b, a]]
                 pair = f"{seen.labels[a]} and {seen.labels[b]}"
                 if np.isfinite(pixels[i, [a, b]]).all():
-                    yield f"markers {pair} are exchanged in camera {name}", seen.with_pixels(pixels)
+                    yield f"markers {pair} are exchanged in camera {name}", replace(seen, pixels=pixels)

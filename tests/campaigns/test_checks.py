@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns import Campaign
 from probedesign.campaigns import campaign as tables
-from probedesign.campaigns.reading import check_probe
+from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
@@ -65,7 +65,7 @@ def refusal(campaign: Campaign, model: ProbeModel) -> str:
     CampaignPlan("cameras", 1), CampaignPlan("cameras", 2, exact=True), CampaignPlan("stage", 1),
     CampaignPlan("cameras", 3, marker_noise=20e-3)])  # fmt: skip
 def test_valid_campaigns_are_accepted(models, made, name, plan):
-    """The roughest reference that can be made up included."""
+    """The roughest simulated reference is included."""
     campaign = made(name, plan)
     assert is_accepted(campaign, models[name])
     assert is_accepted(in_base(campaign, models[name]), models[name])
@@ -79,8 +79,10 @@ def test_forces_or_moments_of_another_unit(models, made, name, frame, factors):
     campaign = made(name, CampaignPlan("stage", 1))
     if frame == "base":
         campaign = in_base(campaign, models[name])
-    says = refusal(changed(campaign, scaled(factors)), models[name])
-    assert "wrenches.csv: test " in says and ("in a column of N" in says or "units of their columns?" in says)
+    message = refusal(changed(campaign, scaled(factors)), models[name])
+    assert "wrenches.csv: test " in message and (
+        "in a column of N" in message or "units of their columns?" in message
+    )
 
 
 def test_a_few_readings_beyond_the_range_are_accepted(models, made):
@@ -92,21 +94,27 @@ def test_a_few_readings_beyond_the_range_are_accepted(models, made):
 
 def test_places_in_metres(models, made):
     campaign = made("large", CampaignPlan("cameras", 1))
-    says = refusal(changed(campaign, contact_times(1e-3)), models["large"])
-    assert "tests.csv: test touch-01: contact is 2" in says and "large is 150 mm long; a wrong unit" in says
+    message = refusal(changed(campaign, contact_times(1e-3)), models["large"])
+    assert (
+        "tests.csv: test touch-01: contact is 2" in message
+        and "large is 150 mm long; a wrong unit" in message
+    )
     # the world's origin at the base: all places shrink to it
     at_base = changed(campaign, lambda t: t if t.p_contact_world is None else replace(
         t, p_contact_world=t.T_world_base[:3, 3] + 1e-3 * (t.p_contact_world - t.T_world_base[:3, 3])))  # fmt: skip
-    says = refusal(at_base, models["large"])
-    assert "mm from the base, the farthest" in says and "metres in a column of millimetres?" in says
+    message = refusal(at_base, models["large"])
+    assert "mm from the base, the farthest" in message and "metres in a column of millimetres?" in message
 
 
 def test_arclengths_in_metres(models, made):
     campaign = made("large", CampaignPlan("stage", 1))
-    says = refusal(
+    message = refusal(
         changed(campaign, lambda test: replace(test, s_contact=1e-3 * test.s_contact)), models["large"]
     )
-    assert "tests.csv: test " in says and "is the largest, large is 150 mm long; metres in a column" in says
+    assert (
+        "tests.csv: test " in message
+        and "is the largest, large is 150 mm long; metres in a column" in message
+    )
 
 
 def test_a_marker_at_the_base_only(models, made):
@@ -118,20 +126,20 @@ def test_a_marker_at_the_base_only(models, made):
         p = test.T_world_base[:3, 3]
         return replace(test, markers=replace(test.markers, p_world=p + 1e-3 * (test.markers.p_world - p)))
 
-    says = refusal(changed(campaign, shrunk), models["large"])
-    assert "markers.csv: test " in says and "metres in a column of millimetres?" in says
+    message = refusal(changed(campaign, shrunk), models["large"])
+    assert "markers.csv: test " in message and "metres in a column of millimetres?" in message
 
 
 def test_a_sag_longer_than_the_probe(models, made):
     campaign = made("large", CampaignPlan("cameras", 1))
     hang = campaign.tests[0]
     long = replace(hang, tip_sag=1e3 * hang.tip_sag)
-    says = refusal(changed(campaign, lambda test: long if test is hang else test), models["large"])
-    assert "tests.csv: test hang-1: tip_sag_mm = " in says and says.endswith("a wrong unit?")
+    message = refusal(changed(campaign, lambda test: long if test is hang else test), models["large"])
+    assert "tests.csv: test hang-1: tip_sag_mm = " in message and message.endswith("a wrong unit?")
 
 
 def test_a_sag_upwards_or_in_centimetres(models, made):
-    """Of the large probe, 13 mm as designed, told to 0.5 mm."""
+    """The large probe sags by 13 mm as designed; the standard deviation is 0.5 mm."""
     campaign = made("large", CampaignPlan("cameras", 1))
     hang = campaign.tests[0]
     for factor, words in (
@@ -139,12 +147,14 @@ def test_a_sag_upwards_or_in_centimetres(models, made):
         (0.1, "a sag of 13.2 mm as designed"),
     ):
         wrong = replace(hang, tip_sag=factor * hang.tip_sag, std_sag=0.1 * hang.std_sag)
-        says = refusal(changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"])
-        assert "tests.csv: test hang-1: tip_sag_mm = " in says and words in says
+        message = refusal(
+            changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"]
+        )
+        assert "tests.csv: test hang-1: tip_sag_mm = " in message and words in message
 
 
 def test_known_weights_in_millinewtons(models, made):
-    """5, 10, 14 and 50 of them: as newtons one is beyond the sensor; and without it all are far from what was read."""
+    """Weights of 5, 10, 14 and 50 mN: as newtons one exceeds the sensor; without it all contradict the readings."""
     campaign = made("large", CampaignPlan("cameras", 1))
     heavy = changed(
         campaign,
@@ -154,8 +164,8 @@ def test_known_weights_in_millinewtons(models, made):
         heavy, models["large"]
     )
     light = replace(heavy, tests=tuple(test for test in heavy.tests if test.name != "weight-2"))
-    says = refusal(light, models["large"])
-    assert "times what the sensor read; millinewtons in a column of newtons?" in says
+    message = refusal(light, models["large"])
+    assert "times what the sensor read; millinewtons in a column of newtons?" in message
 
 
 def test_both_commands_refuse(models, made):
@@ -182,7 +192,7 @@ CAMERAS = CampaignPlan("cameras", 1)
 
 
 def numbered(campaign: Campaign, by: int) -> Campaign:
-    """Every marker takes the number of the one so many further on, and the last ones are lost."""
+    """Every marker gets the number of one further on, and the last ones are left out."""
 
     def converted(test):
         if test.markers is None:
@@ -198,7 +208,7 @@ def numbered(campaign: Campaign, by: int) -> Campaign:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("factor", [10.0, 0.1])
 def test_readings_of_another_size_than_the_known_loads(models, made, name, factor):
-    """Told about the base, so that the weight of what hangs on the sensor does not count. Drift and noise change what
+    """Readings about the base exclude the weight between sensor and base. Drift and noise change what
     was read of the lightest load, 18 mN, by less than a fifth."""
     wrong = changed(in_base(made(name, CAMERAS), models[name]), scaled(factor * np.ones(6)))
     line = refusal(wrong, models[name])
@@ -227,7 +237,7 @@ def test_loads_in_another_direction_are_refused(models, made):
 
 
 def test_one_wrong_load_is_accepted(models, made):
-    """It is an outlier there."""
+    """It becomes an outlier of the fit."""
     campaign = made("large", CAMERAS)
     assert is_accepted(
         changed(
@@ -244,7 +254,7 @@ def test_touches_read_in_the_opposite_direction_are_refused(models, made):
 
 
 def test_a_sensor_zeroed_with_the_probe_on_it_is_accepted(models, made):
-    """What the free hangs read is then nothing; loads and touches are known all the same."""
+    """The free tests then read zero; loads and touches are known all the same."""
     campaign = in_base(made("large", CAMERAS), models["large"])
     free = next(test for test in campaign.tests if test.free).wrenches.mean(axis=0)
     assert is_accepted(changed(campaign, lambda t: replace(t, wrenches=t.wrenches - free)), models["large"])
@@ -257,7 +267,7 @@ def test_markers_numbered_one_too_high_are_refused(models, made, name):
 
 
 def test_a_campaign_without_markers_near_the_base_is_accepted(models, made):
-    """Nothing is then told of how they are numbered, and bent probes are shorter from end to end."""
+    """Their numbering cannot then be checked, and bent probes are shorter from end to end."""
     campaign = made("large", CAMERAS)
 
     def far(test):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.campaigns import read_campaign
-from probedesign.campaigns.reading import check_probe
+from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
@@ -88,7 +88,7 @@ def refusal(folder, file, old, new) -> str:
     return str(caught.value)
 
 
-def test_a_folder_is_read_in_si_as_its_units_say(folder):
+def test_a_folder_is_read_in_si(folder):
     campaign = read_campaign(folder)
     hang, touched = campaign.tests
     assert (campaign.name, campaign.fingerprint) == ("large", None)
@@ -147,7 +147,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     )
 
 
-@pytest.mark.parametrize(("file", "old", "new", "says"), [
+@pytest.mark.parametrize(("file", "old", "new", "message"), [
     ("campaign.toml", "std_mm", "std", "campaign.toml:10: unknown key 'markers.std'; did you mean 'markers.std_mm'?"),
     ("campaign.toml", "20.0, 30.0", "5.0", "campaign.toml:9: markers.s_mm item 2: 5 does not increase after 10"),
     ("campaign.toml", "-9.81", "-9810", "is not a gravity of up to 30 m/s²"),
@@ -191,8 +191,8 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("markers.csv", "30.2", "1e300", "markers.csv:4: x_world_mm = 1e+300 is implausibly large"),
     ("wrenches.csv", ",Mz_Nmm", "", "columns are missing: Mz_Nm"),
 ])  # fmt: skip
-def test_a_mistake_is_one_clear_line(folder, file, old, new, says):
-    assert says in refusal(folder, file, old, new)
+def test_a_mistake_is_one_clear_line(folder, file, old, new, message):
+    assert message in refusal(folder, file, old, new)
 
 
 def test_empty_columns_and_rows_of_a_spreadsheet_are_ignored(folder):
@@ -275,8 +275,8 @@ def test_markers_of_two_pictures_are_located(seen):
 
 
 def test_markers_of_pictures_are_refused_by_the_name_of_their_table(seen):
-    says = refusal(seen, "campaign.toml", "[10.0, 20.0, 30.0]", "[10.0, 15.0, 20.0]")
-    assert "pixels.csv: test hang: " in says and "markers.csv" not in says
+    message = refusal(seen, "campaign.toml", "[10.0, 20.0, 30.0]", "[10.0, 15.0, 20.0]")
+    assert "pixels.csv: test hang: " in message and "markers.csv" not in message
 
 
 def test_a_marker_in_one_picture_only(seen):
@@ -302,14 +302,14 @@ def test_mirrored_control_points_are_named(seen):
         read_campaign(seen)
 
 
-@pytest.mark.parametrize(("file", "old", "new", "says"), [
+@pytest.mark.parametrize(("file", "old", "new", "message"), [
     ("pixels.csv", "hang,left,1", "hang,lft,1", "camera 'lft' is not in cameras.names of campaign.toml"),
     ("pixels.csv", "hang,left,1", "hang,left,2", "test hang, camera left, marker 2 occurs twice"),
     ("control_points.csv", ",right,", ",left,", "occurs twice"),
     ("campaign.toml", '[cameras]\nnames = ["left", "right"]', "", "which has none"),
 ])  # fmt: skip
-def test_a_mistake_with_cameras_is_one_clear_line(seen, file, old, new, says):
-    assert says in refusal(seen, file, old, new)
+def test_a_mistake_with_cameras_is_one_clear_line(seen, file, old, new, message):
+    assert message in refusal(seen, file, old, new)
 
 
 def test_pixels_need_control_points_and_no_second_reference(seen):

@@ -72,7 +72,7 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     assert model.material["youngs_modulus"].provenance == "identified"
     assert model.tolerances is not None
     assert model.tolerances.youngs_modulus == pytest.approx(spread, rel=0.06)  # two digits are written
-    assert model.tolerances.shear_modulus == 0.005  # as it was: the tests did not tell G
+    assert model.tolerances.shear_modulus == 0.005  # as it was: the tests did not determine G
     assert model.stiffness_spread == pytest.approx(spread, rel=0.06)  # for fused touches
     assert model.tolerances.youngs_modulus_by_diameter == pytest.approx(found["by_diameter"], abs=0.005)
 

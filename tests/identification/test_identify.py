@@ -43,7 +43,7 @@ def test_G_of_a_full_round_probe_is_not_observable(found) -> None:
 
 
 def test_a_factor_on_all_forces_is_noted(stage: Campaign, model: ProbeModel) -> None:
-    """Touches alone cannot tell; so it is said."""
+    """Touches alone do not determine it, and the result states so."""
     ten = replace(
         stage,
         tests=tuple(replace(t, wrenches=10.0 * t.wrenches) for t in stage.tests if not t.free),
@@ -127,10 +127,10 @@ def test_a_wrong_marker_is_an_outlier_with_little_weight(cameras: Campaign, mode
 def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, model: ProbeModel) -> None:
     data = _data(cameras, model)
     understated = tuple(replace(t, cov_markers=t.cov_markers / 4.0) for t in data.tests)
-    other, honest = identify(replace(data, tests=understated), ("E",)), identify(data, ("E",))
+    other, reference = identify(replace(data, tests=understated), ("E",)), identify(data, ("E",))
     markers = next(one for one in other.noise if one.kind == "markers")
     assert markers.measured and markers.scale == pytest.approx(2.0, rel=0.1)  # 600 numbers: 3 % each way
-    assert other.of("E").std == pytest.approx(honest.of("E").std, rel=0.15)
+    assert other.of("E").std == pytest.approx(reference.of("E").std, rel=0.15)
 
 
 def test_too_few_tests_are_refused(model: ProbeModel) -> None:

@@ -9,7 +9,7 @@ import pytest
 from probedesign.campaigns import Campaign
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of
-from probedesign.identification.parameters import BIAS, OWNER, PRINT, ParameterValues
+from probedesign.identification.parameters import OWNER, PARAMETERS, PRINT, ParameterValues
 from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize, start_nuisance
 
 
@@ -35,7 +35,7 @@ def test_derivatives_agree_with_differences(cameras: Campaign, model: ProbeModel
         "wrenches", "markers", "touches", "friction", "places", "sags", "scales"}  # fmt: skip
     rows = _rows(point)
     for j in range(rows.shape[1]):
-        step = 1e-2 if j >= PRINT else 1e-4 if BIAS.start <= j else 1e-3
+        step = 1e-2 if j >= PRINT else 1e-4 if PARAMETERS["bias"].columns.start <= j else 1e-3
         if j >= data.common.size:
             step = 1e-5
         numeric = (_values(problem, x, nuisance, j, step) - _values(problem, x, nuisance, j, -step)) / (
@@ -75,6 +75,6 @@ def test_a_marker_where_the_weight_hangs_has_the_right_derivative(
     numeric = _values(problem, x, [np.array([place])], size, 1e-3) - _values(
         problem, x, [np.array([place])], size, -1e-3
     )
-    marker = slice(size + 6, size + 9)  # behind the priors and the wrench
+    marker = slice(size + 6, size + 9)  # after the priors and the wrench
     # a millimetre's difference, of a curve that bends over centimetres
     assert rows[marker, size] == pytest.approx(numeric[marker] / 2e-3, rel=0.05, abs=2e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.frozen_probe import load_estimator, write_frozen
-from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
 from tests.live.conftest import bundle as bundle  # the paper's large probe
 from tests.live.conftest import estimator as estimator

@@ -11,7 +11,7 @@ from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
-from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.mapping.contact_map import build_map, map_csv, map_lines, map_ply
 from probedesign.reports.map_page import MapScene, map_page, map_svg
-from probedesign.simulation.card_house import SOURCE, card_house, touch_targets, true_outlines
+from probedesign.simulation.scenes import SOURCE, card_house, touch_targets, true_outlines
 from tests.mapping.synthetic_touches import STD_E, touch
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.units import MILLINEWTON
-from probedesign.simulation.card_house import touch_targets
+from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import FIRM_FORCE, RunErrors, simulate_run
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
@@ -28,7 +28,7 @@ def test_each_touch_has_its_own_friction_and_stays_in_its_cone(touches):
 
 
 def test_the_touched_point_lies_on_the_edge_and_the_force_is_as_intended(touches):
-    """With the depth known to 1 µm the firm force is reached within 2 %; it stays below 5 mN."""
+    """With the depth to 1 µm the firm force is reached within 2 %; it stays below 5 mN."""
     for touch in touches:
         off = touch.p_world - touch.target.p_world
         assert np.linalg.norm(off - (off @ touch.target.card.along) * touch.target.card.along) < 1e-6

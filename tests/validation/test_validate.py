@@ -26,8 +26,7 @@ from probedesign.reports.validation_page import (
 )
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
-from probedesign.validation.coverage import coverage_of
-from probedesign.validation.validate import COLUMNS, validate
+from probedesign.validation.validate import COLUMNS, coverage_of, validate
 from tests.reports.test_pages import assert_whole
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -91,8 +90,8 @@ def test_named_moduli_are_the_truth(large, tmp_path):
     assert truth["shear_modulus_mpa"] == pytest.approx(0.7, rel=1e-12)
 
 
-def test_readings_err_as_the_sensor_does(large, exact):
-    """Of an exact print nothing but noise stands between truth and reading: its standard deviation is the sensor's."""
+def test_readings_have_the_noise_of_the_sensor(large, exact):
+    """For an exact print, truth and reading differ by noise alone, with the sensor's standard deviation."""
     truth = json.loads((exact / "truth.json").read_text())["tests"]
     off = np.concatenate([t.wrenches - truth[t.name]["wrench_sensor"] for t in read_campaign(exact).tests])
     z = off / np.repeat([large.noise.force, large.noise.moment], 3)
@@ -122,7 +121,7 @@ def test_rms_is_equation_6(found):
         assert trial.shape_rms == pytest.approx(math.sqrt(sum(squares) / len(squares)), rel=1e-12)
 
 
-def test_the_table_is_ordered_as_the_papers_and_drops_nothing(found, made):
+def test_the_table_is_ordered_as_the_papers_and_is_complete(found, made):
     rows = found.rows()
     assert {row["test"] for row in rows} == {test.name for test in read_campaign(made).tests}
     touches = [row for row in rows if row["kind"] == "touch"]
@@ -153,7 +152,7 @@ def test_force_and_moment_jump_by_the_contact_force_and_its_couple(found):
 
 
 def test_a_wrong_modulus_shows_in_the_coverage(large, tmp_path):
-    """E a fifth lower than the file says, on a stage: no ellipsoid of noise alone holds that."""
+    """E is a fifth lower than in the file, on a stage: no ellipsoid of noise alone includes that."""
     plan = CampaignPlan("stage", 2, youngs_modulus=0.8 * large.rod.youngs_modulus)
     folder = make_campaign(large, tmp_path / "data", plan).folder
     found = validate(Estimator(large), read_campaign(folder), exact=True)
@@ -164,7 +163,7 @@ def test_a_wrong_modulus_shows_in_the_coverage(large, tmp_path):
 
 
 def test_coverage_over_prints(tmp_path):
-    """A dozen drawn prints of the small probe on a stage, whose reference hides nothing.
+    """A dozen drawn prints of the small probe on a stage, whose reference is much better.
 
     Touches of one print err together: counted as 36 squares for 12 prints, their mean errs by √(2/36) = 0.24, four of
     those; of 84 touches 80 lie within, and 72 where one print of twelve misses with all its seven.
@@ -211,7 +210,7 @@ def test_coverage_of_weights_over_prints(large, tmp_path):
 
 
 def test_predicted_errors_are_those_of_predict(found, large):
-    """As `predict` says it of the same touch; not of weights, which it takes to be without friction."""
+    """The prediction is that of `predict` for the same touch; there is none for weights, which have no friction."""
     for trial in found.tests:
         if trial.kind != "touch":
             assert math.isnan(trial.predicted)
@@ -323,7 +322,7 @@ def test_existing_campaigns_are_not_overwritten(call, tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "small.toml"]
 
 
-@pytest.mark.parametrize(("options", "says"), [
+@pytest.mark.parametrize(("options", "message"), [
     (["--readings", "0"], "--readings 0 must lie in 1 ... 1000"),
     (["--marker-noise-mm", "-1"], "--marker-noise-mm -1 must lie in"),
     (["--marker-noise-mm", "nan"], "--marker-noise-mm nan must lie in"),
@@ -332,10 +331,10 @@ def test_existing_campaigns_are_not_overwritten(call, tmp_path, monkeypatch):
     (["--images", "--marker-noise-mm", "1"], "leave out --images"),
     (["--seed", "-1"], "--seed -1 must not be negative"),
 ])  # fmt: skip
-def test_options_that_make_no_sense_are_one_line(call, tmp_path, options, says):
+def test_invalid_options_are_one_line(call, tmp_path, options, message):
     design = DESIGNS / "small.toml"
     status, out, err = call("campaign", design, tmp_path / "data", *options)
-    assert (status, out, err.count("\n")) == (2, "", 1) and says in err
+    assert (status, out, err.count("\n")) == (2, "", 1) and message in err
     assert not (tmp_path / "data").exists()
 
 
@@ -369,13 +368,13 @@ def test_several_probes_make_one_table_as_the_papers(call, tmp_path):
     assert [line.split(",")[0] for line in table[1:]] == ["medium"] * 7 + ["small"] * 7
     own = (tmp_path / "out/small/validation.csv").read_text()
     assert all(line.split(",")[6] in own for line in table[8:])
-    for wrong, says in (
+    for wrong, message in (
         (pairs[:3], "3 paths are given"),
         ([], "0 paths are given"),
         (2 * pairs[:2], "medium is named twice"),
     ):
         status, out, err = call("validate", *wrong, "--out", tmp_path / "wrong")
-        assert (status, out, err.count("\n")) == (2, "", 1) and says in err
+        assert (status, out, err.count("\n")) == (2, "", 1) and message in err
     assert not (tmp_path / "wrong").exists()
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from probedesign.simulation.stereo_render import PaintedDots, SurfaceTube
+from probedesign.simulation.stereo_rig import PaintedDots, SurfaceTube
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
 

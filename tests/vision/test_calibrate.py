@@ -58,7 +58,7 @@ def test_projection_agrees_with_opencv(distortion):
 
 
 def test_calibration_agrees_with_opencv():
-    """OpenCV knows no skew: without noise there is none, and both find the same camera."""
+    """OpenCV has no skew: without noise there is none, and both find the same camera."""
     cv2 = pytest.importorskip("cv2")
     true = camera(distortion=(-0.05, 0.02))
     pixels = true.project(BOX)
@@ -76,8 +76,8 @@ def test_calibration_agrees_with_opencv():
 @pytest.mark.parametrize(
     ("distortion", "points"), [pytest.param((), 20, marks=pytest.mark.slow), ((), 9), ((-0.05,), 20)]
 )
-def test_stated_covariance_comes_true(distortion, points):
-    """Where the camera has points of the box, against where they are, counted by the camera's own covariance."""
+def test_the_stated_covariance_is_that_of_the_errors(distortion, points):
+    """Projections of points of the box differ from the true ones by the camera's stated covariance."""
     rng, true, square = np.random.default_rng(2), camera(distortion=distortion), []
     for _ in range(40):
         chosen = rng.permutation(20)[:points]
@@ -91,10 +91,10 @@ def test_stated_covariance_comes_true(distortion, points):
         square.append(error @ np.linalg.solve(by @ found.cov @ by.T, error))
     inside = np.mean(np.array(square) < stats.chi2.isf(0.05, 2))
     assert len(square) > 30
-    assert inside > 0.82  # 95 % are told; of 40 at least 33 with probability 0.997
+    assert inside > 0.82  # 95 % are stated; of 40 at least 33 with probability 0.997
 
 
-def test_residuals_tell_the_noise():
+def test_residuals_estimate_the_noise():
     rng = np.random.default_rng(3)
     std = [calibrated(camera(), rng, 0.5).std_px for _ in range(20)]
     assert np.mean(std) == pytest.approx(
@@ -121,8 +121,8 @@ def test_wrong_points_are_found_and_named():
 
 def test_good_points_are_left_in():
     rng = np.random.default_rng(5)
-    said = sum(bool(calibrated(camera(), rng).outliers) for _ in range(25))
-    assert said <= 1  # one in a thousand is allowed; two of 25 have probability 3e-4
+    refused = sum(bool(calibrated(camera(), rng).outliers) for _ in range(25))
+    assert refused <= 1  # one in a thousand is allowed; two of 25 have probability 3e-4
 
 
 def turned(points):
@@ -169,10 +169,10 @@ def test_distortion_needs_more_points_and_a_number_that_exists():
         calibrate("left", BOX, pixels, 3)
 
 
-def test_six_points_do_not_pretend_to_know():
-    """One equation is left over and tells nothing of the noise: a click's is assumed."""
+def test_six_points_have_a_large_uncertainty():
+    """One redundant equation does not determine the noise: a click's is assumed."""
     chosen = [0, 3, 6, 9, 13, 18]
     found = calibrate("left", BOX[chosen], camera().project(BOX[chosen]))
     place = np.array([[0.1, 0.0, 0.0]])
     by = found.by_parameters(place)[0]
-    assert np.sqrt(np.diag(by @ found.cov @ by.T)).min() > 0.3  # six clicks of 1 px tell a place no better
+    assert np.sqrt(np.diag(by @ found.cov @ by.T)).min() > 0.3  # six clicks of 1 px locate a point no better

@@ -12,9 +12,8 @@ pytest.importorskip("cv2")
 from probedesign.campaigns import photographs
 from probedesign.campaigns.reading import read_campaign
 from probedesign.cli.main import run
-from probedesign.simulation.stereo_render import render
-from probedesign.vision.images import read_grey, write_png
-from probedesign.vision.marker_sequence import find_markers
+from probedesign.simulation.stereo_rig import render
+from probedesign.vision.markers import find_markers, read_grey, write_png
 
 PAIR = [camera(name, focal=2300.0, size=SIZE) for name in ("left", "right")]
 TUBE, DOTS = probe()
@@ -48,29 +47,31 @@ def data(taken, tmp_path):
 
 def test_photographs_become_markers_in_space(data, capsys):
     assert run(["markers", str(data), "--dots", "dark", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["tests"][0]["markers"] == 14 and told["tests"][0]["residual_px"] < 0.5
+    output = json.loads(capsys.readouterr().out)
+    assert output["tests"][0]["markers"] == 14 and output["tests"][0]["residual_px"] < 0.5
     assert {path.name for path in (data / "overlays").iterdir()} == {"bent-left.png", "bent-right.png"}
     markers = read_campaign(data).tests[0].markers
     error = markers.p_world - TUBE.dot_positions(DOTS)
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.1e-3  # 0.1 px at half a metre is 0.02 mm across
     square = np.einsum("ni,nij,nj->n", error, np.linalg.inv(markers.cov_world), error)
-    assert np.mean(square) < 9.0  # 3 if all is as said; 14 markers share the light and the curvature
+    assert (
+        np.mean(square) < 9.0
+    )  # 3 if the stated covariance is right; 14 markers share the light and the curvature
 
     assert run(["markers", str(data)]) == 2
     assert "--force" in capsys.readouterr().err
 
 
 def test_an_interrupted_search_continues_from_its_cache(data, capsys, monkeypatch):
-    """The second photograph is interrupted; then the first is not looked at again, unless it or an option changed."""
+    """The second photograph is interrupted; then the first is not searched again, unless it or an option changed."""
     looked, interrupted, found = [], {"bent-right.png"}, {}
 
-    def find(path, *asked):
+    def find(path, *arguments):
         looked.append(path.name)
         if path.name in interrupted:
             raise KeyboardInterrupt
-        if path.name not in found:  # once is enough: what counts here is when it is asked for
-            found[path.name] = find_markers(path, *asked)
+        if path.name not in found:  # once is enough: the test counts the calls
+            found[path.name] = find_markers(path, *arguments)
         return found[path.name]
 
     def markers(*options):
@@ -80,9 +81,9 @@ def test_an_interrupted_search_continues_from_its_cache(data, capsys, monkeypatc
 
     monkeypatch.setattr(photographs, "find_markers", find)
     left, right = "bent-left.png", "bent-right.png"
-    status, seen, told = markers("--dots", "dark")
+    status, seen, output = markers("--dots", "dark")
     assert (status, seen) == (130, [left, right])
-    assert "1 photographs are cached" in told.err and not (data / "pixels.csv").exists()
+    assert "1 photographs are cached" in output.err and not (data / "pixels.csv").exists()
     assert markers("--dots", "either")[1] == [left, right]
     assert markers("--dots", "dark")[1] == [right]
     picture = data / "images" / left
@@ -91,18 +92,18 @@ def test_an_interrupted_search_continues_from_its_cache(data, capsys, monkeypatc
     with (data / "pixels.csv.unfinished").open("a") as file:
         file.write('{"key": "half a li')
     interrupted.clear()
-    status, seen, told = markers("--dots", "dark")
-    assert (status, seen) == (0, [right]) and "1 of 2 photographs were taken from the cache" in told.out
+    status, seen, output = markers("--dots", "dark")
+    assert (status, seen) == (0, [right]) and "1 of 2 photographs were taken from the cache" in output.out
     kept = (data / "pixels.csv").read_text()
     assert not (data / "pixels.csv.unfinished").exists()
-    status, seen, told = markers("--dots", "dark", "--force")
-    assert seen == [left, right] and "before" not in told.out
+    status, seen, output = markers("--dots", "dark", "--force")
+    assert seen == [left, right] and "before" not in output.out
     assert (data / "pixels.csv").read_text() == kept  # to the last digit
 
 
 def swap_photographs(data):
-    left, right, aside = (data / "images" / name for name in ("bent-left.png", "bent-right.png", "aside"))
-    left.rename(aside), right.rename(left), aside.rename(right)
+    left, right, spare = (data / "images" / name for name in ("bent-left.png", "bent-right.png", "spare"))
+    left.rename(spare), right.rename(left), spare.rename(right)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Markers in space: right, as well known as they say, and refused when the pictures contradict each other."""
+"""Markers in space: their error, its stated covariance, and refusals where the pictures contradict each other."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ def test_exact_pixels_give_the_markers_back():
     assert np.abs(found.residual_px).max() < 1e-8
 
 
-def test_opencv_places_them_there_too():
-    """Without noise its linear solution is the answer; with noise it differs from the best by less than that errs."""
+def test_positions_agree_with_opencv():
+    """Without noise the linear solution is exact; with noise it differs from the best by less than the best errs."""
     cv2 = pytest.importorskip("cv2")
     for std_px, allowed in ((0.0, 1e-9), (0.2, 0.02e-3)):
         pixels = pixels_of(std_px=std_px)
@@ -34,8 +34,8 @@ def test_opencv_places_them_there_too():
         )
 
 
-def test_stated_covariance_comes_true():
-    """Over many calibrations: pixel noise alone would be told too small."""
+def test_the_stated_covariance_is_that_of_the_errors():
+    """Over many calibrations, pixel noise alone would be too small a standard deviation."""
     rng, square, alone, errors = np.random.default_rng(1), [], [], []
     for _ in range(50):
         cameras = [calibrated(c, rng) for c in PAIR]
@@ -55,18 +55,18 @@ def test_stated_covariance_comes_true():
     )  # 0.12 mm at half a metre with 0.2 px
 
 
-def test_agreement_is_one_where_the_noise_is_as_said():
+def test_agreement_is_one_where_the_noise_is_as_stated():
     rng = np.random.default_rng(8)
-    told = [
+    stated = [
         triangulate(PAIR, pixels_of(std_px=0.3, seed=int(rng.integers(1e6))), 0.3).agreement
         for _ in range(20)
     ]
-    assert np.mean(told) == pytest.approx(
+    assert np.mean(stated) == pytest.approx(
         1.0, abs=0.25
     )  # 300 times one degree of freedom: 0.082 a standard error
 
 
-def test_a_third_camera_helps_and_may_miss_markers():
+def test_a_third_camera_reduces_the_error_and_may_miss_markers():
     third = camera("left").looking("top", (0.1, -0.1, 0.6), (0.1, 0, 0), 3000.0, (1920, 1080), (), (0, 1, 0))
     three = (*PAIR, third)
     pixels = pixels_of(three)
@@ -116,8 +116,8 @@ def test_cameras_must_be_two_and_see_from_two_sides():
     with pytest.raises(InputError, match="at least two cameras"):
         triangulate([left], pixels_of()[:1], 0.2)
     centre = left.p_world + 0.1 * (np.array([0.1, 0, 0]) - left.p_world)
-    behind = left.looking("behind", centre, (0.1, 0, 0), 3000.0, (1920, 1080))
-    with pytest.raises(InputError, match="cameras left and behind look along one line"):
-        triangulate([left, behind], pixels_of((left, behind)), 0.2)
+    rear = left.looking("rear", centre, (0.1, 0, 0), 3000.0, (1920, 1080))
+    with pytest.raises(InputError, match="cameras left and rear look along one line"):
+        triangulate([left, rear], pixels_of((left, rear)), 0.2)
     with pytest.raises(InputError, match="above 0 px"):
         triangulate(PAIR, pixels_of(), 0.0)

@@ -25,8 +25,7 @@ from probedesign.live.sources.parameters import (
     parse_parameters,
 )
 from probedesign.rod.friction import MAX_FRICTION
-from probedesign.simulation.rod_contact import OUTERMOST, safe_force, solve_contact
-from probedesign.simulation.sensor_noise import reading_std
+from probedesign.simulation.rod_and_sensor import OUTERMOST, reading_std, safe_force, solve_contact
 
 PARAMETERS = {
     "force_mN": SourceParameter(math.nan, 1e-3, 1e5),  # see safe_force

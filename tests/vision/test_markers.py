@@ -11,18 +11,18 @@ from scipy.ndimage import gaussian_filter
 cv2 = pytest.importorskip("cv2")
 
 from probedesign.core.errors import InputError  # noqa: E402
-from probedesign.simulation.stereo_render import (  # noqa: E402
+from probedesign.simulation.stereo_rig import (  # noqa: E402
     PaintedDots,
     RenderStyle,
     render,
 )
 from probedesign.vision.dots import fit_dot, patch_of  # noqa: E402
-from probedesign.vision.images import (  # noqa: E402
+from probedesign.vision.markers import (  # noqa: E402
+    find_markers,
     overlay,
     read_grey,
     write_png,
 )
-from probedesign.vision.marker_sequence import find_markers  # noqa: E402
 
 SIGHT = camera("left", focal=2300.0, size=SIZE)
 TUBE, DOTS = probe()
@@ -42,12 +42,12 @@ def usual(tmp_path_factory):
 
 
 def where(dots=DOTS, tube=TUBE):
-    """Where the painted centres of dots are seen."""
+    """Return the pixels of the painted centres of dots."""
     return SIGHT.project(tube.dot_positions(dots))
 
 
 def test_the_renderer_draws_what_the_camera_projects():
-    """Grey levels' own centre of one dark dot, without noise or shade, is where the camera has it."""
+    """The centre of the grey levels of one dark dot, without noise or shade, is its projection."""
     plain = RenderStyle(ambient=1.0, gloss=0.0, mottle=0.0, noise=0.0, full_well=1e15, clutter=0)
     one = PaintedDots(DOTS.s[4:5], DOTS.outward_world[4:5], np.array([0.001]))
     bare = render(
@@ -80,10 +80,10 @@ def test_dots_are_found_in_order_within_their_standard_deviation(look, usual, tm
     assert (found.std_px < 0.6).all()
 
 
-def test_the_base_side_tells_the_order(usual):
+def test_the_base_side_determines_the_order(usual):
     from_left, from_right = (find_markers(usual, DOTS.s, side, True) for side in ("left", "right"))
     assert from_left.pixels == pytest.approx(from_right.pixels[::-1])
-    assert np.abs(from_left.pixels - where()).max() < 1.0  # not one dot off: they stand 20 px apart
+    assert np.abs(from_left.pixels - where()).max() < 1.0  # not one dot off: they are 20 px apart
 
 
 def bent_dot(sink, tilt=0.6):
@@ -99,9 +99,9 @@ def bent_dot(sink, tilt=0.6):
 
 @pytest.mark.parametrize("sink", [-0.22, 0.0, 0.22])
 def test_a_dot_bent_round_its_probe_is_found_where_it_is_painted(sink):
-    """Its outline's own middle lies 9 px · 0.22 · sin 0.6 / 4 = 0.28 px aside: what an ellipse would be off by."""
+    """The middle of its outline is off by 9 px · 0.22 · sin 0.6 / 4 = 0.28 px, which would be an ellipse's error."""
     dot = fit_dot(bent_dot(sink), np.array([20.2, 19.9]), 18.0, np.array([1.0, 0.0]))
-    # Nine places a pixel know an outline of 50 pixels to 0.03 px.
+    # Nine positions within a pixel determine an outline of 50 pixels to 0.03 px.
     assert dot.pixel == pytest.approx([20.0, 20.0], abs=0.06)
 
 

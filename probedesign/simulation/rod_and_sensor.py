@@ -1,7 +1,8 @@
-"""Contact of a simulated object with the rod at a given section, with and without friction, and the force it may use.
+"""Ground truth of the source `sim:` and of simulated campaigns: contact at a given section of the rod, sensor noise.
 
-This is the ground truth of the source `sim:` and of simulated campaigns. Objects at a given place in space are in
-`scenes` (Net F/T box) and `card_house` (mapping run).
+Contacts with objects at a given place in space are in `scenes`. All simulators take their noise from here: white noise
+is that of the frozen probe, which states it for the mean of `averaging_samples` samples; the bias of each channel walks
+at a rate stated per √s.
 """
 
 import math
@@ -12,6 +13,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON
 from probedesign.estimation.force_moment import surface_point
+from probedesign.estimation.model import ProbeModel
 from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Mode, Rod
@@ -70,13 +72,11 @@ def solve_contact(
         eq = frictionless.equilibrium
         if frictionless.result != "ok":
             return RodContact(frictionless.result, eq, s, missing, missing, missing)
-        return RodContact(
-            "ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface_point(rod, eq)
-        )
+        surface = surface_point(rod, eq)
+        return RodContact("ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface)
     # The touched point lies opposite to the direction of the push.
-    contact = solve_surface_force(
-        rod, gravity_base, s, push_angle + math.pi, normal_force, friction_ratios, mode
-    )
+    angle = push_angle + math.pi
+    contact = solve_surface_force(rod, gravity_base, s, angle, normal_force, friction_ratios, mode)
     eq = contact.equilibrium
     if contact.result != "ok":
         return RodContact(contact.result, eq, s, missing, missing, missing)
@@ -91,3 +91,24 @@ def safe_force(rod: Rod) -> float:
     softer_axis = min(rod.factors[1:3])
     stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
     return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)
+
+
+# noise of the sensor
+
+
+def reading_std(model: ProbeModel) -> Array:
+    """Return the standard deviations of one reading, the mean of `averaging_samples` samples [N, N·m], (6,)."""
+    return np.asarray(np.sqrt(np.diag(model.noise.covariance())))
+
+
+def sample_std(model: ProbeModel) -> Array:
+    """Return the standard deviations of one sample [N, N·m], (6,); a step of the resolution is taken as large."""
+    return reading_std(model) * math.sqrt(model.averaging_samples)
+
+
+def bias_step(rng: np.random.Generator, rate: float, seconds: float) -> Array:
+    """Return how far the bias walks in a time [s], (6,).
+
+    `rate` is the standard deviation of each channel per √s, in any unit, which is also that of the result.
+    """
+    return rng.normal(0.0, rate * math.sqrt(seconds), 6)

@@ -1,4 +1,6 @@
-"""Consistency tests: whether the readings contradict the model, and whether the rest of the data reject a prior.
+"""Checks of a fit: what the tests do not determine (observability), and whether they contradict model or priors.
+
+Observability is judged by the singular values of the whitened Jacobian after all other parameters are projected out.
 
 A fit that gives gross errors almost no weight may leave out a whole kind of reading and fit the rest well; E then rests
 on what is left, with an interval that does not show it. So the number of outliers is tested.
@@ -15,10 +17,19 @@ import numpy as np
 from scipy.stats import binom, chi2
 
 from probedesign.core.frames import Array
-from probedesign.identification.parameters import PARAMETERS, PRINT, columns_of
+from probedesign.identification.parameters import DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
 from probedesign.identification.residuals import ResidualBlock
-from probedesign.identification.solver import REJECTION_CHANCE, ROBUST_KINDS, Fit, NoiseScale
+from probedesign.identification.solver import (
+    REJECTION_CHANCE,
+    ROBUST_KINDS,
+    Fit,
+    Linearization,
+    NoiseScale,
+    column_scales,
+)
 
+MIN_SHARE = 0.2
+"""Component of a unit direction from which on a parameter takes part in what cannot be separated."""
 GROSS_ERROR_RATE = 0.05
 """Usual fraction of gross errors. Source: F. Hampel et al., Robust Statistics, 1986: 1 to 10 % in routine data. Far
 below one half, the breakdown point of the median, which the search starts with."""
@@ -42,6 +53,108 @@ SINGLE_READINGS = {
     "places": ("the arclength of the load in {}", "s_contact_mm and std_s_mm"),
 }
 """Kinds of readings that have full weight: what they are, and what to check."""
+
+
+# observability
+
+
+@dataclass(frozen=True)
+class UnobservableDirection:
+    """A combination of requested parameters that the tests do not determine.
+
+    Attributes:
+        name: of the parameter that is left at the design value for it.
+        description: what is not observable, and what is instead.
+    """
+
+    name: str
+    description: str
+
+
+def unobservable_direction(
+    point: Linearization, weight: Array, requested: Sequence[str], tolerance: float = 1.0
+) -> UnobservableDirection | None:
+    """Return the least observable direction of the requested parameters if it exceeds their limits.
+
+    The limits are `Parameter.max_std`, over `tolerance`.
+    """
+    columns = columns_of(requested)
+    limits = np.array(
+        [PARAMETERS[name].max_std for name in requested for _ in PARAMETERS[name].labels], dtype=float
+    )
+    _, sizes, directions = np.linalg.svd(_marginal_information_root(point, weight, columns) * limits)
+    if sizes[-1] * tolerance >= 1.0:
+        return None
+    direction = directions[-1] * limits  # in units of the parameters
+    by_name = {
+        name: [i for i, column in enumerate(columns) if OWNER[column].name == name] for name in requested
+    }
+    part = [name for name in requested if np.abs(directions[-1][by_name[name]]).max() > MIN_SHARE]
+    std = float(np.linalg.norm(direction)) / max(float(sizes[-1]), 1e-12)
+    components = {name: float(direction[by_name[name][0]]) for name in part}
+    return UnobservableDirection(part[-1], _description(components, std))
+
+
+def _marginal_information_root(point: Linearization, weight: Array, columns: Sequence[int]) -> Array:
+    """Return the square root of the information on these columns, all other unknowns marginalised."""
+    rows, _ = point.system(weight)
+    active = np.flatnonzero(point.problem.active)
+    at = [int(np.searchsorted(active, column)) for column in columns]
+    others = rows[:, [i for i in range(rows.shape[1]) if i not in at]]
+    R = np.asarray(np.linalg.qr(np.hstack([others * column_scales(others), rows[:, at]]), mode="r"))
+    return R[others.shape[1] :, others.shape[1] :]
+
+
+def _description(components: dict[str, float], std: float) -> str:
+    names = list(components)
+    if len(names) == 1:
+        parameter = PARAMETERS[names[0]]
+        assert parameter.max_std is not None
+        return (f"{names[0]}: weakly observable in these tests; its standard deviation would be "
+                f"{parameter.format_std(std)} (limit {parameter.format_std(parameter.max_std)})")  # fmt: skip
+    if len(names) == 2 and all(PARAMETERS[name].logarithm for name in names):
+        kept, fixed = names
+        power = -components[kept] / components[fixed]
+        text = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.1f}".removesuffix(".0")
+        return (
+            f"{kept} and {fixed}: these tests determine only {kept}{'/' if power < 0.0 else '·'}{fixed}{text}"
+        )
+    return f"{', '.join(names[:-1])} and {names[-1]}: these tests cannot separate them"
+
+
+def conditional_estimate(fit: Fit, column: int) -> tuple[float, float, float | None]:
+    """Return an entry of the parameter vector given the design's dimensions: value, standard deviation, by diameter.
+
+    The last is the derivative by the logarithm of the base diameter, where the tolerances let all diameters differ
+    together, or one factor on them was requested; None where neither is estimated. The diameters are not conditioned.
+    """
+    active = np.flatnonzero(fit.point.problem.active)
+    x, cov, i = fit.point.values.x[active], fit.cov, int(np.searchsorted(active, column))
+    given = np.flatnonzero((active == DIAMETERS) | (active >= PRINT))
+    if column == DIAMETERS or not len(given):
+        return float(x[i]), float(np.sqrt(cov[i, i])), None
+    gain = np.linalg.solve(cov[np.ix_(given, given)], cov[given, i])
+    variance = cov[i, i] - gain @ cov[given, i]
+    common, first = fit.point.problem.common, int(active[given[0]])
+    # what a unit of the first dimension changes in the logarithm of the base diameter, if it is of all diameters
+    base = 1.0 if first == DIAMETERS else None
+    if first == PRINT and max(common.tolerances.diameter_mm, common.tolerances.diameter_share) > 0.0:
+        base = float(common.print_modes[0, 0])
+    by_diameter = None if base is None else float(gain[0] / base)
+    return float(x[i] - gain @ x[given]), float(np.sqrt(variance)), by_diameter
+
+
+def cov_conditional(fit: Fit, columns: Sequence[int]) -> Array:
+    """Return the covariance of some entries of the parameter vector given the print's dimensions, (n, n)."""
+    active = np.flatnonzero(fit.point.problem.active)
+    at, given = np.searchsorted(active, columns), np.flatnonzero(active >= PRINT)
+    across = fit.cov[np.ix_(at, given)]
+    return np.asarray(
+        fit.cov[np.ix_(at, at)] - across @ np.linalg.solve(fit.cov[np.ix_(given, given)], across.T)
+    )
+
+
+# consistency
 
 
 @dataclass(frozen=True)
@@ -79,13 +192,7 @@ def inconsistency(
     outliers: Sequence[tuple[ResidualBlock, float]],
     noise: Sequence[NoiseScale],
 ) -> str:
-    """Return why the tests contradict the design, or each other, with what to check; empty if they do not.
-
-    Args:
-        blocks: of the whole campaign.
-        outliers: from `solver.outliers`.
-        noise: of each kind.
-    """
+    """Return why the tests contradict the design, or each other, with what to check; empty if they do not."""
     kinds = {kind: n for kind in ROBUST_KINDS if (n := _count(blocks, outliers, kind=kind)).too_many}
     bad = _bad_tests(blocks, outliers)
     if kinds:
@@ -115,9 +222,8 @@ def outlier_notes(
 
 def _bad_tests(blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]) -> list[str]:
     """Return tests with more than one outlier that are the majority of its readings."""
-    counts = {
-        test: _count(blocks, outliers, test=test) for test in dict.fromkeys(b.test for b, _ in outliers)
-    }
+    tests = dict.fromkeys(block.test for block, _ in outliers)
+    counts = {test: _count(blocks, outliers, test=test) for test in tests}
     return [test for test, n in counts.items() if n.outliers > 1 and n.majority]
 
 
@@ -128,6 +234,7 @@ def _count(
     test: str | None = None,
 ) -> OutlierCount:
     def chosen(block: ResidualBlock) -> bool:
+        """Return whether a block counts."""
         return block.kind in ROBUST_KINDS and kind in (None, block.kind) and test in (None, block.test)
 
     far = [distance for block, distance in outliers if chosen(block)]

@@ -9,7 +9,7 @@ import pytest
 from probedesign.campaigns import Campaign
 from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
-from probedesign.identification.consistency import OutlierCount, rejected_prior
+from probedesign.identification.fit_checks import OutlierCount, rejected_prior
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification

@@ -1,7 +1,8 @@
-"""Markers of a probe in a photograph: the row of dots along it, in order from base to tip, each fitted."""
+"""Markers in a photograph: the row of dots along the probe, from base to tip, and a picture to inspect them."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
+from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array
+from probedesign.vision import require
 from probedesign.vision.dots import DetectedSpots, Dot, detect_spots, fit_dot
-from probedesign.vision.images import read_grey
 
 ImageSide = Literal["left", "right", "top", "bottom"]
 
@@ -28,6 +30,52 @@ NEIGHBOURS = 8
 """Nearest spots that may follow the first of a row."""
 BEAM = 400
 """Rows kept in each step of the search."""
+MAX_BYTES = 300_000_000
+"""Size of a photograph (assumed)."""
+GREEN, YELLOW = (80, 220, 60), (0, 220, 255)  # blue, green, red
+WIDTH_PX = 1200
+"""Minimum width of the drawn part of a photograph."""
+_FRACTION = 4  # bits of a pixel's fraction, for lines that lie between pixels
+
+
+# image files
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """Return the grey levels of a photograph (height, width), rotated by its EXIF orientation.
+
+    Raises:
+        InputError: it is missing, or not an image.
+    """
+    require()
+    import cv2
+
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(
+                f"{path}: is larger than {MAX_BYTES // 1_000_000} MB; save the photograph as PNG or JPEG"
+            )
+        content = np.fromfile(path, dtype=np.uint8)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such photograph") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # its warnings are in our own message
+    try:
+        picture = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise InputError(f"{path}: is not an image that can be read; save it as PNG or JPEG")
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write an image, grey (height, width) or blue, green, red (height, width, 3), atomically."""
+    require()
+    import cv2
+
+    write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
 
 
 # the search among spots
@@ -59,11 +107,11 @@ class SequenceSearch:
     spots: DetectedSpots
     s: Array
     base: Array | ImageSide
-    _steps: Array = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Set the lengths of the steps, in units of their mean."""
-        object.__setattr__(self, "_steps", np.diff(self.s) / np.mean(np.diff(self.s)))
+    @cached_property
+    def _steps(self) -> Array:
+        """Lengths of the steps, in units of their mean, (m - 1,)."""
+        return np.asarray(np.diff(self.s) / np.mean(np.diff(self.s)))
 
     def best(self) -> MarkerSequence:
         """Return the longest row with the least cost, at most as long as the dots; empty if there are no two spots."""
@@ -72,9 +120,8 @@ class SequenceSearch:
             best = rows[0]
             if len(best.chosen) == len(self.s):
                 break
-            rows = sorted((longer for row in rows for longer in self._longer(row)), key=lambda row: row.cost)[
-                :BEAM
-            ]
+            longer = [one for row in rows for one in self._longer(row)]
+            rows = sorted(longer, key=lambda row: row.cost)[:BEAM]
         return best
 
     def continues_beyond(self, row: MarkerSequence) -> bool:
@@ -86,16 +133,13 @@ class SequenceSearch:
 
     def _pairs(self) -> list[MarkerSequence]:
         """Return every spot with each of its neighbours, from the base onwards."""
-        rows = []
-        for i, pixel in enumerate(self.spots.pixels):
-            away = np.linalg.norm(self.spots.pixels - pixel, axis=1)
-            for j in np.argsort(np.where(self._alike(i), away, np.inf))[: NEIGHBOURS + 1]:
-                if (
-                    j != i
-                    and self._alike(i)[j]
-                    and self._base_distance(pixel) < self._base_distance(self.spots.pixels[j])
-                ):
-                    rows.append(MarkerSequence((i, int(j)), self._start_cost(pixel, self.spots.pixels[j])))
+        rows, pixels = [], self.spots.pixels
+        for i, pixel in enumerate(pixels):
+            alike = self._alike(i)
+            nearest = np.argsort(np.where(alike, np.linalg.norm(pixels - pixel, axis=1), np.inf))
+            for j in nearest[: NEIGHBOURS + 1]:
+                if j != i and alike[j] and self._base_distance(pixel) < self._base_distance(pixels[j]):
+                    rows.append(MarkerSequence((i, int(j)), self._start_cost(pixel, pixels[j])))
         return sorted(rows, key=lambda row: row.cost)
 
     def _base_distance(self, pixel: Array) -> float:
@@ -170,7 +214,10 @@ def find_markers(
             f"{path}: a row has at least three dots, from base to tip; the markers' s_mm name {len(places)}"
         )
     grey = read_grey(path)
-    tried = [_searched(grey, shade, places, base) for shade in ((True, False) if dark is None else (dark,))]
+    tried = []
+    for shade in (True, False) if dark is None else (dark,):
+        search = SequenceSearch(detect_spots(grey, shade), places, base)
+        tried.append((search, search.best()))
     complete = [(search, row) for search, row in tried if len(row.chosen) == len(places)]
     if not complete:
         longest = max((row for _, row in tried), key=lambda row: len(row.chosen))
@@ -188,19 +235,8 @@ def find_markers(
     return _fitted(path, grey, search.spots, row)
 
 
-def _searched(
-    grey: NDArray[np.uint8], dark: bool, s: Array, base: Array | ImageSide
-) -> tuple[SequenceSearch, MarkerSequence]:
-    search = SequenceSearch(detect_spots(grey, dark), s, base)
-    return search, search.best()
-
-
 def _fitted(path: Path, grey: NDArray[np.uint8], seen: DetectedSpots, row: MarkerSequence) -> DetectedMarkers:
-    """Return the markers of a row, each dot fitted.
-
-    Raises:
-        InputError: one does not fit.
-    """
+    """Return the markers of a row, each dot fitted; refuse one that does not fit."""
     dots: list[Dot] = []
     directions = np.gradient(seen.pixels[list(row.chosen)], axis=0)
     for number, (i, direction) in enumerate(zip(row.chosen, directions, strict=True), 1):
@@ -214,3 +250,56 @@ def _fitted(path: Path, grey: NDArray[np.uint8], seen: DetectedSpots, row: Marke
         dots.append(dot)
     pixels = np.array([dot.pixel for dot in dots])
     return DetectedMarkers(pixels, np.array([dot.std_px for dot in dots]), tuple(dots), seen.dark)
+
+
+# the picture
+
+
+def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8]:
+    """Return the part of a photograph about its markers, with their outlines, centres and numbers.
+
+    The picture is blue, green, red (height, width, 3).
+    """
+    require()
+    import cv2
+
+    low, high = _part(grey, found)
+    part = grey[low[1] : high[1], low[0] : high[0]]
+    scale = max(1, int(np.ceil(WIDTH_PX / part.shape[1])))
+    large = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    picture = cv2.cvtColor(large, cv2.COLOR_GRAY2BGR)
+    # (0, 0) is the centre of a pixel in the photograph and in its enlarged part
+    pixels = np.array([dot.pixel for dot in found.dots])
+    points = np.asarray((pixels - low + 0.5) * scale - 0.5, dtype=np.float64)
+    cv2.polylines(picture, [_fixed(points)], False, YELLOW, 1, cv2.LINE_AA, _FRACTION)
+    normals, angle = _normals(points), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    circle = np.array([np.cos(angle), np.sin(angle)])
+    for number, (dot, point) in enumerate(zip(found.dots, points, strict=True), 1):
+        outline = _fixed(point + scale * np.linalg.solve(dot.shape, circle).T)
+        cv2.polylines(picture, [outline], True, GREEN, 1, cv2.LINE_AA, _FRACTION)
+        # The number is beside the dot, outside the probe, on the outer side of its bend.
+        far = 10 + scale * dot.diameter_px * 1.6
+        text = tuple(round(float(c)) for c in point + far * normals[number - 1] - (6.0, -6.0))
+        cv2.putText(picture, str(number), text, cv2.FONT_HERSHEY_SIMPLEX, 0.6, YELLOW, 1, cv2.LINE_AA)
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def _part(grey: NDArray[np.uint8], found: DetectedMarkers) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the upper left and lower right corner of the drawn part."""
+    margin = 0.12 * float(np.ptp(found.pixels, axis=0).max()) + 20.0
+    size = np.array(grey.shape[::-1])
+    low = np.clip(np.floor(found.pixels.min(axis=0) - margin), 0, size - 1).astype(np.int64)
+    high = np.clip(np.ceil(found.pixels.max(axis=0) + margin), low + 1, size).astype(np.int64)
+    return low, high
+
+
+def _fixed(points: Array) -> NDArray[np.int32]:
+    """Return points between pixels in OpenCV's fixed-point format."""
+    return np.asarray(np.round(points * 2**_FRACTION), dtype=np.int32).reshape(-1, 1, 2)
+
+
+def _normals(points: Array) -> Array:
+    """Return unit vectors across the row, (m, 2)."""
+    along = np.gradient(points, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.column_stack([along[:, 1], -along[:, 0]])
