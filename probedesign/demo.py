@@ -14,9 +14,9 @@ from probedesign.core.units import MM
 from probedesign.design.io import draft_design, render_design, write_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator
-from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.recordings.csv import write_recording
+from probedesign.live.run import estimate_recording
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.reports.png import SweepSeries, draw_sweep
 

@@ -59,9 +59,8 @@ def estimate(
     """
     from probedesign.cli.options import loaded_estimator
     from probedesign.core.files import write_atomically
-    from probedesign.live.offline import estimate_recording
-    from probedesign.live.processing.tare import parse_window
-    from probedesign.live.run import describe_counts, warm_up
+    from probedesign.live.processing.control import parse_window
+    from probedesign.live.run import describe_counts, estimate_recording, warm_up
     from probedesign.live.sources.replay import RecordingOptions
 
     _check_out(out, recording, force)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from probedesign.core.frames import Array
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.poses.base_poses import BasePoses
-    from probedesign.live.processing.scheduler import ProcessingOptions
+    from probedesign.live.processing.control import ProcessingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
     from probedesign.mapping.explore import Exploration

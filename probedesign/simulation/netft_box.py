@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft import rdt
 from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
-from probedesign.live.sources.netft.wire import (
+from probedesign.live.sources.netft.rdt import (
     LATCHED,
     PAGE,
     RECORDS,
@@ -311,7 +311,7 @@ class SimulatedNetFT:
         self._off_until = self._stalled_until = 0.0
         self._frozen = 0
         self._motion_start: float | None = None
-        self._request, self._next, self._rdt = Request(wire.STOP), 0, 0
+        self._request, self._next, self._rdt = Request(rdt.STOP), 0, 0
 
     @property
     def source(self) -> str:
@@ -405,15 +405,15 @@ class SimulatedNetFT:
         if request is None or monotonic() < self._off_until:
             return
         match request.command:
-            case wire.REALTIME | wire.BUFFERED:
+            case rdt.REALTIME | rdt.BUFFERED:
                 self.client, self._request = address, request
                 self._rdt, self._next = 0, self._samples()
                 self._motion_start = self._motion_start or monotonic()
-            case wire.STOP:
+            case rdt.STOP:
                 self.client = None
-            case wire.RESET_LATCH:
+            case rdt.RESET_LATCH:
                 self._transducer.latched = False
-            case wire.BIAS:
+            case rdt.BIAS:
                 self._transducer.bias()
                 self.configuration = replace(self.configuration, bias=self._transducer.gauges())
 
@@ -422,7 +422,7 @@ class SimulatedNetFT:
         spacing = max(1, round(SAMPLES_PER_SECOND / self.configuration.rate))
         now = self._samples()
         self._next = max(self._next, now - MAX_BACKLOG)
-        size = int(self.configuration.records) if self._request.command == wire.BUFFERED else 1
+        size = int(self.configuration.records) if self._request.command == rdt.BUFFERED else 1
         due = (now - self._next) // spacing // size * size
         if self._request.records:
             due = min(due, self._request.records - self._rdt)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.sources.calibration import clipped, read_calibration
+from probedesign.live.sources.daq import clipped, read_calibration
 from tests.live.cal_file import U, text
 
 pytest.importorskip("defusedxml")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.processing.low_pass import LowPass
+from probedesign.live.processing.chain import LowPass
 
 RATE = 7000.0
 

@@ -18,16 +18,14 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.offline import estimate_recording
 from probedesign.live.poses.track import pose_from_matrix
 from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.processing.tare import TareWindow
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_read import recover
 from probedesign.live.recordings.mcap_write import McapRecorder
-from probedesign.live.run import estimate_stream
+from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import GRAVITY, block, read, same, write

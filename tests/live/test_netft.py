@@ -12,9 +12,8 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
-from probedesign.live.sources.netft import wire
-from probedesign.live.sources.netft.session import drain
-from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
+from probedesign.live.sources.netft import rdt
+from probedesign.live.sources.netft.rdt import RECORD, RECORDS, Request, drain
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
@@ -93,14 +92,14 @@ def asked(estimator):
 
 def test_a_number_of_records_is_sent_and_no_more(estimator, asked):
     with box(estimator) as peer:
-        datagrams = asked(peer, wire.REALTIME, 5, 5)
+        datagrams = asked(peer, rdt.REALTIME, 5, 5)
         assert [RECORD.unpack(d)[0] for d in datagrams] == [1, 2, 3, 4, 5]
         until(lambda: peer.client is None)  # told a moment after the last record is sent
 
 
 def test_buffered_packets_hold_their_records(estimator, asked):
     with box(estimator, replace(NATIVE, records=40.0)) as peer:
-        datagrams = asked(peer, wire.BUFFERED, 0, 3)
+        datagrams = asked(peer, rdt.BUFFERED, 0, 3)
     records = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
     assert {len(d) for d in datagrams} == {40 * 36}
     assert records["rdt"].tolist() == list(range(1, 121))
@@ -108,15 +107,15 @@ def test_buffered_packets_hold_their_records(estimator, asked):
 
 def test_the_output_rate_is_7000_over_a_whole_number(estimator, asked):
     with box(estimator, replace(NATIVE, rate=1000.0)) as peer:
-        ft = [RECORD.unpack(d)[1] for d in asked(peer, wire.REALTIME, 10, 10)]
+        ft = [RECORD.unpack(d)[1] for d in asked(peer, rdt.REALTIME, 10, 10)]
     assert set(np.diff(ft)) == {7}
 
 
 def test_bias_makes_zero_and_shows_on_the_page(estimator, asked):
     with box(estimator) as peer:
-        asked(peer, wire.REALTIME, 70, 70)
+        asked(peer, rdt.REALTIME, 70, 70)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.sendto(Request(wire.BIAS).packed(), peer.address)
+            udp.sendto(Request(rdt.BIAS).packed(), peer.address)
             until(lambda: any(peer.configuration.bias))
         readings, source = taken(peer, estimator, 700)
     assert (

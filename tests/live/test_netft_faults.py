@@ -9,13 +9,11 @@ import pytest
 
 from probedesign.core.errors import MissingDependencyError
 from probedesign.live.processing.blocks import Block, averaged
+from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import locate
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.netft import wire
-from probedesign.live.sources.netft.session import STALE_TIME, SensorClock
-from probedesign.live.sources.netft.wire import RECORD
+from probedesign.live.sources.netft import rdt
+from probedesign.live.sources.netft.rdt import RECORD, STALE_TIME, SensorClock
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, box, close, mean_of
@@ -32,7 +30,7 @@ def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
     assert counts["lost"] < 0.2 * counts["received"]  # not four thousand millions for one that came late
     times = np.array([r.time for r in reader.readings])
     assert (np.diff(times) > 0.0).all()
-    ticks = np.diff(times) * wire.SAMPLES_PER_SECOND
+    ticks = np.diff(times) * rdt.SAMPLES_PER_SECOND
     assert np.allclose(ticks, np.rint(ticks), atol=1e-6)  # the sensor's own clock
     assert (np.abs(mean_of(reader.readings) - LOAD - OFFSET) <= close(estimator, 2000) + 1e-6).all()
 
@@ -217,7 +215,7 @@ def test_pynetft_is_missing(estimator, monkeypatch):
 def ticks(clock, ft, received):
     """Samples since the first, and which records the clock takes."""
     new, time, _ = clock.times(np.array(ft), np.array(received, dtype=float))
-    return np.rint(time * wire.SAMPLES_PER_SECOND).astype(int).tolist(), new.tolist()
+    return np.rint(time * rdt.SAMPLES_PER_SECOND).astype(int).tolist(), new.tolist()
 
 
 FT = [2**32 - 2, 2**32 - 1, 0, 0, 5, 7, 7, 8]

@@ -17,11 +17,11 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError, MissingDependencyError
-from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.processing.control import CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
-from probedesign.live.view import browser_view as module
-from probedesign.live.view.browser_view import BrowserView
+from probedesign.live.view import sinks as module
+from probedesign.live.view.sinks import BrowserView
 
 pytest.importorskip("viser")
 

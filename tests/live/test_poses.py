@@ -11,10 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, is_pose, pose
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.listener import MAX_DATAGRAM, PoseListener
-from probedesign.live.poses.open_poses import open_poses
-from probedesign.live.poses.pose_file import read_pose_file
+from probedesign.live.poses.base_poses import BasePoses, open_poses
+from probedesign.live.poses.pose_sources import MAX_DATAGRAM, PoseListener, read_pose_file
 from probedesign.live.poses.track import (
     MAX_GAP,
     OFFSET_WINDOW,

@@ -8,9 +8,9 @@ from contextlib import closing
 import pytest
 
 from probedesign.core.errors import InputError
+from probedesign.live import recordings as pieces
 from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.recordings import append_file as pieces
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.recordings.csv import read_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.core.frames import inverse, wrench_map
-from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import WrenchReading, group_readings
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import locate
-from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_recording
-from probedesign.live.run import estimate_stream
+from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.estimates import json_line
 from probedesign.live.recordings.csv import write_recording
+from probedesign.live.run import estimate_recording
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import bag, read

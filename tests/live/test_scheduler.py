@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.live.processing import scheduler as due
+from probedesign.live.processing import control as due
 from probedesign.live.processing.blocks import WrenchReading
-from probedesign.live.processing.scheduler import MAX_AGE, MAX_SKIPPED_SHARE, REPORT_PERIOD, EstimateScheduler
+from probedesign.live.processing.control import MAX_AGE, MAX_SKIPPED_SHARE, REPORT_PERIOD, EstimateScheduler
 
 READING = WrenchReading(0.0, np.zeros(6), np.zeros(3))
 

@@ -13,7 +13,7 @@ from probedesign.live.processing.blocks import (
     limit_duration,
     paced,
 )
-from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.source import open_source
 

@@ -7,8 +7,14 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live.processing.blocks import group_readings, iter_readings
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.processing.tare import TareWindow, parse_window, split_at_tare, take_tare, without_bias
+from probedesign.live.processing.control import (
+    ProcessingOptions,
+    TareWindow,
+    parse_window,
+    split_at_tare,
+    take_tare,
+    without_bias,
+)
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 

@@ -13,10 +13,11 @@ from rich.console import Console
 from probedesign.core.frames import pose
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
+from probedesign.live.view.page import events_html, status_html
 from probedesign.live.view.scene import (
     FACET,
     RING_POINTS,
@@ -27,9 +28,8 @@ from probedesign.live.view.scene import (
     read_stl,
     rigid_parts,
 )
-from probedesign.live.view.snapshot import STRIP, BentShape, Snapshot, StatusLine
-from probedesign.live.view.state import ViewState
-from probedesign.live.view.status_text import TerminalView, events_html, status_html, table_of
+from probedesign.live.view.sinks import TerminalView, table_of
+from probedesign.live.view.state import STRIP, BentShape, Snapshot, StatusLine, ViewState
 
 
 def bent(estimator):

@@ -14,24 +14,75 @@ from time import monotonic
 import numpy as np
 
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading
-from probedesign.live.processing.estimates import EstimateUpdate, locate
-from probedesign.live.processing.low_pass import LowPass
-from probedesign.live.processing.scheduler import MAX_AGE, EstimateScheduler, ProcessingOptions
-from probedesign.live.processing.tare import (
+from probedesign.live.processing.control import (
+    MAX_AGE,
     TARE_DURATION,
+    EstimateScheduler,
+    ProcessingOptions,
     Tare,
     TareCollector,
     TareWindow,
     describe_tare,
     without_bias,
 )
+from probedesign.live.processing.estimates import EstimateUpdate, locate
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
+
+
+class LowPass:
+    """Low-pass filter with a double real pole (critically damped), 3 dB down at the cut-off.
+
+    Each pole is y += (1 - a)(x - y), with gain (1 - a)² / (1 - 2 a cos ω + a²), which is 1/√2 at the cut-off. At
+    low frequencies its delay is exactly a / (1 - a) samples, for any cut-off.
+
+    Attributes:
+        delay: delay of signals that are slow compared with the cut-off [s]; about 0.2/cut-off.
+    """
+
+    def __init__(self, cutoff: float, rate: float) -> None:
+        """Design the filter; it starts in steady state at the first sample.
+
+        Args:
+            cutoff: half-power frequency [Hz].
+            rate: sampling rate [Hz].
+
+        Raises:
+            InputError: the cut-off is not positive or not below half the rate.
+        """
+        if not 0.0 < cutoff < 0.5 * rate:
+            raise InputError(
+                f"--filter-hz {cutoff:g} must be positive and below half of {rate:.6g} readings/s"
+            )
+        cosine = math.cos(2.0 * math.pi * cutoff / rate)
+        # (1 - a)² √2 = 1 - 2 a cos ω + a², the root within the unit circle.
+        half = (math.sqrt(2.0) - cosine) / (math.sqrt(2.0) - 1.0)
+        pole = half - math.sqrt(half * half - 1.0)
+        self.delay = 2.0 * pole / (1.0 - pole) / rate
+        self._sections = np.array([[1.0 - pole, 0.0, 0.0, 1.0, -pole, 0.0]] * 2)
+        self._state: Array | None = None
+
+    def filter(self, samples: Array) -> Array:
+        """Return the next samples (n, k), filtered."""
+        from scipy.signal import sosfilt  # takes half a second to import, so only if a filter is used
+
+        if self._state is None:  # steady state of each pole is pole × value
+            pole = -self._sections[0, 4]
+            self._state = np.zeros((2, 2, samples.shape[1]))
+            self._state[:, 0] = pole * samples[0]
+        filtered, self._state = sosfilt(self._sections, samples, axis=0, zi=self._state)
+        return np.asarray(filtered, dtype=float)
+
+    def reset(self) -> None:
+        """Discard the filter state: the next sample is treated as the first."""
+        self._state = None
+
 
 MIN_RATE_SAMPLES = 8
 """Number of samples from which the rate of the source is determined before processing starts."""

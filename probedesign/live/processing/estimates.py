@@ -12,7 +12,7 @@ from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.live.processing.blocks import WrenchReading
-from probedesign.live.processing.tare import Tare, without_bias
+from probedesign.live.processing.control import Tare, without_bias
 from probedesign.live.processing.touches import Contact, Phase
 
 

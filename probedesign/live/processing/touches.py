@@ -27,10 +27,9 @@ from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.latency import MIN_REPORTED, LatencyCheck
+from probedesign.live.poses.base_poses import MIN_REPORTED, BasePoses, LatencyCheck
 from probedesign.live.processing.blocks import AveragedBatch
-from probedesign.live.processing.tare import Tare
+from probedesign.live.processing.control import Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 

@@ -28,8 +28,7 @@ from probedesign.frozen_probe import freeze
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
-from probedesign.live.recordings import require, schemas
-from probedesign.live.recordings.append_file import AppendFile
+from probedesign.live.recordings import AppendFile, require, schemas
 from probedesign.live.recordings.schemas import (
     MCAP_MAGIC,
     METADATA_NAME,

@@ -20,16 +20,14 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
-from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
-from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
-from probedesign.live.sources.netft.ati_demo import is_ati_demo, read_ati_demo
-from probedesign.live.sources.parameters import (
-    BLOCK_DURATION,
-    MAX_BLOCK_READINGS,
-    SPEED,
-    SourceParameter,
-    parse_parameters,
+from probedesign.live.recordings.csv import (
+    Recording,
+    check_wrenches,
+    is_ati_demo,
+    read_ati_demo,
+    read_recording,
 )
+from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
 from probedesign.live.sources.rosbag import (
     BLOCK_SIZE,
     AnnotatedBag,
@@ -38,6 +36,13 @@ from probedesign.live.sources.rosbag import (
     find_wrench_topic,
     is_bag,
     open_bag,
+)
+from probedesign.live.sources.source import (
+    BLOCK_DURATION,
+    MAX_BLOCK_READINGS,
+    SPEED,
+    SourceParameter,
+    parse_parameters,
 )
 
 MomentUnit = Literal["Nm", "Nmm"]
@@ -314,13 +319,7 @@ class ReplaySource:
         recorded_from: source that was recorded, as stated in the recording; may be empty.
     """
 
-    def __init__(
-        self,
-        model: ProbeModel,
-        path: Path,
-        query: str = "",
-        log: Log = lambda line: None,
-    ) -> None:
+    def __init__(self, model: ProbeModel, path: Path, query: str = "", log: Log = lambda line: None) -> None:
         """Open the file.
 
         Args:

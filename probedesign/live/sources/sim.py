@@ -17,7 +17,7 @@ from probedesign.live.processing.blocks import (
     group_readings,
     paced,
 )
-from probedesign.live.sources.parameters import (
+from probedesign.live.sources.source import (
     BLOCK_DURATION,
     MAX_BLOCK_READINGS,
     SPEED,

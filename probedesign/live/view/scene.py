@@ -13,7 +13,7 @@ from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.design.catalog.sensors import NANO17
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.view.snapshot import STRIP, BentShape
+from probedesign.live.view.state import STRIP, BentShape
 
 MAX_STATIONS, RING_POINTS = 72, 36
 

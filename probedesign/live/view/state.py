@@ -1,16 +1,250 @@
-"""State of a run for the views: a sink that stores the latest data and returns snapshots to other threads."""
+"""State of a run for the views: a sink that stores the latest data, and snapshots of it with status lines."""
 
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
+from probedesign.estimation.estimate import RESULTS
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.view.snapshot import STRIP, BentShape, ContactMarker, RunHealth, Snapshot, status_lines
+
+Level = Literal["good", "fair", "bad", "plain"]
+
+
+class StatusLine(NamedTuple):
+    """One line of the status.
+
+    Attributes:
+        name: its topic.
+        text: its text.
+        level: how good or bad it is.
+    """
+
+    name: str
+    text: str
+    level: Level = "plain"
+
+
+def _nan(*shape: int) -> Array:
+    return np.full(shape, np.nan)
+
+
+@dataclass(frozen=True)
+class BentShape:
+    """The bent centreline at the nodes of its solution.
+
+    Attributes:
+        s: arclengths, base to tip [m], (k,).
+        p_base: points [m], (k, 3).
+        R_base: section frames with columns x, y and tangent, (k, 3, 3).
+    """
+
+    s: Array
+    p_base: Array
+    R_base: Array
+
+
+@dataclass(frozen=True)
+class ContactMarker:
+    """A located contact.
+
+    Attributes:
+        p_surface: touched point [m], (3,).
+        cov: its covariance [m²], (3, 3).
+        force: force of the object on the probe [N], (3,).
+        s, std_s: arclength and its standard deviation [m].
+        in_world: whether all this is in the world frame; otherwise in the base frame.
+        time: time by the source's clock [s].
+        number: number of the touch, from 1.
+        friction_ratio: tangential over normal force; NaN if unknown.
+    """
+
+    p_surface: Array
+    cov: Array
+    force: Array
+    s: float
+    std_s: float
+    in_world: bool
+    time: float
+    number: int
+    friction_ratio: float = float("nan")
+
+
+STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
+"""Columns of a row of a strip chart: [s], [N], [N·m], [m], [N]."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """State of a run at one time.
+
+    Attributes:
+        since: time of the last estimate, from the first one [s].
+        result: result of the last estimate; empty before the first.
+        stale: whether probe and contact are not current: no recent reading or estimate.
+        status: the status lines.
+        shape: shape of the probe, if estimated.
+        marker: the contact, if the estimate is ok.
+        touches: best contact of each touch so far, the last ones.
+        T_world_base: pose of the base, (4, 4); NaN if unknown.
+        gravity_base: gravity vector [m/s²], (3,).
+        strip: rows of `STRIP` since the last snapshot, (j, 10).
+        events: last events, with the source's time [s].
+    """
+
+    since: float = 0.0
+    result: str = ""
+    stale: bool = False
+    status: tuple[StatusLine, ...] = ()
+    shape: BentShape | None = None
+    marker: ContactMarker | None = None
+    touches: tuple[ContactMarker, ...] = ()
+    T_world_base: Array = field(default_factory=lambda: _nan(4, 4))
+    gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
+    events: tuple[tuple[float, str], ...] = ()
+
+
+NEWTON_MM = 1e-3
+"""One N·mm in N·m."""
+
+
+@dataclass(frozen=True)
+class RunHealth:
+    """Condition of the run.
+
+    Attributes:
+        stale: no reading for longer than usual.
+        no_estimate: no estimate for longer than usual.
+        silent_for: time since the last reading [s].
+        rate, estimate_rate: readings and estimates per second.
+        fault: fault of the last readings.
+        n_readings: number of readings so far.
+        counts: counters of the source.
+        tare, recording: last events on them; empty if there was none.
+    """
+
+    stale: bool = False
+    no_estimate: bool = False
+    silent_for: float = float("nan")
+    rate: float = float("nan")
+    estimate_rate: float = float("nan")
+    fault: str = ""
+    n_readings: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+    tare: str = ""
+    recording: str = ""
+
+
+def status_lines(
+    update: EstimateUpdate | None, marker: ContactMarker | None, health: RunHealth
+) -> tuple[StatusLine, ...]:
+    """Return all status lines, most important first."""
+    lines = [_result_line(update, health)]
+    if update is not None:
+        lines.append(StatusLine("phase", update.phase or "not monitored"))
+        lines += _contact_lines(marker)
+        lines += _fused_lines(update)
+        lines += _wrench_lines(update.wrench_base)
+    return (*lines, *_health_lines(update, health))
+
+
+def _result_line(update: EstimateUpdate | None, health: RunHealth) -> StatusLine:
+    if health.stale:
+        return StatusLine("result", f"stale: no reading for {health.silent_for:.1f} s", "bad")
+    if update is None:
+        return StatusLine("result", "no estimate yet" if health.n_readings else "no reading yet", "fair")
+    if health.no_estimate:
+        return StatusLine("result", "no recent estimate: the values shown are old", "bad")
+    result = update.estimate.result
+    moods: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
+    return StatusLine("result", f"{result}: {RESULTS[result]}", moods.get(result, "bad"))
+
+
+def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
+    """Return the lines of the contact; dashes if it is unknown, so that the lines keep their positions."""
+    if marker is None:
+        return [StatusLine(name, "–") for name in ("contact", "point", "force")]
+    frame = "world" if marker.in_world else "base"
+    return [
+        StatusLine("contact", f"s {marker.s / MM:.1f} ± {marker.std_s / MM:.1f} mm"),
+        StatusLine(
+            "point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {_numbers(_stds(marker.cov), MM)} mm"
+        ),
+        StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{_friction(marker)}"),
+    ]
+
+
+def _friction(marker: ContactMarker) -> str:
+    """Return the friction ratio as text; empty if the method does not estimate it."""
+    if not np.isfinite(marker.friction_ratio):
+        return ""
+    return f", tangential over normal {marker.friction_ratio:.2f}"
+
+
+def _fused_lines(update: EstimateUpdate) -> list[StatusLine]:
+    """Return the line of the fused estimate, or the reason why there is none."""
+    if update.fused is None:
+        return [StatusLine("fused", f"no {update.stale}", "fair")] if update.stale else []
+    if not update.fused.ok:
+        return [StatusLine("fused", update.fused.result)]
+    return [
+        StatusLine(
+            "fused",
+            f"{_numbers(update.fused.p_surface_world, MM)} mm, world, ± {update.fused.rms / MM:.1f} mm",
+        )
+    ]
+
+
+def _wrench_lines(wrench: Array) -> list[StatusLine]:
+    """Return the lines of the wrench at the base."""
+    if not np.isfinite(wrench).all():
+        return [StatusLine("forces", "–"), StatusLine("moments", "–")]
+    return [
+        StatusLine("forces", f"{_numbers(wrench[:3], MILLINEWTON)} mN at the base"),
+        StatusLine("moments", f"{_numbers(wrench[3:], NEWTON_MM, 2)} N·mm"),
+    ]
+
+
+def _health_lines(update: EstimateUpdate | None, health: RunHealth) -> list[StatusLine]:
+    fault: list[StatusLine] = [StatusLine("fault", health.fault, "bad")] if health.fault else []
+    return [
+        *fault,
+        StatusLine("rate", _rates(update, health)),
+        _loss_line(health.counts, health.n_readings),
+        StatusLine("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
+        StatusLine("recording", health.recording.removeprefix("recording ") or "no"),
+    ]
+
+
+def _rates(update: EstimateUpdate | None, health: RunHealth) -> str:
+    text = [f"{health.rate:.0f} readings/s", f"{health.estimate_rate:.0f} estimates/s"]
+    if update is not None and np.isfinite(latency := update.computed - update.reading.received):
+        text.append(f"{1e3 * latency:.1f} ms from reading to estimate")
+    return ", ".join(text).replace("nan", "–")
+
+
+def _loss_line(counts: Mapping[str, int], n_readings: int) -> StatusLine:
+    lost = {name: count for name in ("lost", "late", "dropped", "faults") if (count := counts.get(name, 0))}
+    text = ", ".join(f"{count} {name}" for name, count in lost.items())
+    return StatusLine("loss", f"{text or 'none known'} of {n_readings} readings", "fair" if lost else "plain")
+
+
+def _stds(cov: Array) -> Array:
+    stds: Array = np.sqrt(np.maximum(np.diag(cov), 0.0))
+    return stds
+
+
+def _numbers(values: Array, unit: float, digits: int = 1) -> str:
+    return "(" + ", ".join(f"{float(value) / unit:z.{digits}f}" for value in values) + ")"
+
 
 MIN_STALE_TIME = 0.05
 """Minimum silence that is stale [s], as for a Net F/T box."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array, pose, rotation_z, wrench_map
-from probedesign.live.sources.netft.wire import PAGE
+from probedesign.live.sources.netft.rdt import PAGE
 
 POUND_FORCE = 4.4482216152605  # exact, from the pound and standard gravity
 KILOGRAM_FORCE = 9.80665  # exact

@@ -1,4 +1,4 @@
-"""Sink of `--view`: shows the run on a page that another process serves."""
+"""Sinks of `live` that show the run: on a page that another process serves, or as a table on the terminal."""
 
 import importlib.util
 import json
@@ -10,15 +10,19 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, get_args
+from typing import IO, TYPE_CHECKING, Any, get_args
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log
-from probedesign.live.processing.scheduler import CommandName, CommandQueue
+from probedesign.live.processing.control import CommandName, CommandQueue
 from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
-from probedesign.live.view.snapshot import BentShape
-from probedesign.live.view.state import Counts, ViewState
+from probedesign.live.view.state import BentShape, Counts, Level, Snapshot, ViewState
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
 
 PERIOD = 1.0 / 30.0
 """Minimum interval between two frames [s]."""
@@ -177,3 +181,47 @@ def _check_address(host: str, port: int) -> None:
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None
+
+
+REFRESH_RATE = 8
+STYLES: dict[Level, str] = {"good": "bold green", "fair": "yellow", "bad": "bold red", "plain": ""}
+
+
+class TerminalView(ViewState):
+    """Sink that shows a live table at the bottom of a terminal until it is closed."""
+
+    def __init__(self, title: str, counts: Counts = dict, console: "Console | None" = None) -> None:
+        """Start the table.
+
+        Args:
+            title: title of the table.
+            counts: returns the counters of the source: lost, dropped.
+            console: console to use; standard output if None.
+        """
+        from rich.live import Live
+
+        super().__init__(counts)
+        self._title = title
+        self._live = Live(console=console, get_renderable=self._table, refresh_per_second=REFRESH_RATE)
+        self._live.start()
+
+    def close(self) -> None:
+        """Stop updating; the last table remains and the cursor is restored."""
+        self._live.stop()
+
+    def _table(self) -> "Table":
+        return table_of(self._title, self.snapshot(shaped=False))
+
+
+def table_of(title: str, snapshot: Snapshot) -> "Table":
+    """Return the status lines in two columns, and the touches so far."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=f"{title}, {snapshot.since:.1f} s", title_justify="left", show_header=False, box=None)
+    for line in snapshot.status:
+        table.add_row(Text(line.name, style="dim"), Text(line.text, style=STYLES[line.level]))
+    for marker in snapshot.touches[-3:]:
+        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
+        table.add_row(Text(f"touch {marker.number}", style="dim"), Text(text))
+    return table

@@ -1,8 +1,10 @@
-"""Session with a box through pynetft: reads its queue in one pass, renews the client if it rejects all records.
+"""RDT: the protocol of the box over UDP (big-endian), a session with it through pynetft, and the sensor's clock.
 
-Also the sensor's clock: time from a 32-bit counter that overflows, stops or restarts.
+Source: ATI, Net F/T Sensor System, installation and operation manual 9620-05-NET FT, the chapter on RDT and the table
+of the system status code. Axia sensors use another table.
 """
 
+import struct
 import sys
 from collections import Counter
 from collections.abc import Callable, Generator
@@ -15,10 +17,100 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
-from probedesign.live.sources.netft.wire import SAMPLES_PER_SECOND
 
 if TYPE_CHECKING:
     from pynetft import Client
+
+
+RDT_PORT = 49152
+HTTP_PORT = 80
+PAGE = "/netftapi2.xml"
+
+SAMPLES_PER_SECOND = 7000
+"""Sampling rate of the box, independent of the record rate, counted by `ft_sequence`. The record rate is an integer
+fraction of it."""
+MAX_RECORDS = 40
+"""Maximum number of records in a packet of buffered streaming."""
+
+STOP, REALTIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042
+"""Commands to the box."""
+
+HEADER = 0x1234
+REQUEST = struct.Struct(">HHI")
+RECORD = struct.Struct(">III6i")
+RECORDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
+"""The record as an array type."""
+
+
+class Request(NamedTuple):
+    """Request of a client.
+
+    Attributes:
+        command: one of the commands above.
+        records: number of records; 0 is unlimited.
+    """
+
+    command: int
+    records: int = 0
+
+    def packed(self) -> bytes:
+        """Return the request as eight bytes."""
+        return REQUEST.pack(HEADER, self.command, self.records)
+
+
+def parse_request(datagram: bytes) -> Request | None:
+    """Return the request in a datagram; None if it is not a request."""
+    if len(datagram) != REQUEST.size:
+        return None
+    header, command, count = REQUEST.unpack(datagram)
+    return Request(command, count) if header == HEADER else None
+
+
+HEALTHY = (0x00000000, 0x80010000)
+"""The second value: a monitor condition has been latched, which is not a fault of the sample."""
+
+SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
+HARMLESS = (*HEALTHY, LATCHED)
+
+FAULT_TEXTS = {
+    30: "processor or memory error",
+    29: "digital board error",
+    28: "analogue board error",
+    27: "serial link error",
+    26: "program memory error",
+    25: "halted by a wrong configuration",
+    24: "settings are not valid",
+    23: "configuration does not fit the calibration",
+    22: "network failure",
+    21: "CAN failure",
+    20: "RDT failure",
+    19: "EtherNet/IP failure",
+    18: "DeviceNet failure",
+    17: "transducer saturated or A/D error",
+    14: "watchdog",
+    13: "stack",
+    12: "EEPROM failure",
+    11: "flash failure",
+    10: "analogue board watchdog",
+    9: "gauge excitation current too high",
+    8: "gauge excitation current too low",
+    7: "artificial ground out of range",
+    6: "supply too high",
+    5: "supply too low",
+    4: "no data from the transducer",
+    3: "reference voltage or power",
+    2: "temperature",
+    1: "HTTP failure",
+}
+"""Texts by bit; bit 31 is the summary and bit 16 is not a fault."""
+
+
+def fault_of(status: int) -> str:
+    """Return the fault of a status word; empty if there is none."""
+    if status in HARMLESS:
+        return ""
+    texts = [text for bit, text in FAULT_TEXTS.items() if status >> bit & 1]
+    return f"{', '.join(texts) or 'unknown fault'} (status 0x{status:08x})"
 
 
 QUEUE_SIZE = 1 << 16
