@@ -300,18 +300,18 @@ def test_simulate_refuses(bundle, capsys, options, told):
 
 
 class PublicClient:
-    """A client of pynetft without its private reader."""
+    """A client with pynetft's public iterator, and nothing else: any access to a private name fails."""
 
     def __init__(self, samples):
         self.waiting = list(samples)
 
     def samples(self, timeout):
-        if not self.waiting:
-            raise TimeoutError
-        yield self.waiting.pop(0)
+        while self.waiting:
+            yield self.waiting.pop(0)
+        raise TimeoutError
 
 
-def test_records_are_read_without_the_private_reader_of_pynetft():
+def test_records_are_read_through_the_public_iterator_of_pynetft():
     sample = namedtuple("sample", "ft_sequence status received_at_ns raw_wrench")
     client = PublicClient(sample(7 + i, 0, 10**9 * (1 + i), (i, 0, 0, 0, 0, -i)) for i in range(3))
     records = drain(client)

@@ -7,8 +7,10 @@ of the system status code. Axia sensors use another table.
 import struct
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator
+from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, islice
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -155,7 +157,7 @@ class RdtRecords:
 
 
 class RdtSession:
-    """Reads the records of one box with pynetft.
+    """Reads the records of one box with pynetft, and replaces a client that rejects all records.
 
     Attributes:
         counts: number of records received, lost, late, doubled, malformed, dropped by the queue.
@@ -182,6 +184,8 @@ class RdtSession:
         Raises:
             InputError: pynetft has stopped.
         """
+        from pynetft import NetFTError
+
         received, renewed, usual = 0, monotonic(), sys.getswitchinterval()
         sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
         self._client.start()
@@ -198,6 +202,8 @@ class RdtSession:
                     self._renew()
                     renewed, received_now = monotonic(), 0
                 received = received_now
+        except NetFTError as error:
+            raise InputError(f"{self._name}: pynetft has stopped: {error}") from None
         finally:
             sys.setswitchinterval(usual)
             self._client.stop()
@@ -248,36 +254,20 @@ class RdtSession:
 
 
 def drain(client: "Client") -> RdtRecords:
-    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`."""
-    read = _reader(client)
+    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`.
+
+    Raises:
+        pynetft.NetFTError: the client has stopped with a fault.
+    """
     rows: list[tuple[int, ...]] = []
-    sample = read(STALE_TIME)
-    while sample is not None:
-        rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
-        sample = read(0.0) if len(rows) < MAX_RECORDS_AT_ONCE else None
+    queued = chain(
+        islice(client.samples(STALE_TIME), 1), islice(client.samples(0.0), MAX_RECORDS_AT_ONCE - 1)
+    )
+    with suppress(TimeoutError):  # the queue is empty
+        for sample in queued:
+            rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
     table = np.array(rows, dtype=np.int64).reshape(-1, 9)
     return RdtRecords(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
-
-
-def _reader(client: "Client") -> Callable[[float], Any]:
-    """Return the function that reads one sample within a timeout [s]; None if there is none.
-
-    `Client.samples` creates an object of enumerations and floats for each sample, which takes three times as long as
-    reading it. pynetft's native reader, where the client has one, is used instead; it is not public API.
-    """
-    native = getattr(getattr(client, "_native", None), "read", None)
-    if native is not None:
-        return lambda timeout: native(timeout).sample
-
-    def read(timeout: float) -> Any:
-        from pynetft import NetFTError
-
-        try:
-            return next(client.samples(timeout), None)
-        except (TimeoutError, NetFTError):  # a fault is reported by the client's health
-            return None
-
-    return read
 
 
 WRAP = 1 << 32
@@ -312,7 +302,9 @@ def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
 
 
 class SensorClock:
-    """Time since the first record by `ft_sequence` [s], never decreasing.
+    """Time since the first record by `ft_sequence` [s], a 32-bit counter that overflows, stops or restarts.
+
+    The time never decreases.
 
     Attributes:
         restarts: number of restarts of the counter; the host's clock covers the gaps.
