@@ -30,7 +30,7 @@ from probedesign.live.processing.control import (
     Tare,
     TareWindow,
     describe_tare,
-    split_at_tare,
+    readings_in,
     take_tare,
 )
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row, locate
@@ -56,7 +56,7 @@ def estimate_stream(
         estimator: estimator of the probe.
         source: source of the readings; closed at the end in any case.
         options: processing options.
-        log: callback for messages to the user.
+        log: callback for messages.
         sink: receives every raw reading, before averaging and tare, and every estimate.
         commands: commands from the user: a tare, a mark, the end.
         poses: poses of the base; closed at the end. None: it is fixed as the frozen probe or the source states.
@@ -133,10 +133,7 @@ WARM_UP_TOUCHES, WARM_UP_SAMPLES = 12, 8
 def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
     """Compute one estimate so that every kernel is compiled, and report it if that takes long.
 
-    Args:
-        estimator: estimator of the probe.
-        log: callback for the message.
-        fusing: include detector and tracker.
+    With `fusing`, detector and tracker are included.
     """
     kernels = "rod, estimator, detector and tracker" if fusing else "rod and estimator"
     notice = threading.Timer(
@@ -287,7 +284,7 @@ def estimate_recording(
     readings = list(averaged(blocks, samples))
     if not readings:
         raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")
-    tare = take_tare(split_at_tare(readings, window)[0], window, estimator) if window is not None else None
+    tare = take_tare(readings_in(window, readings), window, estimator) if window is not None else None
     rows = [estimate_row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
     gaps, lost = gaps_in(time)
     gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
@@ -296,7 +293,6 @@ def estimate_recording(
 
 
 def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:
-    """Return notes on averaging and tare."""
     notes = []
     if samples > 1:
         left = f"; {readings % samples} readings at the end are not used" if readings % samples else ""

@@ -1,4 +1,4 @@
-"""`netft://` and the simulated box over real sockets: units, frames, the wire, what is refused."""
+"""`netft://` and the simulated box over real sockets: units, frames, records, and errors."""
 
 import json
 import re
@@ -94,7 +94,7 @@ def test_a_number_of_records_is_sent_and_no_more(estimator, asked):
     with box(estimator) as peer:
         datagrams = asked(peer, rdt.REALTIME, 5, 5)
         assert [RECORD.unpack(d)[0] for d in datagrams] == [1, 2, 3, 4, 5]
-        until(lambda: peer.client is None)  # told a moment after the last record is sent
+        until(lambda: peer.client is None)  # cleared shortly after the last record is sent
 
 
 def test_buffered_packets_hold_their_records(estimator, asked):
@@ -137,7 +137,7 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
 
 
 @pytest.mark.parametrize(
-    ("page", "told"),
+    ("page", "expected"),
     [
         (b"not xml", "not valid or safe XML"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "not valid or safe XML"),
@@ -145,15 +145,15 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
         (b"x" * 100_000, "too long"),
     ],
 )
-def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
+def test_an_invalid_page_is_refused(estimator, monkeypatch, page, expected):
     monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: page)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("tag", "value", "told"),
+    ("tag", "value", "expected"),
     [
         ("scfgtu", "N-furlong", "scfgtu = 'N-furlong' is not a known unit"),
         ("scfgfu", "", "is not a known unit"),
@@ -164,7 +164,7 @@ def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
         ("cfgtfx", "1;2;3;4;5;six", "is not a number"),
     ],
 )
-def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
+def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, expected):
     from probedesign.simulation.netft_box import configuration_page
 
     wrong = re.sub(
@@ -173,11 +173,11 @@ def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value
     monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: wrong)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "expected"),
     [
         ("netft:", "write netft://HOST"),
         ("netft://", "write netft://HOST"),
@@ -189,10 +189,10 @@ def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value
         ("netft://127.0.0.1?http=1", "Connection refused"),
     ],
 )
-def test_an_address_without_a_box_is_refused(estimator, spec, told):
+def test_an_address_without_a_box_is_refused(estimator, spec, expected):
     with pytest.raises(InputError) as error:
         open_source(spec, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
 
 
 def test_a_port_in_use_is_reported(estimator):
@@ -230,11 +230,11 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
         status = run([*arguments, "--seconds", "1.5", "--rate-hz", "100", "--json"])
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
-    held = [row for row in rows if row["result"] == "ok"]
+    located = [row for row in rows if row["result"] == "ok"]
     assert status == 0 and "records" in err and "tare from" in err
-    assert len(held) > 5
-    s = np.median([row["s_contact_mm"] for row in held])
-    assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * held[0]["std_s_mm"])
+    assert len(located) > 5
+    s = np.median([row["s_contact_mm"] for row in located])
+    assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * located[0]["std_s_mm"])
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
@@ -246,9 +246,9 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
     things = press_scene(model, "card-house", friction)
     motion = BaseMotion(model, things)
     free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-    rest, held = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
+    rest, located = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
     assert np.allclose(rest, free, atol=1e-6)
-    assert np.linalg.norm((held - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
+    assert np.linalg.norm((located - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
     assert all(thing.force > 1e-3 for thing in things)
     after = motion.wrench_sensor(np.array([motion.cycle_time + 1.0]))
     assert np.allclose(after, free, atol=1e-6)
@@ -282,7 +282,7 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         (["--friction", "-0.1"], "--friction -0.1 must lie in 0 ... 3"),
         (["--rate-hz", "6000"], "must be 7000 divided by a whole number"),
@@ -293,10 +293,10 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
         (["--host", "203.0.113.1", "--scene", "free"], "203.0.113.1:49152: "),
     ],
 )
-def test_simulate_refuses(bundle, capsys, options, told):
+def test_simulate_refuses(bundle, capsys, options, expected):
     assert run(["simulate", str(bundle), "--seconds", "0.1", *options]) == 2
     out, err = capsys.readouterr()
-    assert told in err and err.count("\n") == 1 and out == ""
+    assert expected in err and err.count("\n") == 1 and out == ""
 
 
 class PublicClient:

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
-from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.live import Log
+from probedesign.live import LOOPBACK, Log, split_address
 from probedesign.live.poses.pose_sources import PoseListener, read_pose_file
 from probedesign.live.poses.track import MAX_GAP, MAX_POSES, ClockOffset, PoseTrack, TimedPose
 from probedesign.live.processing.blocks import Block
@@ -49,16 +48,9 @@ class BasePoses:
         notes: tuple[str, ...] = (),
         log: Log = lambda line: None,
     ) -> None:
-        """Start with the given poses.
+        """Start with all poses by the wrench's clock, or with a listener that receives them.
 
-        Args:
-            title: one line that describes the poses.
-            poses: all poses by the wrench's clock, or a listener that receives them.
-            latency: stated latency [s].
-            max_gap: see `PoseTrack` [s].
-            gravity_world: gravity vector [m/s²]; None is 9.81 m/s² along -z.
-            notes: notes for the user.
-            log: callback for messages to the user.
+        `max_gap` is that of `PoseTrack` [s]; gravity is 9.81 m/s² along -z if it is None.
         """
         self.title, self.notes, self.latency = title, notes, latency
         self.gravity_world = np.array(GRAVITY_WORLD if gravity_world is None else gravity_world, dtype=float)
@@ -136,8 +128,6 @@ class BasePoses:
 
 
 FIXED = "fixed"
-LOCAL = "127.0.0.1"
-KINDS = "fixed, a file of poses, a ROS 2 bag and udp://:PORT"
 MAX_LATENCY = 10.0
 """Maximum latency [s]; a larger value indicates a wrong unit."""
 GRAVITY_RANGE = (1.0, 30.0)
@@ -154,53 +144,55 @@ def open_poses(
             `limit_ms=50` may follow the question mark.
         latency_ms: latency stated by the user [ms].
         gravity_world: three numbers [m/s²], as "0,0,-9.81".
-        log: callback for messages to the user.
+        log: callback for messages.
 
     Raises:
         InputError: the specification is unknown, cannot be read, or a number is out of range.
         MissingDependencyError: the package that reads it is not installed.
     """
-    latency, gravity = _latency(latency_ms), _gravity(gravity_world)
+    if not abs(latency_ms) <= 1e3 * MAX_LATENCY:
+        raise InputError(f"--pose-latency-ms {latency_ms:g} must be within ±{1e3 * MAX_LATENCY:g}")
+    latency, gravity = 1e-3 * latency_ms, _gravity(gravity_world)
     if spec == FIXED:
         if latency or gravity is not None:
-            raise InputError(
-                f"--pose fixed has no latency and no world frame; use --pose {KINDS.split(', ', 1)[1]}"
-            )
+            others = "a file of poses, a ROS 2 bag or udp://:PORT"
+            raise InputError(f"--pose fixed has no latency and no world frame; use {others}")
         return None
     target, _, query = spec.partition("?")
-    parameters = _parameters(spec, query)
-    max_gap = _max_gap(spec, parameters.pop("limit_ms", ""))
-    if target.startswith("udp:"):
-        _refuse_unknown(spec, parameters)
-        listener = PoseListener(*_address(target))
-        host, port = listener.address
-        notes = (
-            f"listening for poses on {host}:{port}"
-            + ("" if host.startswith("127.") else ": anyone on that network can send"),
-        )
-        return BasePoses(f"poses by UDP to {host}:{port}", listener, latency=latency, max_gap=max_gap,
-                     gravity_world=gravity, notes=notes, log=log)  # fmt: skip
-    from probedesign.live.sources.rosbag import (
-        is_bag_path,
-        read_bag_poses,
-    )  # the recordings import this module
+    # imported here, since the recordings import this module
+    from probedesign.live.sources.rosbag import is_bag_path, read_bag_poses
+    from probedesign.live.sources.source import SourceParameter, parse_parameters
 
-    path = Path(target)
-    if is_bag_path(path):
-        poses = read_bag_poses(
-            path, parameters.pop("topic", ""), parameters.pop("world", ""), parameters.pop("base", "")
-        )
+    path, by_udp = Path(target), target.startswith("udp:")
+    in_bag = not by_udp and is_bag_path(path)
+    limit = {"limit_ms": SourceParameter(1e3 * MAX_GAP, 1.0, 60_000.0)}
+    topics = dict.fromkeys(("topic", "world", "base"), ()) if in_bag else {}
+    numbers, texts = parse_parameters(f"--pose {target}", query, limit, topics)
+    max_gap = 1e-3 * numbers["limit_ms"]
+    notes: tuple[str, ...] = ()
+    poses: PoseListener | list[TimedPose]
+    if by_udp:
+        poses = _listen(target)
+        host, port = poses.address
+        title = f"poses by UDP to {host}:{port}"
+        public = "" if host.startswith("127.") else ": anyone on that network can send"
+        notes = (f"listening for poses on {host}:{port}{public}",)
     else:
-        poses = read_pose_file(path)
-    _refuse_unknown(spec, parameters)
-    title = f"{len(poses)} poses of {path}, {poses[0].time:.9g} ... {poses[-1].time:.9g} s"
-    return BasePoses(title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, log=log)
+        poses = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
+        title = f"{len(poses)} poses of {path}, {poses[0].time:.9g} ... {poses[-1].time:.9g} s"
+    return BasePoses(
+        title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=notes, log=log
+    )
 
 
-def _latency(milliseconds: float) -> float:
-    if not abs(milliseconds) <= MAX_LATENCY / 1e-3:
-        raise InputError(f"--pose-latency-ms {milliseconds:g} must be within ±{MAX_LATENCY / 1e-3:g}")
-    return milliseconds * 1e-3
+def _listen(target: str) -> PoseListener:
+    try:
+        host, port = split_address(target, "udp")
+    except ValueError:
+        host, port = "", None
+    if port is None:
+        raise InputError(f"--pose {target}: write udp://:PORT, or udp://0.0.0.0:PORT for every network")
+    return PoseListener(host or LOOPBACK[0], port)
 
 
 def _gravity(text: str | None) -> Array | None:
@@ -213,45 +205,6 @@ def _gravity(text: str | None) -> Array | None:
     if gravity.shape != (3,) or not GRAVITY_RANGE[0] <= float(np.linalg.norm(gravity)) <= GRAVITY_RANGE[1]:
         raise InputError(f"--gravity-world {text} must be three numbers in m/s², as 0,0,-9.81")
     return gravity
-
-
-def _parameters(spec: str, query: str) -> dict[str, str]:
-    try:
-        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
-    except ValueError:
-        raise InputError(f"--pose {spec}: write parameters as name=value&name=value") from None
-    if len(dict(pairs)) < len(pairs):
-        raise InputError(f"--pose {spec}: a parameter is given twice; keep one")
-    return dict(pairs)
-
-
-def _refuse_unknown(spec: str, unknown: dict[str, str]) -> None:
-    if unknown:
-        known = "limit_ms, and of a bag topic, or world and base"
-        raise InputError(f"--pose {spec}: {', '.join(unknown)} is not a parameter; known: {known}")
-
-
-def _max_gap(spec: str, text: str) -> float:
-    if not text:
-        return MAX_GAP
-    try:
-        milliseconds = float(text)
-    except ValueError:
-        milliseconds = 0.0
-    if not 1.0 <= milliseconds <= 60_000.0:
-        raise InputError(f"--pose {spec}: limit_ms must be in 1 ... 60000")
-    return milliseconds * 1e-3
-
-
-def _address(target: str) -> tuple[str, int]:
-    try:
-        parts = urlsplit(target)
-        host, port = parts.hostname or LOCAL, parts.port
-    except ValueError:
-        host, port = "", None
-    if not host or port is None or parts.scheme != "udp" or parts.path.strip("/"):
-        raise InputError(f"--pose {target}: write udp://:PORT, or udp://0.0.0.0:PORT for every network")
-    return host, port
 
 
 MAX_SHIFT = 0.200
@@ -279,6 +232,11 @@ MAX_READINGS = 800
 @dataclass
 class LatencyCheck:
     """Collects the readings of one touch and estimates the latency of its poses.
+
+    While the probe touches, its wrench follows the base: a press that starts or stops must show in both at once. The
+    base's travel along its principal direction and the wrench along its own are compared with a time shift; the shift
+    at which a parabola of the travel fits the wrench best is the remaining latency. The probe is assumed to follow
+    without delay; a soft probe that creeps looks like poses that are early.
 
     Attributes:
         whiten: whitening matrix of one reading, (6, 6).

@@ -6,7 +6,8 @@ import math
 import socket
 import threading
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -35,11 +36,7 @@ def parse_pose(values: Mapping[str, Any]) -> TimedPose:
 
 
 def _field(values: Mapping[str, Any], name: str) -> tuple[str, float] | None:
-    """Return the field that contains a quantity and its factor to SI units; None if there is none.
-
-    Raises:
-        InputError: the quantity is given in two units.
-    """
+    """Return the field that contains a quantity and its factor to SI units; None if it is missing."""
     quantity, has_unit, _ = name.partition("_")
     if not has_unit:
         return (name, 1.0) if name in values else None
@@ -88,24 +85,38 @@ def read_pose_file(path: Path) -> list[TimedPose]:
         InputError: the file cannot be read, has no poses, or a line is wrong; the message names the line.
     """
     lines = _lines(path)
+    parsers: Iterable[tuple[int, Callable[[], tuple[TimedPose, str]]]]
+    if path.suffix.lower() == ".csv":
+        rows = csv.reader(line for _, line in lines)
+        header = [name.strip() for name in next(rows, [])]
+        numbered = zip(lines[1:], rows, strict=False)
+        parsers = ((number, partial(_parse_csv_row, header, row)) for (number, _), row in numbered)
+    else:
+        parsers = ((number, partial(parse_pose_json, line)) for number, line in lines)
     poses: list[TimedPose] = []
     frames = set()
-    for number, pose, frame in (
-        _csv_poses(path, lines) if path.suffix.lower() == ".csv" else _json_poses(path, lines)
-    ):
-        if poses and not pose.time > poses[-1].time:
-            raise InputError(
-                f"{path}:{number}: time_s = {pose.time:.9g} is not after {poses[-1].time:.9g}; sort the lines"
-            )
+    for number, parse in parsers:
+        try:
+            pose, frame = parse()
+            if poses and not pose.time > poses[-1].time:
+                before = f"{poses[-1].time:.9g}"
+                raise InputError(f"time_s = {pose.time:.9g} is not after {before}; sort the lines")
+        except InputError as error:
+            raise InputError(f"{path}:{number}: {error}") from None
         frames.add(frame)
         poses.append(pose)
     if not poses:
         raise InputError(f"{path}: no poses in the file; a line needs {', '.join(POSE_COLUMNS)}")
     if len(frames) > 1:
-        raise InputError(
-            f"{path}: poses are in several frames, {', '.join(sorted(frames))[:80]}; one frame is required"
-        )
+        named = ", ".join(sorted(frames))[:80]
+        raise InputError(f"{path}: poses are in several frames, {named}; one frame is required")
     return poses
+
+
+def _parse_csv_row(header: list[str], row: list[str]) -> tuple[TimedPose, str]:
+    if len(row) != len(header):
+        raise InputError(f"has {len(row)} fields, but the header has {len(header)}")
+    return parse_pose(dict(zip(header, row, strict=True))), ""
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -118,26 +129,6 @@ def _lines(path: Path) -> list[tuple[int, str]]:
         raise InputError(f"{path}: cannot be read as poses: {why}") from None
     numbered = enumerate(text.splitlines(), 1)
     return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
-
-
-def _csv_poses(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[int, TimedPose, str]]:
-    rows = csv.reader(line for _, line in lines)
-    header = [name.strip() for name in next(rows, [])]
-    for (number, _), row in zip(lines[1:], rows, strict=False):
-        try:
-            if len(row) != len(header):
-                raise InputError(f"has {len(row)} fields, but the header has {len(header)}")
-            yield number, parse_pose(dict(zip(header, row, strict=True))), ""
-        except InputError as error:
-            raise InputError(f"{path}:{number}: {error}") from None
-
-
-def _json_poses(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[int, TimedPose, str]]:
-    for number, line in lines:
-        try:
-            yield number, *parse_pose_json(line)
-        except InputError as error:
-            raise InputError(f"{path}:{number}: {error}") from None
 
 
 MAX_DATAGRAM = 4096

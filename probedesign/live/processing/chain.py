@@ -39,6 +39,8 @@ from probedesign.live.processing.touches import Contact, ContactHistory, TouchMo
 class LowPass:
     """Low-pass filter with a double real pole (critically damped), 3 dB down at the cut-off.
 
+    Its step response has no overshoot, so a contact force is never overestimated.
+
     Each pole is y += (1 - a)(x - y), with gain (1 - a)² / (1 - 2 a cos ω + a²), which is 1/√2 at the cut-off. At
     low frequencies its delay is exactly a / (1 - a) samples, for any cut-off.
 
@@ -47,11 +49,7 @@ class LowPass:
     """
 
     def __init__(self, cutoff: float, rate: float) -> None:
-        """Design the filter; it starts in steady state at the first sample.
-
-        Args:
-            cutoff: half-power frequency [Hz].
-            rate: sampling rate [Hz].
+        """Design the filter for a half-power frequency and a sampling rate [Hz]; it starts in steady state.
 
         Raises:
             InputError: the cut-off is not positive or not below half the rate.
@@ -103,14 +101,7 @@ class Chain:
     def __init__(
         self, estimator: Estimator, options: ProcessingOptions, poses: BasePoses | None, log: Log
     ) -> None:
-        """Start with no readings.
-
-        Args:
-            estimator: estimator of the probe.
-            options: processing options.
-            poses: poses of the base; None if it is fixed as the frozen probe or the source states.
-            log: callback for messages to the user.
-        """
+        """Start with no readings; `poses` is None if the base is fixed as the frozen probe or the source states."""
         self.tare: Tare | None = None
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
         self._batches, self._waiting = BatchAverager(options.samples), deque[AveragedBatch]()
@@ -144,7 +135,9 @@ class Chain:
         self._waiting.extend(self._batches.add(block))
         if math.isnan(self._rate) and not self._initialize():
             return
-        while self._waiting and not self._awaits_pose(self._waiting[0].reading.time):
+        while self._waiting and not (
+            self._poses is not None and self._poses.may_arrive(self._waiting[0].reading.time, self._now)
+        ):
             yield from self._step(self._waiting.popleft(), now if n_waiting > 0 else -math.inf)
             n_waiting -= 1
 
@@ -171,8 +164,6 @@ class Chain:
         )
         self._log(f"tare: keep the probe free and still for {TARE_DURATION:g} s")
 
-    # before the first batch is processed
-
     def _initialize(self) -> bool:
         """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
         needed = math.ceil(MIN_RATE_SAMPLES / self._options.samples)
@@ -195,13 +186,10 @@ class Chain:
         return True
 
     def _reset_monitor(self) -> None:
-        """Start a new touch monitor."""
         self._monitor = TouchMonitor(
             self._estimator, self._contacts, self._rate, self._options.samples, self._poses, self._log,
             self._options.estimates,
         )  # fmt: skip
-
-    # one batch
 
     def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:
         """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
@@ -323,6 +311,3 @@ class Chain:
             return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)
         return self._monitor.update(batch, self.tare, T)
-
-    def _awaits_pose(self, time: float) -> bool:
-        return self._poses is not None and self._poses.may_arrive(time, self._now)

@@ -1,12 +1,11 @@
 """What controls a run: its options, the commands of the user, the tare, and the schedule of estimates."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import chain
 from queue import Empty, SimpleQueue
 from time import monotonic
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -29,12 +28,7 @@ CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 @dataclass(frozen=True)
 class TareWindow:
-    """Time window in which the probe is free.
-
-    Attributes:
-        start: start, counted from the first reading [s].
-        end: end, counted from the first reading [s]; exclusive.
-    """
+    """Time window in which the probe is free: start and exclusive end, counted from the first reading [s]."""
 
     start: float
     end: float
@@ -60,23 +54,16 @@ class Tare:
 
 
 class TareCollector:
-    """Collects the readings of a tare window until the first reading after it.
+    """Collects the readings of a tare window until the first reading after it. A tare is taken only on request.
 
     Attributes:
         window: time window in which the probe is free.
-        on_request: whether the tare was requested during the run.
+        on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
     """
 
     def __init__(self, window: TareWindow, estimator: Estimator, on_request: bool = False) -> None:
-        """Start with no readings.
-
-        Args:
-            window: time window in which the probe is free.
-            estimator: estimator of the probe.
-            on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
-        """
-        self.window, self.on_request = window, on_request
-        self._estimator = estimator
+        """Start with no readings."""
+        self.window, self.on_request, self._estimator = window, on_request, estimator
         self._readings: list[WrenchReading] = []
 
     def add(self, reading: WrenchReading, since: float) -> bool:
@@ -88,11 +75,7 @@ class TareCollector:
         return False
 
     def tare(self) -> Tare:
-        """Return the tare.
-
-        Raises:
-            InputError: see `take_tare`.
-        """
+        """Return the tare; see `take_tare`."""
         return take_tare(self._readings, self.window, self._estimator)
 
 
@@ -117,11 +100,6 @@ def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Esti
 
     A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe.
 
-    Args:
-        readings: readings of the window.
-        window: the window.
-        estimator: estimator of the probe, for the weight of the free probe and the noise.
-
     Raises:
         InputError: there are too few readings, or they scatter more than those of a free probe.
     """
@@ -134,9 +112,12 @@ def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Esti
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
     noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
     if (std > MAX_SCATTER * noise).any():
-        raise InputError(
-            f"{label} is not steady: {_largest_scatter(std, noise)}; touched, moving or not averaged?"
+        i = int(np.argmax(std / noise))
+        unit = "mN" if i < 3 else "Nmm"
+        scatter = (
+            f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
         )
+        raise InputError(f"{label} is not steady: {scatter}; touched, moving or not averaged?")
     return Tare(bias, std, len(readings), window, readings[-1].time)
 
 
@@ -148,27 +129,9 @@ def _free_wrench(reading: WrenchReading, estimator: Estimator) -> Array:
     return estimator.model.to_sensor(free.wrench_base, reading.gravity_base)
 
 
-def _largest_scatter(std: Array, noise: Array) -> str:
-    """Describe the channel with the largest scatter relative to its noise."""
-    i = int(np.argmax(std / noise))
-    milli = "mN" if i < 3 else "Nmm"
-    return f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {milli}, its noise is {noise[i] * 1e3:.3g} {milli}"
-
-
-def split_at_tare(
-    readings: Iterable[WrenchReading], window: TareWindow
-) -> tuple[list[WrenchReading], Iterator[WrenchReading]]:
-    """Return the readings inside the window, consumed at once, and the iterator of the readings after it."""
-    stream = iter(readings)
-    inside: list[WrenchReading] = []
-    start: float | None = None
-    for reading in stream:
-        start = reading.time if start is None else start
-        if reading.time - start >= window.end:
-            return inside, chain([reading], stream)
-        if reading.time - start >= window.start:
-            inside.append(reading)
-    return inside, iter(())
+def readings_in(window: TareWindow, readings: list[WrenchReading]) -> list[WrenchReading]:
+    """Return the readings inside the window."""
+    return [r for r in readings if window.start <= r.time - readings[0].time < window.end]
 
 
 def without_bias(reading: WrenchReading, tare: Tare | None) -> WrenchReading:
@@ -223,14 +186,8 @@ class ProcessingOptions:
 CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
 
 
-@dataclass(frozen=True)
-class Command:
-    """One command of the user.
-
-    Attributes:
-        name: the command.
-        text: text of a mark.
-    """
+class Command(NamedTuple):
+    """One command of the user, with the text of a mark."""
 
     name: CommandName
     text: str = ""
@@ -268,7 +225,7 @@ class CommandQueue:
 MAX_AGE = 0.012
 """Maximum age of a reading that is still located [s].
 
-An older reading is skipped because newer ones are queued behind it: readings that no contact explains take longest to
+An older reading is skipped because newer ones follow in the queue: readings that no contact explains take longest to
 process and would delay all later ones. It is still recorded, monitored and fused. Such a reading takes about 8 ms, so
 its estimate is available within 20 ms."""
 
@@ -285,34 +242,28 @@ class EstimateScheduler:
     """
 
     def __init__(self, rate: float, log: Log, max_age: float = MAX_AGE) -> None:
-        """Start with nothing due.
-
-        Args:
-            rate: maximum rate of estimates [Hz].
-            log: callback for messages to the user.
-            max_age: maximum age of a reading [s]; infinite if no consumer waits for the estimates.
-        """
-        self._max_age = max_age
-        self._period, self._next, self._log = 1.0 / rate, -math.inf, log
+        """Start with nothing due; `rate` is a maximum [Hz], `max_age` [s] is infinite if no consumer waits."""
+        self._max_age, self._log = max_age, log
+        self._period, self._next = 1.0 / rate, -math.inf
         self.n_due = self.n_skipped = 0
         self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
 
     def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
         """Return whether the reading is to be located.
 
-        Args:
-            reading: the reading.
-            ready: time by `time.monotonic` at which the base pose became available [s], if the reading waited for it.
+        `ready` is the time by `time.monotonic` at which the base pose became available [s], if the reading waited.
         """
-        if not self._period_elapsed(reading.time):
+        # A tolerance of 1 % keeps a source that runs at exactly this rate from losing estimates to rounding.
+        if reading.time < self._next - 0.01 * self._period:
             return False
+        following = self._next + self._period
+        self._next = following if following > reading.time else reading.time + self._period
         if reading.time - self._start > REPORT_PERIOD:
             self._report(reading.time)
-        max_age = (
-            monotonic() - max(reading.received, ready) > self._max_age
-        )  # NaN, and so never too old, without hardware
-        self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + max_age
-        return not max_age
+        # The age is NaN, and so never too large, without hardware.
+        skipped = monotonic() - max(reading.received, ready) > self._max_age
+        self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + skipped
+        return not skipped
 
     def finish(self) -> None:
         """Report the number of skipped estimates, if any."""
@@ -321,16 +272,6 @@ class EstimateScheduler:
                 f"{self.n_skipped} of {self.n_due} estimates were skipped: each was more than "
                 f"{1e3 * self._max_age:g} ms late, with newer readings queued"
             )
-
-    def _period_elapsed(self, time: float) -> bool:
-        """Return whether the period has elapsed, with a tolerance of 1 %.
-
-        The tolerance keeps a source that runs at exactly this rate from losing estimates to rounding.
-        """
-        if time < self._next - 0.01 * self._period:
-            return False
-        self._next = self._next + self._period if self._next + self._period > time else time + self._period
-        return True
 
     def _report(self, time: float) -> None:
         """Report when the fraction of skipped estimates exceeds the limit, and when it recovers."""

@@ -22,11 +22,7 @@ class AppendFile:
     """Buffers what is written until `flush`, which appends all of it or leaves the file unchanged."""
 
     def __init__(self, path: Path, force: bool = False) -> None:
-        """Create the file, and its folder if necessary.
-
-        Args:
-            path: path of the file.
-            force: replace an existing file.
+        """Create the file, and its folder if necessary; `force` replaces an existing file.
 
         Raises:
             InputError: the file exists and `force` is not set, or it cannot be written.

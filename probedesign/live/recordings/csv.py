@@ -15,32 +15,20 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.core.csv_tables import (
-    CEILING,
-    NUMBER,
-    WRENCH,
-    WRENCH_ALIASES,
-    WRENCH_KINDS,
-    Column,
-    CsvLines,
-    Frame,
-    find_columns,
-    read_lines,
-    read_text,
-    shown,
-)
+from probedesign.core import csv_tables
+from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, shown
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import AppendFile
-from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS
+from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS, unit_of
 from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND, fault_of
 
 GRAVITY = ("gx", "gy", "gz")
-KINDS = {"time": "time", **WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
-ALIASES = {"t": "time", "timestamp": "time", **WRENCH_ALIASES}
+KINDS = {"time": "time", **csv_tables.WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
+ALIASES = {"t": "time", "timestamp": "time", **csv_tables.WRENCH_ALIASES}
 
 CSV_HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
 GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
@@ -52,15 +40,12 @@ def recording_columns(table: CsvLines) -> list[Column]:
     Raises:
         InputError: a column is missing, duplicated or without a known unit.
     """
-    found = find_columns(table, KINDS, ALIASES, CSV_HEADER)
+    found = csv_tables.find_columns(table, KINDS, ALIASES, CSV_HEADER)
     wanted = ("time", *WRENCH, *(GRAVITY if found.keys() & set(GRAVITY) else ()))
     names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
-    missing = [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]
-    if missing:
-        table.fail(
-            table.header_number,
-            f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}",
-        )
+    if missing := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]:
+        problem = f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}"
+        table.fail(table.header_number, problem)
     return [found[quantity] for quantity in wanted]
 
 
@@ -94,18 +79,12 @@ class Recording:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording.
-
-    Args:
-        path: CSV with units in its column names, see docs/recording-format.md.
-
-    Returns:
-        The recording in SI units.
+    """Read a recording, in SI units, from CSV with units in its column names, see docs/recording-format.md.
 
     Raises:
         InputError: the file cannot be read or is invalid; the message names the line.
     """
-    table = read_lines(Path(path), "recording", CSV_HEADER)
+    table = csv_tables.read_lines(Path(path), "recording", CSV_HEADER)
     columns = recording_columns(table)
     rows, notes = _whole_rows(table, columns)
     if not rows:
@@ -116,16 +95,8 @@ def read_recording(path: str | Path) -> Recording:
     gaps, missing = gaps_in(values[:, 0])
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
-    return Recording(
-        time=values[:, 0],
-        wrench=values[:, 1:7],
-        frame=table.frame,
-        gravity_base=gravity,
-        gaps=gaps,
-        missing_samples=missing,
-        dropped_lines=len(table.rows) - len(rows),
-        notes=notes,
-    )
+    dropped = len(table.rows) - len(rows)
+    return Recording(values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes)
 
 
 def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
@@ -183,7 +154,7 @@ def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) ->
         fields = row.split(",")
         for column in columns:
             text = fields[column.index].strip()
-            if not NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+            if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
                 remedy = "correct the value or delete the line"
                 table.fail(number, f"{column.name} = {shown(text)} is not a finite number; {remedy}")
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
@@ -207,7 +178,7 @@ def check_wrenches(path: Path, time: Array, wrench: Array) -> None:
     """Refuse wrenches [N, N·m], (n, 6), beyond the range of any sensor.
 
     Raises:
-        InputError: a force or a moment is too large or not a number; the message states its time.
+        InputError: a force or a moment is too large or not a number; the message has its time.
     """
     ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
     invalid = ~(np.abs(wrench) <= ceiling)
@@ -238,10 +209,10 @@ def write_recording(
     frame: Frame = "sensor",
     gravity_base: ArrayLike | None = None,
 ) -> None:
-    """Write a recording that is read back exactly; an existing file is replaced.
+    """Write a recording that is read back exactly; an existing file is replaced, its folder created if necessary.
 
     Args:
-        path: path of the file; its folder is created if necessary.
+        path: path of the file.
         time: time of each sample [s], (n,).
         wrench: wrenches [N, N·m], (n, 6), in the axes of `frame`.
         frame: "sensor" or "base".
@@ -276,15 +247,7 @@ class CsvRecorder:
     """
 
     def __init__(self, path: Path, force: bool = False) -> None:
-        """Create the file and write its header.
-
-        Args:
-            path: path; its folder is created if necessary.
-            force: replace an existing file.
-
-        Raises:
-            InputError: the file exists and `force` is not set, or it cannot be written.
-        """
+        """Create the file and write its header; see `AppendFile`."""
         self._file = AppendFile(path, force)
         self._file.write(f"# frame: sensor\n{CSV_HEADER},{GRAVITY_HEADER}\n".encode())
         try:
@@ -334,7 +297,7 @@ WRAP = 1 << 32
 
 
 def is_ati_demo(path: Path) -> bool:
-    """Return whether a file begins like such a recording."""
+    """Return whether a file begins like a recording of ATI's demonstration program."""
     try:
         with path.open("rb") as file:
             return file.read(len(FIRST_WORDS) + 4).lstrip(b'\xef\xbb\xbf"').startswith(FIRST_WORDS.encode())
@@ -343,12 +306,14 @@ def is_ati_demo(path: Path) -> bool:
 
 
 def read_ati_demo(path: Path) -> Recording:
-    """Read such a recording; its time is the sensor's, from the first sample.
+    """Read a recording of ATI's demonstration program: seven lines, a header, and rows of quoted fields.
+
+    A row contains counts or units. The time is the sensor's, from the first sample.
 
     Raises:
         InputError: the file cannot be read or is invalid; the message names the line.
     """
-    lines = read_text(path, "recording").splitlines()
+    lines = csv_tables.read_text(path, "recording").splitlines()
     factors, start = _head(path, lines)
     rows = [(number, fields) for number, fields in enumerate(csv.reader(lines[start:]), start + 1) if fields]
     notes = []
@@ -378,7 +343,7 @@ def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
     for number, line in enumerate(lines[:20], 1):
         if re.sub(r"[\s\"]", "", line).lower().split(",") == list(ATI_HEADER):
             force, torque = (
-                _unit(path, head, f"{what} Units", units)
+                unit_of(f"{path}: {what} Units", head.get(f"{what} Units", ""), units)
                 for what, units in (("Force", FORCE_UNITS), ("Torque", TORQUE_UNITS))
             )
             counts = [_counts(path, head, f"Counts per Unit {what}") for what in ("Force", "Torque")]
@@ -386,17 +351,8 @@ def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
         name, _, value = line.strip().strip('"').partition(":")
         head[name.strip()] = value.strip()
     raise InputError(
-        f"{path}: looks like a recording of ATI's demo, but has no header: Status (hex), ..., Time"
+        f"{path}: like a recording of ATI's demo, but without its header: Status (hex), ..., Time"
     )
-
-
-def _unit(path: Path, head: dict[str, str], name: str, units: dict[str, float]) -> float:
-    letters = re.sub(r"[^a-z]", "", head.get(name, "").lower())
-    if letters not in units:
-        raise InputError(
-            f"{path}: {name} {shown(head.get(name, ''))} is unknown; available are {', '.join(units)}"
-        )
-    return units[letters]
 
 
 def _counts(path: Path, head: dict[str, str], name: str) -> float:

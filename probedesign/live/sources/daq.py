@@ -25,12 +25,17 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, dropout_block
-from probedesign.live.sources.netft.configuration import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit_of
+from probedesign.live.sources.netft.configuration import (
+    FORCE_UNITS,
+    LENGTH_UNITS,
+    TORQUE_UNITS,
+    parse_xml,
+    unit_of,
+)
 from probedesign.live.sources.source import (
     DropoutMonitor,
     SourceParameter,
     parse_parameters,
-    pop_text_parameter,
 )
 
 if TYPE_CHECKING:
@@ -78,14 +83,17 @@ def read_calibration(path: Path) -> GaugeCalibration:
     Without `UserAxis` (1.0), the rows of `Axis` are divided by their scales and shifted by Dz from the transducer's
     own origin to the tool face: Tx += Dz Fy, Ty -= Dz Fx.
 
-    Args:
-        path: path of the file.
-
     Raises:
         InputError: the file cannot be read, is not a calibration, or contains an impossible one.
         MissingDependencyError: defusedxml is not installed.
     """
-    root = _root(path)
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_FILE_BYTES)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be read as a calibration: {why}") from None
+    root = parse_xml(text, path)
     found = root.find("Calibration")
     if root.tag != "FTSensor" or found is None:
         raise InputError(f"{path}: not an ATI calibration: FTSensor with a Calibration is missing")
@@ -123,25 +131,6 @@ def _move_origin(matrix: Array, calibration: Element) -> None:
     matrix[4] -= dz * matrix[0]
 
 
-def _root(path: Path) -> Element:
-    try:
-        from defusedxml.common import DefusedXmlException
-        from defusedxml.ElementTree import ParseError, fromstring
-    except ImportError:
-        raise MissingDependencyError.of_extra("reading a calibration", "defusedxml", "live") from None
-    try:
-        with path.open("rb") as file:
-            text = file.read(MAX_FILE_BYTES)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path}: cannot be read as a calibration: {why}") from None
-    try:
-        root: Element = fromstring(text, forbid_dtd=True)
-    except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
-        raise InputError(f"{path}: not valid or safe XML: {type(error).__name__}") from None
-    return root
-
-
 def _by_name(axes: list[Element]) -> list[Element]:
     named = {axis.get("Name"): axis for axis in axes}
     if len(axes) != 6 or set(named) != set(CHANNELS):
@@ -150,12 +139,12 @@ def _by_name(axes: list[Element]) -> list[Element]:
 
 
 def _numbers(element: Element, name: str, count: int) -> list[float]:
-    what = f"{name} of {element.tag} {element.get('Name', '')}".strip()
     try:
         values = [float(text) for text in element.get(name, "").split()]
     except ValueError:
         values = []
     if len(values) != count or not np.isfinite(values).all() or (name == "scale" and values[0] == 0.0):
+        what = f"{name} of {element.tag} {element.get('Name', '')}".strip()
         raise InputError(f"{what} = {element.get(name, '')[:40]!r} must be {count} numbers")
     return values
 
@@ -217,7 +206,7 @@ class DaqCard:
         device = _device(channels)
         names = _devices()
         if device.lower() not in (name.lower() for name in names):
-            there = f"available are {', '.join(names)}" if names else "there is none"
+            there = f"available are {', '.join(names)}" if names else "none is present"
             raise InputError(f"{self.name}: no card {device}; {there}; NI's tools list and rename them")
 
     def acquired(self) -> Generator[GaugeSamples, None, None]:
@@ -284,21 +273,16 @@ class DaqCard:
 
     def _driver_error(self, error: "DaqError") -> InputError:
         line = " ".join(str(error).split("\n\n")[0].split())
-        return InputError(f"{self.name}: NI's driver says: {line} (error {error.error_code})")
+        return InputError(f"{self.name}: NI's driver reports: {line} (error {error.error_code})")
 
 
 def _device(channels: str) -> str:
     """Return the card whose six inputs these are."""
-    cards, count = set(), 0
-    for part in channels.split(","):
-        found = re.fullmatch(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*", part)
-        if found is None:
-            count = 0
-            break
-        card, first, last = found.groups()
-        cards.add(card)
-        count += abs(int(last or first) - int(first)) + 1
-    if count != GAUGES or len(cards) != 1:
+    pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
+    parts = [found.groups() for part in channels.split(",") if (found := pattern.fullmatch(part))]
+    count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
+    cards = {card for card, _, _ in parts}
+    if count != GAUGES or len(cards) != 1 or len(parts) <= channels.count(","):
         raise InputError(f"daq://{channels}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
     return cards.pop()
 
@@ -340,7 +324,7 @@ class DaqSource:
             model: probe on the sensor.
             target: `//DEVICE/ai0:5`.
             query: cal, zero_V, and the parameters of `PARAMETERS`.
-            log: callback for messages to the user.
+            log: callback for messages.
 
         Raises:
             InputError: the channels, a parameter or the calibration is invalid, or there is no such card.
@@ -348,16 +332,14 @@ class DaqSource:
         """
         if not target.startswith("//"):
             raise InputError(f"daq:{target}: write daq://Dev1/ai0:5?cal=FILE")
-        cal, query = pop_text_parameter("daq:", query, "cal")
-        zero, query = pop_text_parameter("daq:", query, "zero_V")
-        rate = parse_parameters("daq:", query, PARAMETERS)["rate_hz"]
-        if not cal:
+        numbers, texts = parse_parameters("daq:", query, PARAMETERS, {"cal": (), "zero_V": ()})
+        if not texts["cal"]:
             raise InputError(
                 f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal"
             )
-        self.calibration: GaugeCalibration = read_calibration(Path(cal))
-        self._zero = _zero(zero)
-        self._card = DaqCard(target.removeprefix("//"), rate)
+        self.calibration: GaugeCalibration = read_calibration(Path(texts["cal"]))
+        self._zero = _zero(texts["zero_V"])
+        self._card = DaqCard(target.removeprefix("//"), numbers["rate_hz"])
         self._gravity, self._log = model.gravity_base, log
         self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
         self.notes = (
@@ -434,5 +416,5 @@ def _range_note(calibration: GaugeCalibration, model: ProbeModel) -> tuple[str, 
         return ()
     ranges = ", ".join(f"{value:g}" for value in calibration.ranges)
     return (
-        f"the calibration range {ranges} N, Nm differs from that of the frozen probe's sensor: is it the right file?",
+        f"the calibration range {ranges} N, Nm differs from that of the probe's sensor: is it the right file?",
     )

@@ -5,17 +5,17 @@ A new source is a module with a class like `Source`, an entry in `SOURCES`, and 
 
 import difflib
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 from typing import Protocol
-from urllib.parse import parse_qsl, urlencode
+from urllib.parse import parse_qsl
 
 from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
 
 
 class Source(Protocol):
@@ -31,7 +31,6 @@ class Source(Protocol):
 
         While a sensor is silent, it yields blocks without readings.
         """
-        ...
 
 
 def _netft(model: ProbeModel, target: str, query: str, log: Log) -> Source:
@@ -91,15 +90,7 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
 
 @dataclass(frozen=True)
 class SourceParameter:
-    """One parameter of a source, in the unit that ends its name.
-
-    Attributes:
-        default: default value.
-        minimum: minimum value.
-        maximum: maximum value.
-        integer: whether only integers are allowed.
-        words: words that are accepted as values.
-    """
+    """A number among the parameters of a source, in the unit that ends its name; `words` are accepted as values."""
 
     default: float
     minimum: float
@@ -114,43 +105,50 @@ BLOCK_DURATION, MAX_BLOCK_READINGS = 0.002, 64
 """Maximum duration [s] and size of a block of such sources."""
 
 
-def pop_text_parameter(source: str, query: str, name: str) -> tuple[str, str]:
-    """Return the value of a text parameter, empty if absent, and the query without it; see `parse_parameters`."""
-    pairs = _pairs(source, query)
-    found = [text for given, text in pairs if given == name]
-    if len(found) > 1:
-        raise InputError(f"{source} {name} is given twice; keep one")
-    return "".join(found), urlencode([pair for pair in pairs if pair[0] != name])
+def played(readings: Iterable[WrenchReading], speed: float) -> Generator[Block, None, None]:
+    """Yield readings that need no hardware in small blocks, `speed` times as fast as their own clock."""
+    return paced(group_readings(readings, MAX_BLOCK_READINGS, BLOCK_DURATION * speed), speed)
 
 
-def parse_parameters(source: str, query: str, known: Mapping[str, SourceParameter]) -> dict[str, float]:
-    """Return the value of every known parameter.
+def parse_parameters(
+    source: str,
+    query: str,
+    known: Mapping[str, SourceParameter],
+    texts: Mapping[str, tuple[str, ...]] | None = None,
+) -> tuple[dict[str, float], dict[str, str]]:
+    """Return the value of every known number, and of every known text, empty where it is not given.
 
     Args:
         source: name of the source, for messages.
         query: `name=value&name=value`, or empty.
-        known: the parameters.
+        known: the numbers.
+        texts: the texts with their allowed values, or with none if any is allowed.
 
     Raises:
         InputError: a parameter is unknown, duplicated, not a number or out of range.
     """
-    values: dict[str, float] = {}
-    for name, text in _pairs(source, query):
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]}? " if near else ""
-            raise InputError(f"{source} has no parameter {name!r}; {hint}known: {', '.join(known)}")
-        if name in values:
-            raise InputError(f"{source} {name} is given twice; keep one")
-        values[name] = _value(f"{source} {name}", text, known[name])
-    return {name: values.get(name, parameter.default) for name, parameter in known.items()}
-
-
-def _pairs(source: str, query: str) -> list[tuple[str, str]]:
+    numbers = {name: parameter.default for name, parameter in known.items()}
+    given = dict.fromkeys(texts or {}, "")
     try:
-        return parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError:
         raise InputError(f"{source}?{query}: write parameters as name=value&name=value") from None
+    for i, (name, text) in enumerate(pairs):
+        if name not in numbers and name not in given:
+            near = difflib.get_close_matches(name, (*numbers, *given), 1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise InputError(
+                f"{source} has no parameter {name!r}; {hint}known: {', '.join((*numbers, *given))}"
+            )
+        if name in dict(pairs[:i]):
+            raise InputError(f"{source} {name} is given twice; keep one")
+        if name in numbers:
+            numbers[name] = _value(f"{source} {name}", text, known[name])
+        elif texts and texts[name] and text not in texts[name]:
+            raise InputError(f"{source} {name} = {text!r} must be {' or '.join(texts[name])}")
+        else:
+            given[name] = text
+    return numbers, given
 
 
 def _value(what: str, text: str, parameter: SourceParameter) -> float:

@@ -1,4 +1,7 @@
-"""The page, served by viser: a 3D scene, panels with status text and buttons, and strip charts."""
+"""The page, served by viser: a 3D scene, panels with status text and buttons, and strip charts.
+
+All text from outside is escaped.
+"""
 
 import math
 import re
@@ -15,6 +18,7 @@ from websockets.asyncio import server
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
+from probedesign.live import LOOPBACK
 from probedesign.live.view.scene import SceneSetup, StripCharts, ellipsoid
 from probedesign.live.view.state import ContactMarker, Level, Snapshot
 
@@ -84,12 +88,8 @@ AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
 """Colours of x, y and z."""
 INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
 """Colours of an estimate and of the ends of its interval."""
-AXIS: uplot.Axis = {
-    "stroke": "#55606b",
-    "grid": {"stroke": "#e7eaed", "width": 1},
-    "ticks": {"show": False},
-    "font": "11px sans-serif",
-}
+AXIS: uplot.Axis = {"stroke": "#55606b", "grid": {"stroke": "#e7eaed", "width": 1}, "ticks": {"show": False},
+                    "font": "11px sans-serif"}  # fmt: skip
 HEIGHT = 150
 
 
@@ -99,14 +99,7 @@ class Panel:
     def __init__(
         self, server: viser.ViserServer, send_command: Callable[[str, str], None], note: str, length: float
     ) -> None:
-        """Create the panels.
-
-        Args:
-            server: server of the page.
-            send_command: receives a command and its text.
-            note: note on what is drawn.
-            length: length of the probe [m].
-        """
+        """Create the panels; `note` is on what is drawn, `length` that of the probe [m]."""
         self._length_mm = length / MM
         gui = server.gui
         gui.main_panel.dock_right()
@@ -135,7 +128,7 @@ class Panel:
         tare = gui.add_button("Tare: nothing touches the probe now", icon=viser.Icon.SCALE)
         tare.on_click(lambda _: send_command("tare", ""))
         text = gui.add_text("Note", "")
-        mark = gui.add_button("Mark this moment", icon=viser.Icon.FLAG)
+        mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
         mark.on_click(lambda _: send_command("mark", text.value))
         start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color="red")
         start.on_click(lambda _: send_command("start recording", ""))
@@ -163,8 +156,8 @@ def _range(lines: Iterable[Array]) -> tuple[float, float]:
     values = np.concatenate(list(lines))
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
-    air = max(0.1 * (high - low), 0.5)
-    return low - air, high + air
+    margin = max(0.1 * (high - low), 0.5)
+    return low - margin, high + margin
 
 
 def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = False) -> viser.GuiUplotHandle:
@@ -172,12 +165,8 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
     empty = np.array([np.nan])
     series = [uplot.Series(label="t [s]")]
     for i, (name, colour) in enumerate(zip(names, INTERVAL_COLOURS if dots else AXIS_COLOURS, strict=False)):
-        drawn: uplot.Series_Points = {
-            "show": dots,
-            "size": 2.5 if i else 3.5,
-            "fill": colour,
-            "stroke": colour,
-        }
+        size = 2.5 if i else 3.5
+        drawn: uplot.Series_Points = {"show": dots, "size": size, "fill": colour, "stroke": colour}
         series.append(uplot.Series(label=name, stroke=colour, width=0.0 if dots else 1.6, points=drawn))
     return gui.add_uplot(
         data=(empty,) * (1 + len(names)),
@@ -190,22 +179,16 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
     )
 
 
-LOCAL = ("127.0.0.1", "localhost", "::1")
-
-
 def restrict_origins(host: str) -> None:
     """Accept WebSockets only from pages of this server, in the whole process.
 
     Otherwise any page in a browser on this machine could connect and press its buttons. A server that is open to the
     network has unknown names and is not restricted.
-
-    Args:
-        host: address of the server.
     """
-    if host not in LOCAL:
+    if host not in LOOPBACK:
         return
-    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
-    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOOPBACK)
+    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]  # viser has no option for it
 
 
 SendCommand = Callable[[str, str], None]
@@ -220,13 +203,9 @@ MAX_MARKS = 24
 """Maximum number of earlier touches that are drawn."""
 
 PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
-PART_COLOURS = {
-    "sensor": (60, 64, 72),
-    "flange": PROBE,
-    "clamp_ring": (112, 122, 136),
-    "flange_adapter": (150, 158, 168),
-}
 METAL = (132, 142, 154)
+PART_COLOURS = {"sensor": (60, 64, 72), "flange": PROBE, "clamp_ring": (112, 122, 136),
+                "flange_adapter": (150, 158, 168)}  # fmt: skip
 
 
 class _Server(viser.ViserServer):
@@ -240,12 +219,7 @@ class ViewerPage:
     """Shows one snapshot after another in every connected browser."""
 
     def __init__(self, setup: SceneSetup, send_command: SendCommand) -> None:
-        """Start the server and show the free probe.
-
-        Args:
-            setup: static content.
-            send_command: receives a command and its text.
-        """
+        """Start the server and show the free probe; `send_command` receives a command and its text."""
         self._setup, self._charts = setup, StripCharts()
         self._server = server = _Server(setup.host, setup.port, setup.title, verbose=False)
         server.gui.configure_theme(
@@ -271,9 +245,8 @@ class ViewerPage:
             self._show_probe(snapshot)
             self._show_contact(snapshot)
             self._show_touches(snapshot.touches)
-            self._panel.show_text(
-                status_html(snapshot), events_html(snapshot), touches_html(snapshot.touches)
-            )
+            texts = status_html(snapshot), events_html(snapshot), touches_html(snapshot.touches)
+            self._panel.show_text(*texts)
             if self._charts.add(snapshot.strip):
                 self._panel.draw(self._charts)
         self._server.flush()
@@ -285,20 +258,11 @@ class ViewerPage:
         scene.configure_default_lights(True, cast_shadow=True)
         self._base = scene.add_frame("/base", show_axes=False)
         for part in setup.parts:
-            scene.add_mesh_simple(
-                f"/base/{part.name}",
-                UNIT * part.vertices,
-                part.faces,
-                color=PART_COLOURS.get(part.name, METAL),
-                flat_shading=True,
-            )
+            colour, name = PART_COLOURS.get(part.name, METAL), f"/base/{part.name}"
+            scene.add_mesh_simple(name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True)
+        free = UNIT * setup.tube.vertices(setup.free)
         self._probe = scene.add_mesh_simple(
-            "/base/probe",
-            UNIT * setup.tube.vertices(setup.free),
-            setup.tube.faces,
-            color=PROBE,
-            opacity=0.42,
-            side="double",
+            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double"
         )
         self._contact = scene.add_icosphere(
             "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
@@ -310,11 +274,10 @@ class ViewerPage:
             head_length=UNIT * 4e-3, visible=False,
         )  # fmt: skip
         self._label = scene.add_label("/contact_label", "", anchor="bottom-center", visible=False)
+        size = UNIT * 1.5e-3
         self._marks = [
             (
-                scene.add_icosphere(
-                    f"/touch/{i}", UNIT * 1.5e-3, STALE_COLOUR, visible=False, cast_shadow=False
-                ),
+                scene.add_icosphere(f"/touch/{i}", size, STALE_COLOUR, visible=False, cast_shadow=False),
                 scene.add_label(f"/touch/{i}/number", "", font_screen_scale=0.8, visible=False),
             )
             for i in range(MAX_MARKS)
@@ -334,12 +297,12 @@ class ViewerPage:
         )  # fmt: skip
         along = T[:, 2]
         middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
-        aside = np.cross(along, (0.0, 0.0, 1.0))
-        aside = aside / np.linalg.norm(aside) if np.linalg.norm(aside) > 0.2 else np.array([0.0, -1.0, 0.0])
+        side = np.cross(along, (0.0, 0.0, 1.0))
+        side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
         camera = self._server.initial_camera
         camera.fov = math.radians(40.0)
         camera.look_at = middle
-        camera.position = middle + UNIT * length * (2.3 * aside + np.array([0.0, 0.0, 0.8]) + 0.5 * along)
+        camera.position = middle + UNIT * length * (2.3 * side + np.array([0.0, 0.0, 0.8]) + 0.5 * along)
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; grey and unchanged if it is unknown."""

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
-from probedesign.live import Log
+from probedesign.live import LOOPBACK, Log
 from probedesign.live.processing.control import CommandName, CommandQueue
 from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
 from probedesign.live.view.state import BentShape, Counts, Level, Snapshot, ViewState
@@ -28,7 +28,6 @@ PERIOD = 1.0 / 30.0
 """Minimum interval between two frames [s]."""
 MAX_NOTE = 200
 """Maximum number of characters of a mark."""
-LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
 class BrowserView(ViewState):
@@ -56,7 +55,7 @@ class BrowserView(ViewState):
             estimator: estimator of the probe.
             folder: folder of the exported parts, if any.
             commands: receives the commands of the user.
-            log: callback for messages to the user.
+            log: callback for messages.
             host: address to listen on.
             port: port, or the first free one after it.
             counts: returns the counters of the source: lost, dropped.
@@ -76,10 +75,8 @@ class BrowserView(ViewState):
         with suppress(BrokenPipeError):  # the next line reports the reason
             self._send(process.stdin, scene_setup(estimator, folder, host, port, log))
         self.url = self._wait_for_url(process.stdout)
-        who = (
-            "this machine only" if host in LOCAL else "the network: anyone there can tare and stop recordings"
-        )
-        log(f"view: {self.url}, open to {who}")
+        public = "the network: anyone there can tare and stop recordings"
+        log(f"view: {self.url}, open to {'this machine only' if host in LOOPBACK else public}")
         self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
         self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
         self._writer.start()
@@ -104,17 +101,12 @@ class BrowserView(ViewState):
         page.flush()
 
     def _wait_for_url(self, page: IO[bytes]) -> str:
-        """Return the address of the page when it is open.
-
-        Raises:
-            InputError: it cannot be opened.
-        """
+        """Return the address of the page when it is open."""
         message = _parse_message(page.readline())
         if "url" not in message:
             self._process.kill()
-            raise InputError(
-                f"--view: the page could not be opened: {message.get('error', 'its process ended')}"
-            )
+            why = message.get("error", "its process ended")
+            raise InputError(f"--view: the page could not be opened: {why}")
         return str(message["url"])
 
     def _read(self, page: IO[bytes]) -> None:
@@ -167,11 +159,7 @@ def _parse_message(line: bytes) -> dict[str, Any]:
 
 
 def _check_address(host: str, port: int) -> None:
-    """Check that the address belongs to this machine; viser does not report other errors.
-
-    Raises:
-        InputError: it does not.
-    """
+    """Check that the address belongs to this machine; viser does not report other errors."""
     if not 0 < port < 65536:
         raise InputError(f"--view-port {port} must be in 1 ... 65535")
     try:
@@ -191,13 +179,7 @@ class TerminalView(ViewState):
     """Sink that shows a live table at the bottom of a terminal until it is closed."""
 
     def __init__(self, title: str, counts: Counts = dict, console: "Console | None" = None) -> None:
-        """Start the table.
-
-        Args:
-            title: title of the table.
-            counts: returns the counters of the source: lost, dropped.
-            console: console to use; standard output if None.
-        """
+        """Start the table, on standard output if `console` is None; `counts` returns the counters of the source."""
         from rich.live import Live
 
         super().__init__(counts)

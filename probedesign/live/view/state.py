@@ -12,6 +12,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import RESULTS
+from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
 
@@ -19,21 +20,11 @@ Level = Literal["good", "fair", "bad", "plain"]
 
 
 class StatusLine(NamedTuple):
-    """One line of the status.
-
-    Attributes:
-        name: its topic.
-        text: its text.
-        level: how good or bad it is.
-    """
+    """One line of the status: its topic, its text, and how good or bad it is."""
 
     name: str
     text: str
     level: Level = "plain"
-
-
-def _nan(*shape: int) -> Array:
-    return np.full(shape, np.nan)
 
 
 @dataclass(frozen=True)
@@ -106,7 +97,7 @@ class Snapshot:
     shape: BentShape | None = None
     marker: ContactMarker | None = None
     touches: tuple[ContactMarker, ...] = ()
-    T_world_base: Array = field(default_factory=lambda: _nan(4, 4))
+    T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
     events: tuple[tuple[float, str], ...] = ()
@@ -164,8 +155,8 @@ def _result_line(update: EstimateUpdate | None, health: RunHealth) -> StatusLine
     if health.no_estimate:
         return StatusLine("result", "no recent estimate: the values shown are old", "bad")
     result = update.estimate.result
-    moods: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
-    return StatusLine("result", f"{result}: {RESULTS[result]}", moods.get(result, "bad"))
+    levels: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
+    return StatusLine("result", f"{result}: {RESULTS[result]}", levels.get(result, "bad"))
 
 
 def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
@@ -173,34 +164,23 @@ def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
     if marker is None:
         return [StatusLine(name, "–") for name in ("contact", "point", "force")]
     frame = "world" if marker.in_world else "base"
+    stds = _numbers(np.sqrt(np.maximum(np.diag(marker.cov), 0.0)), MM)
+    ratio = marker.friction_ratio
+    friction = f", tangential over normal {ratio:.2f}" if np.isfinite(ratio) else ""  # not with every method
     return [
         StatusLine("contact", f"s {marker.s / MM:.1f} ± {marker.std_s / MM:.1f} mm"),
-        StatusLine(
-            "point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {_numbers(_stds(marker.cov), MM)} mm"
-        ),
-        StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{_friction(marker)}"),
+        StatusLine("point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {stds} mm"),
+        StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{friction}"),
     ]
-
-
-def _friction(marker: ContactMarker) -> str:
-    """Return the friction ratio as text; empty if the method does not estimate it."""
-    if not np.isfinite(marker.friction_ratio):
-        return ""
-    return f", tangential over normal {marker.friction_ratio:.2f}"
 
 
 def _fused_lines(update: EstimateUpdate) -> list[StatusLine]:
-    """Return the line of the fused estimate, or the reason why there is none."""
-    if update.fused is None:
+    """Return the line of the fused estimate, or the reason why it is missing."""
+    fused = update.fused
+    if fused is None:
         return [StatusLine("fused", f"no {update.stale}", "fair")] if update.stale else []
-    if not update.fused.ok:
-        return [StatusLine("fused", update.fused.result)]
-    return [
-        StatusLine(
-            "fused",
-            f"{_numbers(update.fused.p_surface_world, MM)} mm, world, ± {update.fused.rms / MM:.1f} mm",
-        )
-    ]
+    place = f"{_numbers(fused.p_surface_world, MM)} mm, world, ± {fused.rms / MM:.1f} mm"
+    return [StatusLine("fused", place if fused.ok else fused.result)]
 
 
 def _wrench_lines(wrench: Array) -> list[StatusLine]:
@@ -214,32 +194,19 @@ def _wrench_lines(wrench: Array) -> list[StatusLine]:
 
 
 def _health_lines(update: EstimateUpdate | None, health: RunHealth) -> list[StatusLine]:
-    fault: list[StatusLine] = [StatusLine("fault", health.fault, "bad")] if health.fault else []
+    rates = [f"{health.rate:.0f} readings/s", f"{health.estimate_rate:.0f} estimates/s"]
+    if update is not None and np.isfinite(latency := update.computed - update.reading.received):
+        rates.append(f"{1e3 * latency:.1f} ms from reading to estimate")
+    names = ("lost", "late", "dropped", "faults")
+    lost = ", ".join(f"{health.counts[name]} {name}" for name in names if health.counts.get(name))
+    loss = f"{lost or 'none known'} of {health.n_readings} readings"
     return [
-        *fault,
-        StatusLine("rate", _rates(update, health)),
-        _loss_line(health.counts, health.n_readings),
+        *([StatusLine("fault", health.fault, "bad")] if health.fault else []),
+        StatusLine("rate", ", ".join(rates).replace("nan", "–")),
+        StatusLine("loss", loss, "fair" if lost else "plain"),
         StatusLine("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
         StatusLine("recording", health.recording.removeprefix("recording ") or "no"),
     ]
-
-
-def _rates(update: EstimateUpdate | None, health: RunHealth) -> str:
-    text = [f"{health.rate:.0f} readings/s", f"{health.estimate_rate:.0f} estimates/s"]
-    if update is not None and np.isfinite(latency := update.computed - update.reading.received):
-        text.append(f"{1e3 * latency:.1f} ms from reading to estimate")
-    return ", ".join(text).replace("nan", "–")
-
-
-def _loss_line(counts: Mapping[str, int], n_readings: int) -> StatusLine:
-    lost = {name: count for name in ("lost", "late", "dropped", "faults") if (count := counts.get(name, 0))}
-    text = ", ".join(f"{count} {name}" for name, count in lost.items())
-    return StatusLine("loss", f"{text or 'none known'} of {n_readings} readings", "fair" if lost else "plain")
-
-
-def _stds(cov: Array) -> Array:
-    stds: Array = np.sqrt(np.maximum(np.diag(cov), 0.0))
-    return stds
 
 
 def _numbers(values: Array, unit: float, digits: int = 1) -> str:
@@ -300,16 +267,11 @@ MAX_STRIP_ROWS = 4096
 Counts = Callable[[], Mapping[str, int]]
 
 
-class ViewState:
+class ViewState(Sink):
     """Stores the latest data of a run without blocking, and returns a `Snapshot` on request."""
 
     def __init__(self, counts: Counts = dict, clock: Callable[[], float] = time.monotonic) -> None:
-        """Start before the first reading.
-
-        Args:
-            counts: returns the counters of the source: lost, dropped.
-            clock: clock of the arrival times [s].
-        """
+        """Start before the first reading; `counts` returns the counters of the source, `clock` the time [s]."""
         self._counts, self._clock = counts, clock
         self._update: EstimateUpdate | None = None
         self._first = math.nan
@@ -347,9 +309,6 @@ class ViewState:
         if topic := STATUS_EVENTS.get(line.partition(" ")[0].rstrip(":")):
             self._last_events[topic] = line
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
     def snapshot(self, shaped: bool = True) -> Snapshot:
         """Return the current snapshot; the probe's shape is solved here, in the calling thread, if requested."""
         update = self._update
@@ -376,9 +335,7 @@ class ViewState:
         )
 
     def _pop_strip(self) -> Array:
-        rows = []
-        while self._strip:
-            rows.append(self._strip.popleft())
+        rows = [self._strip.popleft() for _ in range(len(self._strip))]
         return np.array(rows).reshape(-1, len(STRIP))
 
     def _touch_number(self, update: EstimateUpdate) -> int:

@@ -45,12 +45,7 @@ RECORDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts",
 
 
 class Request(NamedTuple):
-    """Request of a client.
-
-    Attributes:
-        command: one of the commands above.
-        records: number of records; 0 is unlimited.
-    """
+    """Request of a client: a command, and a number of records; 0 is unlimited."""
 
     command: int
     records: int = 0
@@ -108,7 +103,7 @@ FAULT_TEXTS = {
 
 
 def fault_of(status: int) -> str:
-    """Return the fault of a status word; empty if there is none."""
+    """Return the fault of a status word; empty without one."""
     if status in HARMLESS:
         return ""
     texts = [text for bit, text in FAULT_TEXTS.items() if status >> bit & 1]
@@ -129,7 +124,7 @@ RECONNECT_DELAY = 0.010
 """Delay before a new request after the end of a session [s]; pynetft ends it with every sample of a faulty status."""
 SWITCH_INTERVAL = 1e-4
 """Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
-thread would hold it for Python's usual 5 ms, longer than the interval between records."""
+thread would keep it for Python's usual 5 ms, longer than the interval between records."""
 
 
 @dataclass(frozen=True)
@@ -164,12 +159,7 @@ class RdtSession:
     """
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        """Prepare; nothing streams yet.
-
-        Args:
-            name: name of the box, for messages.
-            host: address of the box.
-            port: RDT port.
+        """Prepare a session with the box at a host and RDT port; nothing streams yet. `name` is for messages.
 
         Raises:
             MissingDependencyError: pynetft is not installed.
@@ -272,7 +262,7 @@ def drain(client: "Client") -> RdtRecords:
 
 WRAP = 1 << 32
 MAX_LEAD = 10.0
-"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers hold less, and a
+"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers are shorter, and a
 suspended program finds no old records."""
 
 
@@ -295,10 +285,10 @@ def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
 
     As `np.diff`, which takes four times as long for few values.
     """
-    records = np.empty_like(values)
-    records[:1] = values[:1] - before
-    np.subtract(values[1:], values[:-1], out=records[1:])
-    return records
+    differences = np.empty_like(values)
+    differences[:1] = values[:1] - before
+    np.subtract(values[1:], values[:-1], out=differences[1:])
+    return differences
 
 
 class SensorClock:
@@ -317,12 +307,7 @@ class SensorClock:
         self._ticks = 0
 
     def times(self, ft_sequence: NDArray[np.int64], received: Array) -> RecordTimes:
-        """Return the times of consecutive records.
-
-        Args:
-            ft_sequence: sequence numbers, (n,).
-            received: arrival by the host's clock [s], (n,).
-        """
+        """Return the times of consecutive records by sequence numbers and arrival by the host's clock [s], (n,)."""
         new = np.ones(len(ft_sequence), dtype=bool)
         new[1:] = np.diff(ft_sequence) != 0
         if self._last is not None and len(new):

@@ -6,14 +6,13 @@ from contextlib import closing
 from itertools import pairwise
 from math import inf, isfinite
 from time import monotonic
-from urllib.parse import urlsplit
 
 import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.live import Log
+from probedesign.live import Log, split_address
 from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.netft.configuration import (
     ConfigurationMonitor,
@@ -52,12 +51,7 @@ class StreamStatistics:
     """Reports losses of a stream."""
 
     def __init__(self, name: str, log: Log) -> None:
-        """Start with no losses.
-
-        Args:
-            name: name of the box.
-            log: callback for messages to the user.
-        """
+        """Start with no losses; `name` is that of the box."""
         self._name, self._log = name, log
         self._reported: Counter[str] = Counter()
         self._when = -inf
@@ -99,24 +93,12 @@ class RecordDecoder:
         monitor: ConfigurationMonitor,
         log: Log,
     ) -> None:
-        """Start before the first record.
-
-        Args:
-            name: name of the box.
-            gravity_base: gravity vector of every reading [m/s²], (3,).
-            configuration: configuration that defines the counts.
-            session: source of the records.
-            monitor: detects a change of the configuration.
-            log: callback for messages to the user.
-        """
+        """Start before the first record; `gravity_base` is that of every reading [m/s²], (3,)."""
         self._name, self._gravity, self._log = name, gravity_base, log
         self._to_sensor = configuration.to_sensor
         self._session, self._monitor = session, monitor
-        self._clock, self._dropout, self._statistics = (
-            SensorClock(),
-            DropoutMonitor(name, log, NO_RECORD),
-            StreamStatistics(name, log),
-        )
+        self._clock, self._statistics = SensorClock(), StreamStatistics(name, log)
+        self._dropout = DropoutMonitor(name, log, NO_RECORD)
         self.counts: Counter[str] = Counter()
         self._last, self._stretch = -inf, 0
         self._counted, self._faulted = monotonic(), -inf
@@ -199,11 +181,7 @@ class RecordDecoder:
         return fault
 
     def _check_configuration(self) -> None:
-        """Check that the configuration is unchanged.
-
-        Raises:
-            InputError: it has changed.
-        """
+        """Check that the configuration is unchanged."""
         if self._monitor.changed:
             text = ", ".join(self._monitor.changed)
             raise InputError(
@@ -229,20 +207,14 @@ class NetFTSource:
     """
 
     def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
-        """Fetch the configuration of the box; nothing streams yet.
-
-        Args:
-            model: probe on the sensor.
-            target: `//HOST` or `//HOST:PORT`.
-            query: the parameters of `PARAMETERS`.
-            log: callback for messages to the user.
+        """Fetch the configuration of the box at `//HOST[:PORT]`, with `PARAMETERS`; nothing streams yet.
 
         Raises:
             InputError: the address or a parameter is invalid, or no box responds.
             MissingDependencyError: pynetft is not installed.
         """
         host, port = _address(target)
-        parameters = parse_parameters("netft:", query, PARAMETERS)
+        parameters, _ = parse_parameters("netft:", query, PARAMETERS)
         self._name = f"netft://{host}:{port}"
         self._session = RdtSession(self._name, host, port)  # checks dependencies before any request
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
@@ -274,19 +246,15 @@ def _range_note(configuration: NetFTConfiguration, model: ProbeModel) -> tuple[s
     if np.allclose(reach, model.wrench_range, rtol=0.01):
         return ()
     ranges = ", ".join(f"{value:g}" for value in configuration.ranges)
-    return (
-        f"the box's range {ranges} differs from that of the frozen probe's sensor: is it another calibration?",
-    )
+    return (f"the box's range {ranges} differs from that of the probe's sensor: is it another calibration?",)
 
 
 def _address(target: str) -> tuple[str, int]:
     """Return host and port of `//HOST[:PORT]`."""
     try:
-        parts = urlsplit(target)
-        host, port = parts.hostname or "", parts.port if parts.port is not None else RDT_PORT
+        host, port = split_address(f"netft:{target}", "netft")
     except ValueError:
-        host, port = "", 0
-    bare = target.startswith("//") and not (parts.path.strip("/") or parts.username or parts.fragment)
-    if not host or not port or not bare:
+        host, port = "", None
+    if not host or port == 0:
         raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
-    return host, port
+    return host, RDT_PORT if port is None else port
