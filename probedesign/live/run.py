@@ -53,10 +53,7 @@ def estimate_stream(
     """Yield estimates as readings arrive.
 
     Args:
-        estimator: estimator of the probe.
         source: source of the readings; closed at the end in any case.
-        options: processing options.
-        log: callback for messages.
         sink: receives every raw reading, before averaging and tare, and every estimate.
         commands: commands from the user: a tare, a mark, the end.
         poses: poses of the base; closed at the end. None: it is fixed as the frozen probe or the source states.

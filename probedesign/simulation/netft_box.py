@@ -67,6 +67,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     timeout = 5.0  # of a client that sends nothing
 
     def do_GET(self) -> None:
+        """Send the page, or 404 for any other path."""
         page = self.server.page()
         if page is None:
             self.close_connection = True

@@ -6,6 +6,7 @@ import socket
 from collections import namedtuple
 from dataclasses import replace
 from itertools import islice, pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.rdt import RECORD, RECORDS, Request, drain
+from probedesign.live.sources.netft.rdt import RECORD, RECORDS, RdtSession, Request, drain
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
@@ -318,3 +319,17 @@ def test_records_are_read_through_the_public_iterator_of_pynetft():
     assert records.ft_sequence.tolist() == [7, 8, 9] and records.received.tolist() == [1.0, 2.0, 3.0]
     assert records.counts[:, 5].tolist() == [0, -1, -2]
     assert len(drain(client)) == 0
+
+
+def test_a_client_that_has_stopped_ends_the_run(monkeypatch):
+    names = ("received", "lost", "out_of_order", "duplicate", "malformed", "python_queue_dropped")
+    health = SimpleNamespace(**{f"{name}_count": 0 for name in names})
+    client = SimpleNamespace(start=lambda: None, stop=lambda: None, health=lambda: health)
+
+    def samples(timeout):
+        raise pynetft.NetFTError("socket closed")
+
+    client.samples = samples
+    monkeypatch.setattr(RdtSession, "_new_client", lambda session: client)
+    with pytest.raises(InputError, match="netft://box: pynetft has stopped: socket closed"):
+        next(RdtSession("netft://box", "127.0.0.1", 49152).records())

@@ -1,5 +1,7 @@
 """Opening of sources, errors in their specification, and the rate of readings and estimates."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from probedesign.live.processing.blocks import (
 )
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.source import open_source
+from probedesign.live.sources.source import SOURCES, open_source
 
 
 @pytest.mark.parametrize(
@@ -49,6 +51,11 @@ def test_what_is_no_source(estimator, spec, expected):
         open_source(spec, estimator.model)
     assert expected in str(error.value)
     assert str(error.value).isprintable()
+
+
+def test_every_source_is_documented():
+    text = (Path(__file__).parents[2] / "docs/live.md").read_text(encoding="utf-8").replace('"', "")
+    assert [scheme for scheme in SOURCES if f"--source {scheme}:" not in text] == []
 
 
 def stream(*times: float, most: int = 1) -> list[Block]:

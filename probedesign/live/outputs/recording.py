@@ -211,7 +211,6 @@ class RecordingSink:
             path: first file; later files are named NAME-2, NAME-3, ... None names it by probe and date in the folder
                 `recordings`.
             model: probe on the sensor.
-            log: callback for messages.
             force: whether the first file may replace an existing one.
             metadata: additional metadata of an MCAP file.
         """

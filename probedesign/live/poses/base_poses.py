@@ -74,10 +74,7 @@ class BasePoses:
             self._since = float(block.time[0])
         if self._listener is not None:
             self._receive(self._listener, block)
-        self._report_until(float(block.time[-1]) if self._listener is None else math.inf)
-
-    def _report_until(self, time: float) -> None:
-        for pose in self.track.spanning(self._since, time):
+        for pose in self.track.spanning(self._since, math.inf if self._listener else float(block.time[-1])):
             if pose.time > self._reported:
                 self._reported, self._since = pose.time, max(pose.time, self._since)
                 self.on_pose(pose)
@@ -144,7 +141,6 @@ def open_poses(
             `limit_ms=50` may follow the question mark.
         latency_ms: latency stated by the user [ms].
         gravity_world: three numbers [m/s²], as "0,0,-9.81".
-        log: callback for messages.
 
     Raises:
         InputError: the specification is unknown, cannot be read, or a number is out of range.

@@ -172,24 +172,19 @@ def mean_reading(blocks: list[Block]) -> WrenchReading:
     The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
     """
     truths = [truth for block in blocks for truth in block.truths]
+    gravity = blocks[0].gravity_base  # the same object if it is constant
+    if any(block.gravity_base is not gravity for block in blocks):
+        rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
+        gravity = gravity if (rows == gravity).all() else np.asarray(rows.mean(axis=0))
     return WrenchReading(
         float(np.concatenate([block.time for block in blocks]).mean()),
         np.concatenate([block.wrench_sensor for block in blocks]).mean(axis=0),
-        _mean_gravity(blocks),
+        gravity,
         TrueContact(*(np.mean(values, axis=0) for values in zip(*truths, strict=True))) if truths else None,
         next((block.fault for block in blocks if block.fault), ""),
         blocks[-1].stretch,
         float(blocks[-1].received[-1]),
     )
-
-
-def _mean_gravity(blocks: list[Block]) -> Array:
-    """Return the mean gravity vector; the same object if it is constant."""
-    first = blocks[0].gravity_base
-    if all(block.gravity_base is first for block in blocks):
-        return first
-    rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
-    return first if (rows == first).all() else np.asarray(rows.mean(axis=0))
 
 
 def paced(

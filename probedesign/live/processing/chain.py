@@ -105,9 +105,8 @@ class Chain:
         self.tare: Tare | None = None
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
         self._batches, self._waiting = BatchAverager(options.samples), deque[AveragedBatch]()
-        self._tare_collector = (
-            TareCollector(options.window, estimator) if options.window is not None else None
-        )
+        window = options.window
+        self._tare_collector = None if window is None else TareCollector(window, estimator)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
         self._monitor: TouchMonitor | None = None
@@ -159,9 +158,8 @@ class Chain:
         if self._tare_refused():
             return
         start = self._now - self._first
-        self._tare_collector = TareCollector(
-            TareWindow(start, start + TARE_DURATION), self._estimator, on_request=True
-        )
+        window = TareWindow(start, start + TARE_DURATION)
+        self._tare_collector = TareCollector(window, self._estimator, on_request=True)
         self._log(f"tare: keep the probe free and still for {TARE_DURATION:g} s")
 
     def _initialize(self) -> bool:
@@ -195,11 +193,18 @@ class Chain:
         """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
         if math.isnan(self._first):
             self._first = batch.reading.time
-        whole = replace(batch.reading, fault=batch.reading.fault or self._saturation(batch.block))
+        # A sample at its limit is a fault of the whole batch: the mean would not show it.
+        within = np.abs(batch.block.wrench_sensor) <= self._estimator.model.saturation_limit
+        saturation = "" if within.all() else "a channel is at its limit or not a number"
+        whole = replace(batch.reading, fault=batch.reading.fault or saturation)
         reading = self._with_gravity(whole)
         self._report_pose(reading)
-        if reading.stretch != self._stretch:
-            self._interrupted(reading.stretch)
+        if reading.stretch != self._stretch:  # readings are missing before this one
+            self._stretch = reading.stretch
+            if self._low_pass is not None:
+                self._low_pass.reset()
+            if self._monitor is not None:
+                self._monitor.on_interruption()
         smooth = self._filtered(batch.block, whole)
         self._collect_tare(AveragedBatch(batch.block, reading))
         if self._tare_collector is not None and not self._tare_collector.on_request:
@@ -217,22 +222,14 @@ class Chain:
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
         wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base)
-        return EstimateUpdate(
-            reading,
-            estimate,
-            self._state.phase,
-            self._state.fused,
+        stale = "pose" if self._poses is not None and T is None else ""
+        pose, wrench = (
             np.full((4, 4), np.nan) if T is None else T,
-            wrench if not reading.fault else np.full(6, np.nan),
-            monotonic(),
-            "pose" if self._poses is not None and T is None else "",
-            self.contacts,
+            np.full(6, np.nan) if reading.fault else wrench,
         )
-
-    def _saturation(self, block: Block) -> str:
-        """Return the fault of a batch in which any sample is at its limit: the mean would not show it."""
-        within = np.abs(block.wrench_sensor) <= self._estimator.model.saturation_limit
-        return "" if within.all() else "a channel is at its limit or not a number"
+        return EstimateUpdate(
+            reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts
+        )
 
     def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
         """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
@@ -250,14 +247,6 @@ class Chain:
         self._pose_missing = missing
         why = self._poses.reason(reading.time) + "; no estimates until one is available"
         self._log(why if missing else "the base pose is available again")
-
-    def _interrupted(self, stretch: int) -> None:
-        """Handle missing readings before this one."""
-        self._stretch = stretch
-        if self._low_pass is not None:
-            self._low_pass.reset()
-        if self._monitor is not None:
-            self._monitor.on_interruption()
 
     def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
         """Return the filtered reading at the time it represents; None without a filter."""

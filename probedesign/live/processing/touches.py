@@ -264,7 +264,6 @@ class TouchMonitor:
             rate: rate of single samples [Hz].
             samples: number of samples in a batch.
             poses: poses of the base, if known.
-            log: callback for messages.
             estimates: whether the readings of a touch are fused to a point in the world, and touches are reported.
         """
         model = estimator.model

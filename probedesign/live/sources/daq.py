@@ -255,17 +255,11 @@ class DaqCard:
 
         task = Task()
         try:
-            task.ai_channels.add_ai_voltage_chan(
-                self._channels,
-                terminal_config=TerminalConfiguration.DIFF,
-                min_val=-INPUT_RANGE,
-                max_val=INPUT_RANGE,
-            )
-            task.timing.cfg_samp_clk_timing(
-                self._rate,
-                sample_mode=AcquisitionType.CONTINUOUS,
-                samps_per_chan=max(1000, round(BUFFER_DURATION * self._rate)),
-            )
+            limits = {"min_val": -INPUT_RANGE, "max_val": INPUT_RANGE}
+            differential, continuous = TerminalConfiguration.DIFF, AcquisitionType.CONTINUOUS
+            task.ai_channels.add_ai_voltage_chan(self._channels, terminal_config=differential, **limits)
+            size = max(1000, round(BUFFER_DURATION * self._rate))
+            task.timing.cfg_samp_clk_timing(self._rate, sample_mode=continuous, samps_per_chan=size)
         except BaseException:
             task.close()
             raise
@@ -324,7 +318,6 @@ class DaqSource:
             model: probe on the sensor.
             target: `//DEVICE/ai0:5`.
             query: cal, zero_V, and the parameters of `PARAMETERS`.
-            log: callback for messages.
 
         Raises:
             InputError: the channels, a parameter or the calibration is invalid, or there is no such card.

@@ -38,8 +38,7 @@ class TubeMesh:
         """Arclengths of the rings [m]: uniform, plus the knots of the radius."""
         even = np.linspace(self.s[0], self.s[-1], MAX_STATIONS)
         knots = self.s if len(self.s) <= MAX_STATIONS else self.s[:: len(self.s) // MAX_STATIONS]
-        found: Array = np.unique(np.concatenate([even, knots, self.s[-1:]]))
-        return found
+        return np.asarray(np.unique(np.concatenate([even, knots, self.s[-1:]])))
 
     @cached_property
     def faces(self) -> Array:
@@ -65,8 +64,7 @@ class TubeMesh:
         radius = np.interp(self.stations, self.s, self.radius)[:, None, None]
         rings = p[:, None] + radius * (round_x * x[:, None] + round_y * y[:, None])
         caps = [np.vstack([rings[end], p[end]]) for end in (0, -1)]
-        found: Array = np.concatenate([rings.reshape(-1, 3), *caps])
-        return found
+        return np.asarray(np.concatenate([rings.reshape(-1, 3), *caps]))
 
 
 def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:

@@ -52,10 +52,8 @@ class BrowserView(ViewState):
         """Open the page.
 
         Args:
-            estimator: estimator of the probe.
             folder: folder of the exported parts, if any.
             commands: receives the commands of the user.
-            log: callback for messages.
             host: address to listen on.
             port: port, or the first free one after it.
             counts: returns the counters of the source: lost, dropped.

@@ -47,25 +47,6 @@ REPORTED = ("lost", "dropped", "malformed")
 """Counters that are reported while they increase."""
 
 
-class StreamStatistics:
-    """Reports losses of a stream."""
-
-    def __init__(self, name: str, log: Log) -> None:
-        """Start with no losses; `name` is that of the box."""
-        self._name, self._log = name, log
-        self._reported: Counter[str] = Counter()
-        self._when = -inf
-
-    def report(self, counts: Counter[str]) -> None:
-        """Report the increase of the counters since the last report, at limited frequency."""
-        now = monotonic()
-        more = {name: counts[name] - self._reported[name] for name in REPORTED}
-        if any(more.values()) and now - self._when > REPORT_INTERVAL:
-            text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
-            self._log(f"{self._name}: {text}; {counts['received']} received so far")
-            self._reported, self._when = counts.copy(), now
-
-
 def summary(counts: Counter[str]) -> str:
     """Return all counters as one line."""
     text = [f"{counts[name]} {text}" for name, text in COUNTERS.items() if counts[name]]
@@ -97,8 +78,8 @@ class RecordDecoder:
         self._name, self._gravity, self._log = name, gravity_base, log
         self._to_sensor = configuration.to_sensor
         self._session, self._monitor = session, monitor
-        self._clock, self._statistics = SensorClock(), StreamStatistics(name, log)
-        self._dropout = DropoutMonitor(name, log, NO_RECORD)
+        self._clock, self._dropout = SensorClock(), DropoutMonitor(name, log, NO_RECORD)
+        self._reported, self._report_time = Counter[str](), -inf
         self.counts: Counter[str] = Counter()
         self._last, self._stretch = -inf, 0
         self._counted, self._faulted = monotonic(), -inf
@@ -115,7 +96,7 @@ class RecordDecoder:
                 self._check_configuration()
                 if monotonic() - self._counted > COUNT_INTERVAL:
                     self.count()
-                    self._statistics.report(self.counts)
+                    self._report_losses()
                 yield from self._decode(records) if len(records) else self._report_silence()
 
     def count(self) -> None:
@@ -124,6 +105,14 @@ class RecordDecoder:
         self._session.count()
         for name, count in self._session.counts.items():
             self.counts[name] = count
+
+    def _report_losses(self) -> None:
+        """Report the increase of the counters since the last report, at limited frequency."""
+        more = {name: self.counts[name] - self._reported[name] for name in REPORTED}
+        if any(more.values()) and monotonic() - self._report_time > REPORT_INTERVAL:
+            text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
+            self._log(f"{self._name}: {text}; {self.counts['received']} received so far")
+            self._reported, self._report_time = self.counts.copy(), monotonic()
 
     def _decode(self, records: RdtRecords) -> Generator[Block, None, None]:
         """Yield blocks of records, split where the stream was interrupted and where the fault changes."""
