@@ -24,13 +24,12 @@ from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup
 from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
-from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.netft.source import NetFTSource
 from probedesign.live.sources.source import open_source
-from probedesign.live.view.browser_view import BrowserView
+from probedesign.live.view.sinks import BrowserView
 from probedesign.probe import build_probe
 from probedesign.simulation.netft_box import FAULT_DURATION
 

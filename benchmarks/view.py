@@ -20,10 +20,10 @@ from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.sim import SimulatedSource
-from probedesign.live.view.browser_view import scene_setup
+from probedesign.live.view.sinks import scene_setup
 from probedesign.live.view.state import ViewState
 from probedesign.probe import build_probe
 

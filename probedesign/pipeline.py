@@ -30,12 +30,11 @@ if TYPE_CHECKING:
     from probedesign.estimation.tolerances import Tolerances
     from probedesign.identification.result import Identification
     from probedesign.live import Log
-    from probedesign.live.offline import Progress, RecordingEstimates
     from probedesign.live.outputs.sinks import Sink
     from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow
     from probedesign.live.processing.estimates import EstimateUpdate
-    from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
-    from probedesign.live.processing.tare import TareWindow
+    from probedesign.live.run import Progress, RecordingEstimates
     from probedesign.live.sources.replay import RecordingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.explore import Exploration
@@ -194,7 +193,7 @@ def estimate(
     progress: "Progress" = iter,
 ) -> "RecordingEstimates":
     """Locate the contacts of a recording; for the arguments see `estimate_recording`."""
-    from probedesign.live.offline import estimate_recording
+    from probedesign.live.run import estimate_recording
 
     return estimate_recording(estimator, recording, window, average, progress, mend, options, method)
 

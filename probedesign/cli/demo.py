@@ -162,9 +162,9 @@ def _simulate(estimator: "Estimator", recording: Path, contacts: Path) -> "Sweep
     import numpy as np
 
     from probedesign.core.units import MM
-    from probedesign.live.offline import estimate_recording
     from probedesign.live.processing.blocks import iter_readings
     from probedesign.live.recordings.csv import write_recording
+    from probedesign.live.run import estimate_recording
     from probedesign.live.sources.sim import SimulatedSource
     from probedesign.reports.png import SweepSeries
 

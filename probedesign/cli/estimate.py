@@ -59,7 +59,7 @@ def estimate(
         as_json: print one JSON document with the rows and their metadata.
     """
     from probedesign import pipeline
-    from probedesign.live.processing.tare import parse_window
+    from probedesign.live.processing.control import parse_window
     from probedesign.live.run import describe_counts, warm_up
     from probedesign.live.sources.replay import RecordingOptions
 

@@ -16,7 +16,7 @@ from probedesign.core.errors import InputError
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
     from probedesign.live.poses.base_poses import BasePoses
-    from probedesign.live.processing.scheduler import ProcessingOptions
+    from probedesign.live.processing.control import ProcessingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.touch_point import BasePoseUncertainty
     from probedesign.optimization.objective import Task
@@ -116,8 +116,7 @@ class ReadingOptions:
         Raises:
             InputError: there is no input, or more than one; there is no tare; or a value is out of range.
         """
-        from probedesign.live.processing.scheduler import ProcessingOptions
-        from probedesign.live.processing.tare import parse_window
+        from probedesign.live.processing.control import ProcessingOptions, parse_window
 
         if (recording is None) == (self.source is None):
             raise InputError("explore needs either a recording or --source for a live run, not both")
@@ -190,7 +189,7 @@ class BaseOptions:
         Raises:
             InputError: the poses cannot be opened.
         """
-        from probedesign.live.poses.open_poses import open_poses
+        from probedesign.live.poses.base_poses import open_poses
 
         return open_poses(self.pose, self.pose_latency_ms, self.gravity_world, log)
 

@@ -91,7 +91,7 @@ def _configuration(
         InputError: an option is out of range.
     """
     from probedesign.core.errors import InputError
-    from probedesign.live.sources.netft.wire import MAX_RECORDS, SAMPLES_PER_SECOND
+    from probedesign.live.sources.netft.rdt import MAX_RECORDS, SAMPLES_PER_SECOND
     from probedesign.simulation.netft_box import NATIVE
 
     divisor = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0

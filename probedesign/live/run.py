@@ -1,26 +1,41 @@
-"""Runs the processing chain on a source, and compiles all kernels beforehand."""
+"""Runs the processing chain on a source, estimates contacts from a recording, and compiles all kernels beforehand."""
 
 import gc
+import math
 import threading
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
+from dataclasses import asdict, dataclass
 from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
 from probedesign.estimation.detector import Detector
 from probedesign.estimation.estimate import RESULTS
-from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.processing.blocks import Block, limit_duration
+from probedesign.live.processing.blocks import Block, WrenchReading, averaged, limit_duration
 from probedesign.live.processing.chain import Chain
-from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.processing.control import (
+    CommandQueue,
+    ProcessingOptions,
+    Tare,
+    TareWindow,
+    describe_tare,
+    readings_in,
+    take_tare,
+)
+from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row, locate
+from probedesign.live.recordings.csv import gaps_in
+from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
 from probedesign.rod.contact import solve_frictionless
 from probedesign.simulation.rod_and_sensor import safe_force
@@ -38,10 +53,7 @@ def estimate_stream(
     """Yield estimates as readings arrive.
 
     Args:
-        estimator: estimator of the probe.
         source: source of the readings; closed at the end in any case.
-        options: processing options.
-        log: callback for messages to the user.
         sink: receives every raw reading, before averaging and tare, and every estimate.
         commands: commands from the user: a tare, a mark, the end.
         poses: poses of the base; closed at the end. None: it is fixed as the frozen probe or the source states.
@@ -118,10 +130,7 @@ WARM_UP_TOUCHES, WARM_UP_SAMPLES = 12, 8
 def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
     """Compute one estimate so that every kernel is compiled, and report it if that takes long.
 
-    Args:
-        estimator: estimator of the probe.
-        log: callback for the message.
-        fusing: include detector and tracker.
+    With `fusing`, detector and tracker are included.
     """
     kernels = "rod, estimator, detector and tracker" if fusing else "rod and estimator"
     notice = threading.Timer(
@@ -167,3 +176,124 @@ def _warm_up_fusion(estimator: Estimator, touches: list[tuple[Array, Array]]) ->
         tracker.update(wrench, T, i / WARM_UP_RATE)
     wrenches, poses = zip(*touches[:2], strict=True)
     estimator.fuse(wrenches, poses, model.gravity_base)  # the tracker restarts with this
+
+
+Progress = Callable[[list[WrenchReading]], Iterable[WrenchReading]]
+
+
+@dataclass(frozen=True)
+class RecordingEstimates:
+    """Estimates of a recording.
+
+    Attributes:
+        estimator: estimator used.
+        recorded: the recording.
+        readings: number of readings in it.
+        missing_samples: number of samples missing in its gaps.
+        samples: number of readings averaged to one.
+        tare: bias subtracted from every reading, if a tare was requested.
+        rows: one row per reading or mean.
+        notes: notes for the user, one line each.
+        method: method by which the readings were located.
+    """
+
+    estimator: Estimator
+    recording: OpenRecording
+    readings: int
+    missing_samples: int
+    samples: int
+    tare: Tare | None
+    rows: list[Row]
+    notes: tuple[str, ...]
+    method: Method = "ml"
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of rows with each result."""
+        return count_results(str(row["result"]) for row in self.rows)
+
+    def csv(self) -> str:
+        """Return the rows as CSV with a header."""
+        return ",".join(COLUMNS) + "\n" + "".join(map(csv_line, self.rows))
+
+    def document(self) -> dict[str, Any]:
+        """Return everything as one JSON document."""
+        model, tare = self.estimator.model, self.tare
+        return {
+            "probe": model.name,
+            "fingerprint": model.fingerprint,
+            "assumptions": model.assumptions,
+            "recording": self.recording.path,
+            "frame": self.recording.frame,
+            "readings": self.readings,
+            "missing_samples": self.missing_samples,
+            "average": self.samples,
+            "noise_force_N": model.noise.force,
+            "noise_moment_Nm": model.noise.moment,
+            "method": self.method,
+            "friction": str(model.friction) if math.isinf(model.friction) else model.friction,
+            "tolerances": asdict(self.estimator.priors),
+            "tare": tare and {
+                "start_s": tare.window.start,
+                "end_s": tare.window.end,
+                "readings": tare.readings,
+                "bias_force_N": tare.bias_sensor[:3],
+                "bias_moment_Nm": tare.bias_sensor[3:],
+            },
+            "notes": self.notes,
+            "counts": self.counts,
+            "estimates": self.rows,
+        }  # fmt: skip
+
+
+def estimate_recording(
+    estimator: Estimator,
+    path: Path,
+    window: TareWindow | None = None,
+    samples: int = 1,
+    progress: Progress = iter,
+    allow_incomplete: bool = False,
+    options: RecordingOptions | None = None,
+    method: Method = "ml",
+) -> RecordingEstimates:
+    """Locate the contacts of a recording.
+
+    Args:
+        estimator: estimator of the recorded probe.
+        path: path of the recording.
+        window: window of the tare, in which the probe is free; None takes no tare.
+        samples: number of readings averaged to one.
+        progress: receives the readings and passes them on one by one.
+        allow_incomplete: accept an incomplete recording: dropped lines of CSV, a truncated file.
+        options: what to read of a bag.
+        method: see `Estimator.estimate`.
+
+    Raises:
+        InputError: the recording or the tare window cannot be used.
+    """
+    if samples < 1:
+        raise InputError(f"--average {samples} must be positive")
+    recording = open_recording(path, estimator.model, options)
+    blocks = list(recording.blocks())
+    if (missing := recording.missing()) and not allow_incomplete:
+        raise InputError(f"{path}: {'; '.join(missing)}; use --mend to continue without the missing data")
+    time = np.concatenate([np.empty(0), *(block.time for block in blocks)])
+    readings = list(averaged(blocks, samples))
+    if not readings:
+        raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")
+    tare = take_tare(readings_in(window, readings), window, estimator) if window is not None else None
+    rows = [estimate_row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
+    gaps, lost = gaps_in(time)
+    gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
+    notes = (*dict.fromkeys((*recording.notes, *missing, *gap)), *_notes(len(time), samples, tare))
+    return RecordingEstimates(estimator, recording, len(time), lost, samples, tare, rows, notes, method)
+
+
+def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:
+    notes = []
+    if samples > 1:
+        left = f"; {readings % samples} readings at the end are not used" if readings % samples else ""
+        notes.append(f"each estimate uses the mean of {samples} readings{left}")
+    if tare is not None:
+        notes.append(describe_tare(tare))
+    return tuple(notes)

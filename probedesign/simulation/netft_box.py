@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.sources.netft import wire
+from probedesign.live.sources.netft import rdt
 from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
-from probedesign.live.sources.netft.wire import (
+from probedesign.live.sources.netft.rdt import (
     LATCHED,
     PAGE,
     RECORDS,
@@ -54,11 +54,9 @@ class PageServer(ThreadingHTTPServer):
     block_on_close = False
 
     def __init__(self, address: tuple[str, int], page: Callable[[], bytes | None]) -> None:
-        """Start to listen.
+        """Start to listen on host and port; 0 lets the system choose.
 
-        Args:
-            address: host and port; port 0 lets the system choose.
-            page: returns the page; None sends no response, as a box that is switched off.
+        `page` returns the page; None sends no response, as a box that is switched off.
         """
         self.page = page
         super().__init__(address, _PageHandler)
@@ -69,6 +67,7 @@ class _PageHandler(BaseHTTPRequestHandler):
     timeout = 5.0  # of a client that sends nothing
 
     def do_GET(self) -> None:
+        """Send the page, or 404 for any other path."""
         page = self.server.page()
         if page is None:
             self.close_connection = True
@@ -128,8 +127,7 @@ class FaultInjector:
     def _disturb(self, packet: bytes) -> list[bytes]:
         loss, reorder, duplicate, garbage, short = self._random.random(5)
         if garbage < self.garbage:
-            garbage_bytes = self._random.bytes(int(self._random.integers(0, 35)))
-            return [garbage_bytes, packet]
+            return [self._random.bytes(int(self._random.integers(0, 35))), packet]
         if loss < self.loss:
             return []
         if reorder < self.reorder and not self._delayed:
@@ -162,7 +160,7 @@ def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
                 f"--fault {text!r} must be one of {', '.join(rates)} as loss=0.01, a fraction of all packets, "
                 f"or one of {', '.join(FAULT_EVENTS)} as restart@10, seconds after the stream started"
             )
-    return FaultInjector(**rates_given, events=sorted(events), seed=seed)  # type: ignore[arg-type]
+    return FaultInjector(**rates_given, events=sorted(events), seed=seed)  # type: ignore[arg-type]  # the names are those of rates
 
 
 # the transducer
@@ -181,19 +179,12 @@ class SimulatedTransducer:
     """Simulates the samples of the box.
 
     Attributes:
-        saturated: whether a fault holds it at its limit.
+        saturated: whether a fault sets it to its limit.
         latched: whether a monitor condition is latched.
     """
 
     def __init__(self, model: ProbeModel, load: Load, seed: int, drift: float = DRIFT) -> None:
-        """Start at rest.
-
-        Args:
-            model: the probe, for the sensor's noise and range.
-            load: load on the sensor.
-            seed: seed of noise and drift.
-            drift: see `DRIFT`.
-        """
+        """Start at rest; the model gives the sensor's noise and range, `seed` that of noise and drift."""
         self.saturated = self.latched = False
         self._load = load
         self._random = np.random.default_rng(seed)
@@ -206,13 +197,7 @@ class SimulatedTransducer:
     def read(
         self, time: Array, spacing: float, configuration: NetFTConfiguration
     ) -> tuple[Array, NDArray[np.int64]]:
-        """Return counts (n, 6) and status words (n,) at times.
-
-        Args:
-            time: times of the samples [s], (n,).
-            spacing: interval between them [s].
-            configuration: configuration that defines the counts.
-        """
+        """Return counts (n, 6) and status words (n,) at times [s], (n,), with an interval of `spacing` [s]."""
         self._zero = self._zero + self._noise * bias_step(self._random, self._drift, spacing * len(time))
         wrench = self._load(time) + self._zero + self._noise * self._random.standard_normal((len(time), 6))
         if self.saturated:
@@ -248,16 +233,7 @@ INITIAL_SAMPLES = 1_000_000
 FAULT_DURATION = 1.0
 """Duration of a restart and of other faults [s]; a real box takes about ten."""
 
-NATIVE = NetFTConfiguration(
-    "Net F/T (simulated by probedesign)",
-    "N",
-    "N-mm",
-    1e6,
-    1e6,
-    "Nano17",
-    length_unit="mm",
-    angle_unit="degrees",
-)
+NATIVE = NetFTConfiguration("Net F/T (simulated by probedesign)", "N", "N-mm", 1e6, 1e6, "Nano17")
 """Configuration of a Nano17: torque in N·mm."""
 
 
@@ -287,7 +263,7 @@ class SimulatedNetFT:
             configuration: configuration of the box.
             host: address to listen on.
             port: RDT port; 0 lets the system choose.
-            http_port: port of the page; likewise.
+            http_port: port of the page; 0 lets the system choose.
             faults: faults to inject.
             initial_samples: samples counted since power-up.
 
@@ -311,7 +287,7 @@ class SimulatedNetFT:
         self._off_until = self._stalled_until = 0.0
         self._frozen = 0
         self._motion_start: float | None = None
-        self._request, self._next, self._rdt = Request(wire.STOP), 0, 0
+        self._request, self._next, self._rdt = Request(rdt.STOP), 0, 0
 
     @property
     def source(self) -> str:
@@ -366,10 +342,10 @@ class SimulatedNetFT:
     def configure(self, **changes: object) -> None:
         """Change the configuration."""
         with self._lock:
-            self.configuration = replace(self.configuration, **changes)  # type: ignore[arg-type]
+            self.configuration = replace(self.configuration, **changes)  # type: ignore[arg-type]  # any field
 
     def saturate(self, on: bool = True) -> None:
-        """Hold the transducer at its limit."""
+        """Set the transducer to its limit, or end that."""
         with self._lock:
             self._transducer.saturated = on
 
@@ -405,15 +381,15 @@ class SimulatedNetFT:
         if request is None or monotonic() < self._off_until:
             return
         match request.command:
-            case wire.REALTIME | wire.BUFFERED:
+            case rdt.REALTIME | rdt.BUFFERED:
                 self.client, self._request = address, request
                 self._rdt, self._next = 0, self._samples()
                 self._motion_start = self._motion_start or monotonic()
-            case wire.STOP:
+            case rdt.STOP:
                 self.client = None
-            case wire.RESET_LATCH:
+            case rdt.RESET_LATCH:
                 self._transducer.latched = False
-            case wire.BIAS:
+            case rdt.BIAS:
                 self._transducer.bias()
                 self.configuration = replace(self.configuration, bias=self._transducer.gauges())
 
@@ -422,7 +398,7 @@ class SimulatedNetFT:
         spacing = max(1, round(SAMPLES_PER_SECOND / self.configuration.rate))
         now = self._samples()
         self._next = max(self._next, now - MAX_BACKLOG)
-        size = int(self.configuration.records) if self._request.command == wire.BUFFERED else 1
+        size = int(self.configuration.records) if self._request.command == rdt.BUFFERED else 1
         due = (now - self._next) // spacing // size * size
         if self._request.records:
             due = min(due, self._request.records - self._rdt)
@@ -462,28 +438,20 @@ class SimulatedNetFT:
 
     def _run_events(self) -> None:
         """Run the events that are due."""
-        while (
-            self._faults.events
-            and self._motion_start
-            and monotonic() - self._motion_start >= self._faults.events[0][0]
-        ):
-            _, name = self._faults.events.pop(0)
+        events = self._faults.events
+        while events and self._motion_start and self.motion_time >= events[0][0]:
             actions: dict[str, Callable[[], None]] = {
-                "stall": self.stall,
-                "restart": self.restart,
-                "stolen": self.drop_client,
-                "units": self._other_units,
-                "saturate": self._saturate_awhile,
-            }
-            actions[name]()
+                "stall": self.stall, "restart": self.restart, "stolen": self.drop_client, "units": self._other_units,
+                "saturate": self._saturate_briefly,
+            }  # fmt: skip
+            actions[events.pop(0)[1]]()
             if self.client is None:
                 return
 
     def _other_units(self) -> None:
-        metre = self.configuration.torque_unit == "N-m"
-        self.configure(torque_unit="N-mm" if metre else "N-m")
+        self.configure(torque_unit="N-mm" if self.configuration.torque_unit == "N-m" else "N-m")
 
-    def _saturate_awhile(self) -> None:
+    def _saturate_briefly(self) -> None:
         self.saturate()
         timer = threading.Timer(FAULT_DURATION, self.saturate, [False])
         timer.daemon = True

@@ -21,7 +21,7 @@ from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.detector import DRIFT_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.live.poses.pose_file import POSE_COLUMNS
+from probedesign.live.poses.pose_sources import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.mapping.touch_point import BasePoseUncertainty

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from probedesign.live.sources.calibration import CHANNELS
+from probedesign.live.sources.daq import CHANNELS
 
 U = np.array([  # N and N·mm of a volt about the tool face
     [0.1, 0.0, 0.3, 3.3, 0.2, -3.3],

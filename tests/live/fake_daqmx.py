@@ -1,8 +1,8 @@
-"""NI's driver, played: what nidaqmx calls below its own classes, for a card that is not there.
+"""A simulated NI driver: the interpreter that nidaqmx calls below its own classes, without a card.
 
-It stands where nidaqmx stands on the driver's library, its interpreter, and answers as NI documents it: arrays grouped
-by channel, a read that waits for its samples or fails with -200284, rates that the card's clock divides, one owner
-of a task. Samples become available one after the other as they are read; a script says what happens instead.
+It responds as NI documents it: arrays grouped by channel, a read that waits for its samples or fails with -200284,
+rates that the card's clock divides, one owner of a task. Samples become available one after the other as they are
+read; a script of events replaces some of them.
 """
 
 from collections.abc import Callable
@@ -82,7 +82,9 @@ class FakeDriver:
         self.reads += 1
         if code is not None:
             raise (
-                DaqReadError("What NI says.", code, 0) if code == -200284 else DaqError("What NI says.", code)
+                DaqReadError("Driver message.", code, 0)
+                if code == -200284
+                else DaqError("Driver message.", code)
             )
         data[:] = self.volts(self.taken + np.arange(count)).T
         self.taken += count

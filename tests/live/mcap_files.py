@@ -1,4 +1,4 @@
-"""Recordings to test with: blocks of readings, files of them, and bags as others write them."""
+"""Recordings for tests: blocks of readings, files of them, and bags of other writers."""
 
 from pathlib import Path
 

@@ -24,10 +24,10 @@ def box(estimator, settings=NATIVE, load=LOAD, **options) -> SimulatedNetFT:
     )
 
 
-def until(happened, told=lambda: "", seconds=10.0):
+def until(happened, describe=lambda: "", seconds=10.0):
     deadline = time.monotonic() + seconds
     while not happened():
-        assert time.monotonic() < deadline, told()
+        assert time.monotonic() < deadline, describe()
         time.sleep(0.01)
 
 
@@ -35,7 +35,7 @@ class Reader:
     """Reads a source.
 
     Attributes:
-        lines: what was said.
+        lines: the messages of the source.
         readings: one by one.
         blocks: as they came, those of silence with them.
         story: (time by the host's clock, block or line), in the order in which they came.
@@ -73,7 +73,7 @@ class Reader:
         have = len(self.readings)
         self.wait(lambda: len(self.readings) >= have + count)
 
-    def said(self, words):
+    def has_logged(self, words):
         self.wait(lambda: any(words in line for line in self.lines))
 
     def __enter__(self):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.sources.calibration import clipped, read_calibration
+from probedesign.live.sources.daq import clipped, read_calibration
 from tests.live.cal_file import U, text
 
 pytest.importorskip("defusedxml")
@@ -39,7 +39,7 @@ def test_a_gauge_beyond_the_amplifier_is_no_reading():
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "expected"),
     [
         ("no xml", "not valid or safe XML"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "not valid or safe XML"),
@@ -53,10 +53,10 @@ def test_a_gauge_beyond_the_amplifier_is_no_reading():
         (text("1.1").replace("0.1 -14.8 -0.3 -14.3 1.0 -14.3", "0 0 0 0 0 0"), "its matrix is singular"),
     ],
 )
-def test_what_is_no_calibration(read, content, told):
+def test_what_is_no_calibration(read, content, expected):
     with pytest.raises(InputError) as error:
         read(content)
-    assert told in str(error.value) and "FT1.cal" in str(error.value)
+    assert expected in str(error.value) and "FT1.cal" in str(error.value)
 
 
 def test_a_file_that_is_not_there(tmp_path):

@@ -133,7 +133,7 @@ def test_an_incomplete_recording_is_refused_or_accepted_with_a_note(call, bundle
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         (["--tare-s", "3:9"], "is not steady"),
         (["--tare-s", "5"], "START:END"),
@@ -142,8 +142,8 @@ def test_an_incomplete_recording_is_refused_or_accepted_with_a_note(call, bundle
         (["--manifest", "none.json"], "none.json: no such manifest"),
     ],
 )
-def test_estimate_refuses(call, bundle, recording, options, told):
-    assert told in refused(call("estimate", bundle, recording, *options))
+def test_estimate_refuses(call, bundle, recording, options, expected):
+    assert expected in refused(call("estimate", bundle, recording, *options))
 
 
 # live
@@ -153,7 +153,7 @@ def test_live_prints_lines_of_equal_columns(call, bundle):
     status, out, err = call("live", bundle, "--source", SIM)
     lines = out.splitlines()
     assert (status, len(lines)) == (0, 60)
-    assert "noise seed 1" in err  # after what compiling says, if it has to
+    assert "noise seed 1" in err  # after the message of compiling, if there is any
     assert err.splitlines()[-1].startswith("60 estimates: ")
     ok = [line for line in lines if " ok " in line]
     assert len({(line.index("±"), line.index("true s"), len(line)) for line in ok}) == 1
@@ -169,7 +169,7 @@ def test_live_prints_lines_of_json(call, bundle):
 
 
 def test_live_with_poses_reports_world_coordinates(call, bundle, tmp_path):
-    """The base stands at one pose, x and z exchanged, told twice, 20 s apart."""
+    """The base is at one pose, x and z exchanged, given twice, 20 s apart."""
     path = tmp_path / "poses.csv"
     names, pose = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", "100,0,0,0,0.7071,0,0.7071"
     path.write_text(f"{names}\n-1,{pose}\n21,{pose}\n")
@@ -209,7 +209,7 @@ def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         (["--source", "netfd://host"], "replay:FILE and sim:"),
         (["--source", "sim:?force=1"], "did you mean force_mN?"),
@@ -224,8 +224,8 @@ def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
         ([], "--source"),
     ],
 )
-def test_live_refuses(call, bundle, options, told):
-    assert told in refused(call("live", bundle, *options))
+def test_live_refuses(call, bundle, options, expected):
+    assert expected in refused(call("live", bundle, *options))
 
 
 def live_process(bundle, *options: str) -> subprocess.Popen[str]:

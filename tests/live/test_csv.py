@@ -1,4 +1,4 @@
-"""Recordings: what is written reads back to the last bit, and nothing wrong is read as if it were right."""
+"""Recordings as CSV are read back to the last bit, errors are refused; and recordings of ATI's demonstration."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from probedesign.core.errors import InputError
 from probedesign.live.recordings.csv import CSV_HEADER, Recording, read_recording, write_recording
+from tests.live.mcap_files import read as read_blocks
 
 ROW = "0.5,-0.25,0.125,0.001,0.002,-0.003"
 EXACT = 1e-15
@@ -62,8 +63,8 @@ def test_one_row_is_a_recording(path):
 )
 def test_units_and_aliases(path, header, factors):
     recording = read(path, f"{header}\n1,2,3,4,5,6,7\n")
-    told = np.concatenate([recording.time, recording.wrench[0]])
-    assert told == pytest.approx(np.arange(1, 8) * factors, rel=EXACT)
+    problem_text = np.concatenate([recording.time, recording.wrench[0]])
+    assert problem_text == pytest.approx(np.arange(1, 8) * factors, rel=EXACT)
 
 
 def test_columns_in_any_order_beside_others(path):
@@ -94,7 +95,7 @@ def test_seconds_since_1970_keep_their_microseconds(path):
     assert np.diff(recording.time)[0] == pytest.approx(1e-4, abs=2.4e-7)
 
 
-# What is mended, and told
+# Repairs and their notes
 
 
 @pytest.mark.parametrize("half", ["0.0", "0.02,0.5,-0.2", "0.02,0.5,-0.25,0.125,0.001,0.002,-", "x"])
@@ -119,7 +120,7 @@ def test_gaps_are_counted(path):
 
 
 def test_a_coarse_clock_has_no_gaps(path):
-    """Several samples to a millisecond tick: most steps are zero, and no rate can be told."""
+    """Several samples to a millisecond tick: most steps are zero, and the rate is undefined."""
     recording = read(path, f"{CSV_HEADER}\n{rows(0.0, 0.0, 0.0, 0.0, 0.001, 0.001, 0.001)}")
     assert recording.gaps == 0
 
@@ -128,7 +129,7 @@ def test_a_coarse_clock_has_no_gaps(path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "problem_text"),
     [
         ("", "is empty"),
         ("# frame: base\n\n", "is empty"),
@@ -164,8 +165,8 @@ def test_a_coarse_clock_has_no_gaps(path):
         (f"{CSV_HEADER}\n{rows(1700000000000.0)}", "time_s = 1.7e+12 exceeds"),
     ],
 )  # fmt: skip
-def test_what_is_no_recording(path, text, told):
-    assert told in problem(path, text)
+def test_what_is_no_recording(path, text, problem_text):
+    assert problem_text in problem(path, text)
 
 
 def test_invalid_messages_are_reported(path):
@@ -196,7 +197,7 @@ def test_any_mutation_of_a_recording(path, data):
 
 
 def recording_or_one_line(path, content: bytes) -> None:
-    """Either a whole and plausible recording or one line that says why not."""
+    """Either a whole and plausible recording or a one-line error with the reason."""
     try:
         recording = read(path, content)
     except InputError as error:
@@ -241,3 +242,84 @@ def test_a_place_that_cannot_be_written(path):
 def test_arrays_that_do_not_fit_together_are_refused(path):
     with pytest.raises(ValueError):
         write_recording(path, [0.0, 1.0], [[0.0] * 6])
+
+
+HEAD = """Start Time: 6/3/10 3:32 PM
+RDT Sample Rate: 1000
+"PLEASE NOTE: The sample rate is read from the Net F/T when the program starts."
+Force Units: N
+Counts per Unit Force: 1000000.0
+Torque Units: N-mm
+Counts per Unit Torque: 1000000.0
+Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time
+"""
+UNITS = ("0.15", "-0.25", "0.5", "1.5", "-2.5", "3.5")
+COUNTS = ("150000", "-250000", "500000", "1500000", "-2500000", "3500000")
+SI = [0.15, -0.25, 0.5, 1.5e-3, -2.5e-3, 3.5e-3]
+ROUNDED = 1e-15
+"""Relative: a product and a quotient."""
+
+
+def row(rdt: int, sequence: int, values=UNITS, status: str = "0x0") -> str:
+    fields = (status, str(rdt), str(sequence), *values, "Jun 3, 2010 3:32:10 PM")
+    return ",".join(f'"{field}"' for field in fields) + "\n"
+
+
+@pytest.fixture
+def read_demo(estimator, tmp_path):
+    def read_demo(text: str):
+        path = tmp_path / "demo.csv"
+        path.write_text(text)
+        recorded, blocks = read_blocks(path, estimator.model)
+        return recorded, [r for block in blocks for r in block.readings()]
+
+    return read_demo
+
+
+@pytest.mark.parametrize("values", [UNITS, COUNTS])
+def test_units_or_counts_in_si_by_the_sensors_clock(read_demo, values):
+    """1000 of the sensor's 7000 samples a second; the count wraps in between."""
+    _, readings = read_demo(HEAD + "".join(row(i + 1, (2**32 - 7 + 7 * i) % 2**32, values) for i in range(3)))
+    assert [r.time for r in readings] == pytest.approx([0.0, 1e-3, 2e-3], rel=ROUNDED)
+    assert all(r.wrench_sensor == pytest.approx(SI, rel=ROUNDED) for r in readings)
+
+
+def test_faults_are_omitted_and_gaps_reported(read_demo):
+    rows = [
+        row(1, 0),
+        row(2, 7),
+        row(3, 14, status="0x80020000"),
+        row(4, 21, status="0x80010000"),
+        row(5, 28),
+    ]
+    recorded, readings = read_demo(HEAD + "".join(rows))
+    assert len(readings) == 4  # a latched monitor condition is healthy
+    assert recorded.notes == ("1 samples with a fault are omitted", "1 samples are missing in 1 gaps")
+
+
+def test_half_a_line_at_the_end_of_a_demo_is_dropped(read_demo):
+    recorded, readings = read_demo(HEAD + row(1, 0) + row(2, 7)[:40])
+    assert len(readings) == 1 and recorded.missing() == ("line 10 is incomplete at the end: dropped",)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (HEAD, "no samples"),
+        (HEAD.replace("N-mm", "furlongs") + row(1, 0), "Torque Units = 'furlongs' is not a known unit"),
+        (
+            HEAD.replace("Force: 1000000.0", "Force: 0") + row(1, 0),
+            "Counts per Unit Force '0' must be a positive",
+        ),
+        (HEAD.replace("Status", "State") + row(1, 0), "without its header"),
+        (HEAD + row(1, 7) + row(2, 0), ":10: F/T Sequence decreases"),
+        (HEAD + row(1, 0, ("x",) * 6) + row(2, 7), ":9: .* is not a row of 10 fields"),
+        (HEAD + row(1, 0, ("nan",) * 6), "no box sends"),
+        (HEAD + row(1, 2**40), "no box sends"),
+        (HEAD + row(1, 0, ("5000.5",) * 6), "Fx = 5000.5 N at 0 s exceeds the range"),
+    ],
+)
+def test_what_is_wrong_is_one_line(read_demo, text, problem):
+    with pytest.raises(InputError, match=problem) as error:
+        read_demo(text)
+    assert str(error.value).isprintable()

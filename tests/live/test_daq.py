@@ -1,4 +1,4 @@
-"""`daq://` through nidaqmx, whose driver is played: no card is needed, and NI's own classes run."""
+"""`daq://` through nidaqmx with a simulated driver: no card is needed, and NI's own classes run."""
 
 import sys
 from itertools import islice
@@ -39,9 +39,9 @@ def driver(monkeypatch):
     return driver
 
 
-def opened(estimator, cal, query="", channels="Dev1/ai0:5", said=None):
-    say = (said if said is not None else []).append
-    return open_source(f"daq://{channels}?cal={cal}{query}", estimator.model, say)
+def opened(estimator, cal, query="", channels="Dev1/ai0:5", log_lines=None):
+    log = (log_lines if log_lines is not None else []).append
+    return open_source(f"daq://{channels}?cal={cal}{query}", estimator.model, log)
 
 
 def blocks(source, count):
@@ -60,7 +60,7 @@ def test_volts_become_the_wrench_about_the_tool_face(estimator, cal, driver):
     assert driver.asked["terminal"].name == "DIFF" and driver.asked["reach"] == (-10.0, 10.0)
     assert not driver.tasks  # closed
     assert "sensor FT1 SI-25-0.25" in source.title
-    assert any("differs from that of the frozen probe's sensor" in note for note in source.notes)
+    assert any("differs from that of the probe's sensor" in note for note in source.notes)
 
 
 @pytest.mark.parametrize("asked", [7000.0, 3000.0])
@@ -111,38 +111,38 @@ def test_beyond_the_calibration_is_a_fault(estimator, cal, driver):
 
 def test_an_acquisition_that_always_overruns_ends(estimator, cal, driver):
     driver.script = dict.fromkeys(range(2, 100), -200279)
-    with pytest.raises(InputError, match="What NI says"):
+    with pytest.raises(InputError, match="Driver message"):
         blocks(opened(estimator, cal), 5)
 
 
 def test_a_clock_that_stops_is_stale_until_it_runs_again(estimator, cal, driver):
     driver.script = {3: -200284, 4: -200284}
-    said = []
-    found = blocks(opened(estimator, cal, said=said), 8)
+    log_lines = []
+    found = blocks(opened(estimator, cal, log_lines=log_lines), 8)
     assert [len(block) > 0 for block in found] == [True] * 3 + [False] * 2 + [True] * 3
     assert all("stale, no record for" in block.fault for block in found[3:5])
     assert [block.stretch for block in found] == [0, 0, 0, 0, 0, 1, 1, 1]
-    assert sum("stale" in line for line in said) == 1
-    assert any("the tare is kept" in line for line in said)
+    assert sum("stale" in line for line in log_lines) == 1
+    assert any("the tare is kept" in line for line in log_lines)
     assert (np.diff([r.time for r in iter_readings(found)]) > 0.0).all()
 
 
 @pytest.mark.parametrize("code", [-200279, -200222, -200361])
 def test_overwritten_samples_are_reported_and_the_acquisition_restarts(estimator, cal, driver, code):
     driver.script = {4: code}
-    said = []
-    found = blocks(opened(estimator, cal, said=said), 8)
+    log_lines = []
+    found = blocks(opened(estimator, cal, log_lines=log_lines), 8)
     assert driver.starts == 2 and not driver.tasks
     assert [block.stretch for block in found] == [0] * 4 + [1] * 4
     assert (np.diff([r.time for r in iter_readings(found)]) > 0.0).all()
-    assert any("samples were lost because reading was too slow" in line for line in said)
+    assert any("samples were lost because reading was too slow" in line for line in log_lines)
 
 
 def test_what_the_driver_refuses_is_one_line(estimator, cal, driver):
     driver.script = {2: -200045}
     with pytest.raises(InputError) as error:
         blocks(opened(estimator, cal), 5)
-    assert str(error.value) == "daq://Dev1/ai0:5: NI's driver says: What NI says. (error -200045)"
+    assert str(error.value) == "daq://Dev1/ai0:5: NI's driver reports: Driver message. (error -200045)"
     assert not driver.tasks
 
 
@@ -164,7 +164,7 @@ def test_no_nidaqmx_is_one_line_with_its_remedy(estimator, cal, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "expected"),
     [
         ("daq:Dev1/ai0:5?cal={cal}", "write daq://Dev1/ai0:5?cal=FILE"),
         ("daq://Dev1/ai0:5", "needs its sensor's calibration; write daq://Dev1/ai0:5?cal="),
@@ -182,10 +182,10 @@ def test_no_nidaqmx_is_one_line_with_its_remedy(estimator, cal, monkeypatch):
         ("daq://Dev1/ai0:5?cal={cal}&zero_V=1,2,3,4,5,nan", "must be 6 voltages within 9.8 V"),
     ],
 )
-def test_what_is_no_card(estimator, cal, driver, spec, told):
+def test_what_is_no_card(estimator, cal, driver, spec, expected):
     with pytest.raises(ProbeDesignError) as error:
         open_source(spec.format(cal=cal), estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
     assert not driver.tasks
 
 

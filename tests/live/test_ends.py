@@ -1,4 +1,4 @@
-"""However a run ends, its recording is there: killed, interrupted, its terminal or its reader gone."""
+"""The recording survives every end of a run: killed, interrupted, a closed terminal or a closed pipe."""
 
 import json
 import signal
@@ -113,13 +113,13 @@ def test_a_reader_that_goes_away_leaves_a_whole_recording(bundle, estimator, str
 def test_recover_reports_what_it_saved(estimator, tmp_path, capsys):
     path = write(tmp_path / "cut.mcap", estimator.model, [block(0, 3), block(3, 3)], closed=False)
     assert run(["recover", str(path), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["path"], said["messages"], said["damage"]) == (
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["path"], printed["messages"], printed["damage"]) == (
         str(tmp_path / "cut-recovered.mcap"),
         8,
         "it was cut off",
     )
-    assert said["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
+    assert printed["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
     assert run(["recover", str(path)]) == 2
     assert "--force" in capsys.readouterr().err
     assert run(["recover", str(path), "--force"]) == 0

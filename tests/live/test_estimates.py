@@ -1,4 +1,4 @@
-"""A row tells the estimate in the units that its names say."""
+"""A row has the estimate in the units that its names state."""
 
 import json
 
@@ -82,9 +82,9 @@ def test_the_readable_line():
 def test_the_world_in_its_units():
     fused = FusedEstimate("ok", SURFACE, COV_SURFACE, 2.0 * P, COV, rms=1e-3)
     contacts = (Contact(7, 1.0),)
-    told = world_row(EstimateUpdate(TRUE, FOUND, "settled", fused, contacts=contacts))
-    assert tuple(told) == WORLD_COLUMNS
-    values = list(told.values())
+    row = world_row(EstimateUpdate(TRUE, FOUND, "settled", fused, contacts=contacts))
+    assert tuple(row) == WORLD_COLUMNS
+    values = list(row.values())
     assert values[:2] == ["settled", "ok"] and values[14:16] == [7, ""]
     expected = [2.0, 4.0, 6.0, 4.0, 5.0, 6.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     assert values[2:14] == pytest.approx(expected, rel=1e-15)
@@ -95,8 +95,8 @@ def test_without_a_pose_the_world_is_empty():
     answer = EstimateUpdate(
         TRUE, FOUND, "", FusedEstimate("out_of_range"), stale="pose", contacts=(Contact(1, 0.0, end=0.5),)
     )
-    told = json.loads(json_line(world_row(answer)))
-    assert {name: value for name, value in told.items() if value is not None} == {
+    row = json.loads(json_line(world_row(answer)))
+    assert {name: value for name, value in row.items() if value is not None} == {
         "phase": "", "fused_result": "out_of_range", "stale": "pose"
     }  # fmt: skip
     assert "world: no pose" in readable_line(0.0, TRUE, FOUND, answer)

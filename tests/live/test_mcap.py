@@ -18,16 +18,14 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.offline import estimate_recording
 from probedesign.live.poses.track import pose_from_matrix
 from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.processing.tare import TareWindow
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_read import recover
 from probedesign.live.recordings.mcap_write import McapRecorder
-from probedesign.live.run import estimate_stream
+from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import GRAVITY, block, read, same, write
@@ -70,7 +68,7 @@ def test_blocks_come_back_to_the_last_bit(whole, model):
     gravity=st.lists(st.floats(-9.81, 9.81), min_size=3, max_size=3),
 )
 def test_any_readings_come_back_to_the_last_bit(model, tmp_path, times, values, gravity):
-    """Times beyond what a header of ROS can tell, too."""
+    """Times beyond the range of a ROS header, too."""
     path = tmp_path / "any.mcap"
     path.unlink(missing_ok=True)
     wrench = np.array(values).reshape(5, 6)[: len(times)]
@@ -126,7 +124,7 @@ def test_rosbags_reads_it(model, tmp_path):
     p, cov, pose = np.array([0.001, 0.002, 0.09]), np.diag([1e-6, 2e-6, 3e-6]), np.eye(4)
     pose[:3, :3], pose[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.1, 0.2, 0.3]
     estimate = Estimate("ok", 0.09, 0.001, 2.0 * p, p, np.array([0.01, 0.0, 0.0]), 4.0 * cov, cov)
-    file = McapRecorder(tmp_path / "told.mcap", model)
+    file = McapRecorder(tmp_path / "decoded.mcap", model)
     file.on_samples(BLOCKS[0])
     file.on_estimate(
         EstimateUpdate(
@@ -139,7 +137,7 @@ def test_rosbags_reads_it(model, tmp_path):
     file.on_pose(pose_from_matrix(0.25, pose))
     file.on_event(0.5, "mark: here")
     file.close()
-    with AnyReader([tmp_path / "told.mcap"]) as reader:
+    with AnyReader([tmp_path / "decoded.mcap"]) as reader:
         found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
     contact, base = found[schemas.CONTACT.name], found[schemas.BASE.name]
     assert (contact.header.frame_id, base.header.frame_id) == ("base", "world")
@@ -148,9 +146,13 @@ def test_rosbags_reads_it(model, tmp_path):
     turn = base.pose.orientation  # a quarter about z
     assert [turn.z, turn.w] == pytest.approx([0.5**0.5] * 2, abs=1e-15)
     assert found[schemas.WITHOUT_BIAS.name].wrench.torque.z == 5.0
-    said = json.loads(found[schemas.ESTIMATE.name].data)
-    assert said["time_s"] == 1.0 / 3.0 and said["result"] == "ok" and said["T_world_base"] == pose.tolist()
-    assert set(schemas.ESTIMATE.schema["required"]) <= set(said) and set(COLUMNS) <= set(
+    content = json.loads(found[schemas.ESTIMATE.name].data)
+    assert (
+        content["time_s"] == 1.0 / 3.0
+        and content["result"] == "ok"
+        and content["T_world_base"] == pose.tolist()
+    )
+    assert set(schemas.ESTIMATE.schema["required"]) <= set(content) and set(COLUMNS) <= set(
         schemas.ESTIMATE.schema["properties"]
     )
     assert json.loads(found[schemas.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
@@ -202,9 +204,9 @@ def test_a_truncated_recording_is_refused_or_accepted_with_a_note(estimator, tmp
         estimate_recording(estimator, cut)
     estimates = estimate_recording(estimator, cut, allow_incomplete=True)
     assert len(estimates.rows) == 60 and "incomplete: it was cut off" in estimates.notes
-    said = []
-    list(ReplaySource(estimator.model, cut, "speed=max", said.append))
-    assert said == [f"{cut}: incomplete: it was cut off"]
+    log_lines = []
+    list(ReplaySource(estimator.model, cut, "speed=max", log_lines.append))
+    assert log_lines == [f"{cut}: incomplete: it was cut off"]
 
 
 @few
@@ -280,7 +282,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("what", HOSTILE)
 def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
-    """16 MB: a bomb holds 300, a claim two gigabytes and more."""
+    """16 MB: a compression bomb contains 300 MB, and a false length two gigabytes and more."""
     path = tmp_path / "hostile.mcap"
     path.write_bytes(HOSTILE[what])
     tracemalloc.start()
@@ -295,7 +297,7 @@ def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("content", "problem"),
     [
         ({"time_s": [0.0, 1.0]}, "describes 2 readings, but 1 wrenches"),
         ({"time_s": [None]}, "block after 0 readings"),
@@ -307,29 +309,29 @@ def test_a_hostile_file_is_one_line_and_little_memory(model, tmp_path, what):
         ("{}", "block after 0 readings"),
     ],
 )
-def test_an_inconsistent_block_is_refused(model, tmp_path, said, told):
+def test_an_inconsistent_block_is_refused(model, tmp_path, content, problem):
     file = McapRecorder(tmp_path / "lie.mcap", model)
     honest = {"first": 0, "time_s": [0.0], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
-    text = said if isinstance(said, str) else json.dumps(honest | said)
+    text = content if isinstance(content, str) else json.dumps(honest | content)
     now = np.array([0])
     file._add(schemas.RAW, now, schemas.stamped("sensor", now, [[0.0] * 6]))
     file._add(schemas.BLOCK, now, schemas.texts([text]))
     file.close()
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=problem):
         read(tmp_path / "lie.mcap", model)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "problem"),
     [
         ({"time": np.array([1.0, 0.5])}, "time decreases, from 1 s to 0.5 s"),
         ({"wrench_sensor": np.full((2, 6), np.nan)}, "Fx = nan N at 0 s exceeds the range"),
         ({"wrench_sensor": np.full((2, 6), 900.0)}, "Mx = 900 N·m at 0 s exceeds the range"),
     ],
 )
-def test_values_out_of_range_are_refused_unless_marked_as_faults(model, tmp_path, change, told):
+def test_values_out_of_range_are_refused_unless_marked_as_faults(model, tmp_path, change, problem):
     path = write(tmp_path / "odd.mcap", model, [replace(block(0, 2, rate=1.0), **change)])
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=problem):
         read(path, model)
     if "time" not in change:
         faulty = replace(block(0, 2), fault="saturated", **change)

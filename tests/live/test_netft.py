@@ -1,4 +1,4 @@
-"""`netft://` and the simulated box over real sockets: units, frames, the wire, what is refused."""
+"""`netft://` and the simulated box over real sockets: units, frames, records, and errors."""
 
 import json
 import re
@@ -6,15 +6,15 @@ import socket
 from collections import namedtuple
 from dataclasses import replace
 from itertools import islice, pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
-from probedesign.live.sources.netft import wire
-from probedesign.live.sources.netft.session import drain
-from probedesign.live.sources.netft.wire import RECORD, RECORDS, Request
+from probedesign.live.sources.netft import rdt
+from probedesign.live.sources.netft.rdt import RECORD, RECORDS, RdtSession, Request, drain
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
@@ -93,14 +93,14 @@ def asked(estimator):
 
 def test_a_number_of_records_is_sent_and_no_more(estimator, asked):
     with box(estimator) as peer:
-        datagrams = asked(peer, wire.REALTIME, 5, 5)
+        datagrams = asked(peer, rdt.REALTIME, 5, 5)
         assert [RECORD.unpack(d)[0] for d in datagrams] == [1, 2, 3, 4, 5]
-        until(lambda: peer.client is None)  # told a moment after the last record is sent
+        until(lambda: peer.client is None)  # cleared shortly after the last record is sent
 
 
 def test_buffered_packets_hold_their_records(estimator, asked):
     with box(estimator, replace(NATIVE, records=40.0)) as peer:
-        datagrams = asked(peer, wire.BUFFERED, 0, 3)
+        datagrams = asked(peer, rdt.BUFFERED, 0, 3)
     records = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
     assert {len(d) for d in datagrams} == {40 * 36}
     assert records["rdt"].tolist() == list(range(1, 121))
@@ -108,15 +108,15 @@ def test_buffered_packets_hold_their_records(estimator, asked):
 
 def test_the_output_rate_is_7000_over_a_whole_number(estimator, asked):
     with box(estimator, replace(NATIVE, rate=1000.0)) as peer:
-        ft = [RECORD.unpack(d)[1] for d in asked(peer, wire.REALTIME, 10, 10)]
+        ft = [RECORD.unpack(d)[1] for d in asked(peer, rdt.REALTIME, 10, 10)]
     assert set(np.diff(ft)) == {7}
 
 
 def test_bias_makes_zero_and_shows_on_the_page(estimator, asked):
     with box(estimator) as peer:
-        asked(peer, wire.REALTIME, 70, 70)
+        asked(peer, rdt.REALTIME, 70, 70)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            udp.sendto(Request(wire.BIAS).packed(), peer.address)
+            udp.sendto(Request(rdt.BIAS).packed(), peer.address)
             until(lambda: any(peer.configuration.bias))
         readings, source = taken(peer, estimator, 700)
     assert (
@@ -138,7 +138,7 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
 
 
 @pytest.mark.parametrize(
-    ("page", "told"),
+    ("page", "expected"),
     [
         (b"not xml", "not valid or safe XML"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "not valid or safe XML"),
@@ -146,15 +146,15 @@ def test_what_is_no_request_is_not_answered(estimator, datagram):
         (b"x" * 100_000, "too long"),
     ],
 )
-def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
+def test_an_invalid_page_is_refused(estimator, monkeypatch, page, expected):
     monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: page)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("tag", "value", "told"),
+    ("tag", "value", "expected"),
     [
         ("scfgtu", "N-furlong", "scfgtu = 'N-furlong' is not a known unit"),
         ("scfgfu", "", "is not a known unit"),
@@ -165,7 +165,7 @@ def test_an_invalid_page_is_refused(estimator, monkeypatch, page, told):
         ("cfgtfx", "1;2;3;4;5;six", "is not a number"),
     ],
 )
-def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, told):
+def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, expected):
     from probedesign.simulation.netft_box import configuration_page
 
     wrong = re.sub(
@@ -174,11 +174,11 @@ def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value
     monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: wrong)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "expected"),
     [
         ("netft:", "write netft://HOST"),
         ("netft://", "write netft://HOST"),
@@ -190,10 +190,10 @@ def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value
         ("netft://127.0.0.1?http=1", "Connection refused"),
     ],
 )
-def test_an_address_without_a_box_is_refused(estimator, spec, told):
+def test_an_address_without_a_box_is_refused(estimator, spec, expected):
     with pytest.raises(InputError) as error:
         open_source(spec, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
 
 
 def test_a_port_in_use_is_reported(estimator):
@@ -231,11 +231,11 @@ def test_simulate_and_live_meet(bundle, estimator, capsys):
         status = run([*arguments, "--seconds", "1.5", "--rate-hz", "100", "--json"])
     out, err = capsys.readouterr()
     rows = [json.loads(line) for line in out.splitlines()]
-    held = [row for row in rows if row["result"] == "ok"]
+    located = [row for row in rows if row["result"] == "ok"]
     assert status == 0 and "records" in err and "tare from" in err
-    assert len(held) > 5
-    s = np.median([row["s_contact_mm"] for row in held])
-    assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * held[0]["std_s_mm"])
+    assert len(located) > 5
+    s = np.median([row["s_contact_mm"] for row in located])
+    assert s == pytest.approx(1e3 * things[0].s_contact, abs=3.0 * located[0]["std_s_mm"])
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
@@ -247,9 +247,9 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
     things = press_scene(model, "card-house", friction)
     motion = BaseMotion(model, things)
     free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
-    rest, held = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
+    rest, located = motion.wrench_sensor(np.array([1.0, REST_TIME + MOVE_TIME + PRESS_TIME + 0.5]))
     assert np.allclose(rest, free, atol=1e-6)
-    assert np.linalg.norm((held - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
+    assert np.linalg.norm((located - free)[:3]) == pytest.approx(things[0].force, rel=1e-3)
     assert all(thing.force > 1e-3 for thing in things)
     after = motion.wrench_sensor(np.array([motion.cycle_time + 1.0]))
     assert np.allclose(after, free, atol=1e-6)
@@ -283,7 +283,7 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "expected"),
     [
         (["--friction", "-0.1"], "--friction -0.1 must lie in 0 ... 3"),
         (["--rate-hz", "6000"], "must be 7000 divided by a whole number"),
@@ -294,28 +294,42 @@ def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estima
         (["--host", "203.0.113.1", "--scene", "free"], "203.0.113.1:49152: "),
     ],
 )
-def test_simulate_refuses(bundle, capsys, options, told):
+def test_simulate_refuses(bundle, capsys, options, expected):
     assert run(["simulate", str(bundle), "--seconds", "0.1", *options]) == 2
     out, err = capsys.readouterr()
-    assert told in err and err.count("\n") == 1 and out == ""
+    assert expected in err and err.count("\n") == 1 and out == ""
 
 
 class PublicClient:
-    """A client of pynetft without its private reader."""
+    """A client with pynetft's public iterator, and nothing else: any access to a private name fails."""
 
     def __init__(self, samples):
         self.waiting = list(samples)
 
     def samples(self, timeout):
-        if not self.waiting:
-            raise TimeoutError
-        yield self.waiting.pop(0)
+        while self.waiting:
+            yield self.waiting.pop(0)
+        raise TimeoutError
 
 
-def test_records_are_read_without_the_private_reader_of_pynetft():
+def test_records_are_read_through_the_public_iterator_of_pynetft():
     sample = namedtuple("sample", "ft_sequence status received_at_ns raw_wrench")
     client = PublicClient(sample(7 + i, 0, 10**9 * (1 + i), (i, 0, 0, 0, 0, -i)) for i in range(3))
     records = drain(client)
     assert records.ft_sequence.tolist() == [7, 8, 9] and records.received.tolist() == [1.0, 2.0, 3.0]
     assert records.counts[:, 5].tolist() == [0, -1, -2]
     assert len(drain(client)) == 0
+
+
+def test_a_client_that_has_stopped_ends_the_run(monkeypatch):
+    names = ("received", "lost", "out_of_order", "duplicate", "malformed", "python_queue_dropped")
+    health = SimpleNamespace(**{f"{name}_count": 0 for name in names})
+    client = SimpleNamespace(start=lambda: None, stop=lambda: None, health=lambda: health)
+
+    def samples(timeout):
+        raise pynetft.NetFTError("socket closed")
+
+    client.samples = samples
+    monkeypatch.setattr(RdtSession, "_new_client", lambda session: client)
+    with pytest.raises(InputError, match="netft://box: pynetft has stopped: socket closed"):
+        next(RdtSession("netft://box", "127.0.0.1", 49152).records())

@@ -1,4 +1,4 @@
-"""`netft://` against the simulated box over real sockets, with what goes wrong on the wire."""
+"""`netft://` against the simulated box over real sockets, with faults of the network and the box."""
 
 import socket
 import sys
@@ -9,13 +9,11 @@ import pytest
 
 from probedesign.core.errors import MissingDependencyError
 from probedesign.live.processing.blocks import Block, averaged
+from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import locate
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.netft import wire
-from probedesign.live.sources.netft.session import STALE_TIME, SensorClock
-from probedesign.live.sources.netft.wire import RECORD
+from probedesign.live.sources.netft import rdt
+from probedesign.live.sources.netft.rdt import RECORD, STALE_TIME, SensorClock
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, box, close, mean_of
@@ -32,7 +30,7 @@ def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
     assert counts["lost"] < 0.2 * counts["received"]  # not four thousand millions for one that came late
     times = np.array([r.time for r in reader.readings])
     assert (np.diff(times) > 0.0).all()
-    ticks = np.diff(times) * wire.SAMPLES_PER_SECOND
+    ticks = np.diff(times) * rdt.SAMPLES_PER_SECOND
     assert np.allclose(ticks, np.rint(ticks), atol=1e-6)  # the sensor's own clock
     assert (np.abs(mean_of(reader.readings) - LOAD - OFFSET) <= close(estimator, 2000) + 1e-6).all()
 
@@ -56,7 +54,7 @@ def test_a_storm_of_rubbish_is_survived(estimator):
 
 
 def told_in_order(reader) -> None:
-    """Silence is in the stream and told, after the last reading before it and before the first after; the readings
+    """Silence is in the stream and reported, after the last reading before it and before the first after; the readings
     beyond it are of another stretch."""
     silences = [i for i, (_, what) in enumerate(reader.story) if isinstance(what, Block) and not len(what)]
     lines = [i for i, (_, what) in enumerate(reader.story) if isinstance(what, str)]
@@ -77,7 +75,7 @@ def told_in_order(reader) -> None:
 def test_a_restart_is_survived_marked_and_not_mixed(estimator):
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         peer.restart(0.3)
-        reader.said("previous tare is kept")
+        reader.has_logged("previous tare is kept")
         reader.more()
     told_in_order(reader)
     assert reader.source.counts["restarts"] == 1
@@ -90,7 +88,7 @@ def test_a_restart_soon_after_power_up_is_survived(estimator):
     """pynetft takes a clock that goes back within its first 65536 samples for late records and refuses them all."""
     with box(estimator, initial_samples=20000) as peer, Reader(peer, estimator) as reader:
         peer.restart(0.2)
-        reader.said("previous tare is kept")
+        reader.has_logged("previous tare is kept")
         reader.more()
 
 
@@ -114,7 +112,7 @@ def test_the_tare_survives_a_restart(estimator):
 def test_a_stall_is_stale_and_gives_no_readings(estimator):
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         peer.stall(0.4)
-        reader.said("records resumed")
+        reader.has_logged("records resumed")
         reader.more()
     told_in_order(reader)
     assert reader.source.counts["interruptions"] >= 1
@@ -137,11 +135,11 @@ def test_a_stolen_stream_is_requested_again_and_reported(estimator):
             peer.drop_client()
             reader.wait(lambda: peer.client is not None)
             reader.more(20)
-        reader.said("another client")
+        reader.has_logged("another client")
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected"),
     [
         ({"torque_unit": "N-m"}, "scfgtu: N-mm, now N-m"),
         ({"counts_per_force": 1e3}, "cfgcpf: 1000000.0, now 1000.0"),
@@ -149,11 +147,11 @@ def test_a_stolen_stream_is_requested_again_and_reported(estimator):
         ({"bias": (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "setbias"),
     ],
 )
-def test_a_configuration_that_changes_ends_the_run(estimator, change, told):
+def test_a_configuration_that_changes_ends_the_run(estimator, change, expected):
     with box(estimator) as peer, Reader(peer, estimator, "&check_s=0.1") as reader:
         peer.configure(**change)
         reader.wait(lambda: reader.error is not None)
-    assert told in str(reader.error) and "restart with a new tare" in str(reader.error)
+    assert expected in str(reader.error) and "restart with a new tare" in str(reader.error)
 
 
 def test_a_restart_with_another_configuration_ends_the_run_before_a_reading(estimator):
@@ -177,8 +175,8 @@ def test_a_saturated_sample_is_no_reading_to_estimate_from(estimator):
     assert all("transducer saturated" in r.fault and "0x80020000" in r.fault for r in faults)
     assert {locate(estimator, r).result for r in faults} == {"out_of_range"}
     assert reader.source.counts["faults"] == len(faults)
-    said = [line.partition(": ")[2] for line in reader.lines]
-    assert said.index("healthy again") > said.index(faults[0].fault)
+    texts = [line.partition(": ")[2] for line in reader.lines]
+    assert texts.index("healthy again") > texts.index(faults[0].fault)
     assert (np.diff([r.time for r in reader.readings]) > 0.0).all()
 
 
@@ -217,7 +215,7 @@ def test_pynetft_is_missing(estimator, monkeypatch):
 def ticks(clock, ft, received):
     """Samples since the first, and which records the clock takes."""
     new, time, _ = clock.times(np.array(ft), np.array(received, dtype=float))
-    return np.rint(time * wire.SAMPLES_PER_SECOND).astype(int).tolist(), new.tolist()
+    return np.rint(time * rdt.SAMPLES_PER_SECOND).astype(int).tolist(), new.tolist()
 
 
 FT = [2**32 - 2, 2**32 - 1, 0, 0, 5, 7, 7, 8]
@@ -226,7 +224,7 @@ WRAPPED = [0, 1, 2, 7, 9, 10]
 
 @pytest.mark.parametrize("cut", range(1, 8))
 def test_the_clock_counts_the_same_however_records_are_cut(cut):
-    """Past the end of the 32 bits; a sample that stands still is none."""
+    """Past the end of the 32 bits; a sample that is repeated is no new reading."""
     clock, received = SensorClock(), np.arange(8) / 7000
     first, new = ticks(clock, FT[:cut], received[:cut])
     second, more = ticks(clock, FT[cut:], received[cut:])

@@ -1,4 +1,4 @@
-"""The page itself: its process, what it refuses, its buttons, and how it looks in a real browser."""
+"""The page: its process, its errors, its buttons, and its appearance in a real browser."""
 
 import base64
 import io
@@ -17,11 +17,11 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError, MissingDependencyError
-from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
+from probedesign.live.processing.control import CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
-from probedesign.live.view import browser_view as module
-from probedesign.live.view.browser_view import BrowserView
+from probedesign.live.view import sinks as module
+from probedesign.live.view.sinks import BrowserView
 
 pytest.importorskip("viser")
 
@@ -47,20 +47,22 @@ def until(happened, seconds=60.0):
 
 @pytest.fixture(scope="module")
 def view(estimator, tmp_path_factory):
-    """A page on which a simulated touch is seen, what was said of it, and what it asks."""
-    said, requests = [], CommandQueue()
-    view = BrowserView(estimator, tmp_path_factory.mktemp("view"), requests, said.append, port=free_port())
-    view.said, view.requests = said, requests
+    """A page that shows a simulated touch, its messages, and its commands."""
+    log_lines, requests = [], CommandQueue()
+    view = BrowserView(
+        estimator, tmp_path_factory.mktemp("view"), requests, log_lines.append, port=free_port()
+    )
+    view.log_lines, view.requests = log_lines, requests
     stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=8")
-    list(estimate_stream(estimator, stream, ProcessingOptions(), said.append, view))
+    list(estimate_stream(estimator, stream, ProcessingOptions(), log_lines.append, view))
     yield view
     view.close()
 
 
 def test_the_page_is_served_to_this_machine(view):
     assert view.url.startswith("http://127.0.0.1:")
-    assert "there is no manifest.json" in view.said[0]
-    assert view.said[1] == f"view: {view.url}, open to this machine only"
+    assert "there is no manifest.json" in view.log_lines[0]
+    assert view.log_lines[1] == f"view: {view.url}, open to this machine only"
     with urlopen(view.url) as page:
         assert b"<title>" in page.read()
 
@@ -81,27 +83,29 @@ def test_only_the_page_itself_may_talk_to_its_server(view):
 
 def test_the_next_free_port_is_used_and_network_access_is_reported(estimator, tmp_path, view):
     port = int(view.url.rpartition(":")[2])
-    said = []
-    second = BrowserView(estimator, tmp_path, CommandQueue(), said.append, host="0.0.0.0", port=port)
+    log_lines = []
+    second = BrowserView(estimator, tmp_path, CommandQueue(), log_lines.append, host="0.0.0.0", port=port)
     second.close()
     assert second.url != view.url
-    assert said[-1] == f"view: {second.url}, open to the network: anyone there can tare and stop recordings"
+    assert (
+        log_lines[-1] == f"view: {second.url}, open to the network: anyone there can tare and stop recordings"
+    )
     with pytest.raises(OSError):
         urlopen(second.url)
 
 
 @pytest.mark.parametrize(
-    ("host", "port", "told"),
+    ("host", "port", "expected"),
     [
         ("no-such-host.invalid", 8080, "--view-host no-such-host.invalid"),
         ("192.0.2.1", 8080, "--view-host 192.0.2.1"),  # kept for documentation: nobody's
         ("127.0.0.1", 0, "--view-port 0 must be in 1 ... 65535"),
     ],
 )
-def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, told):
+def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, expected):
     with pytest.raises(InputError) as error:
         BrowserView(estimator, tmp_path, CommandQueue(), print, host=host, port=port)
-    assert told in str(error.value) and str(error.value).isprintable()
+    assert expected in str(error.value) and str(error.value).isprintable()
 
 
 def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
@@ -186,7 +190,7 @@ def tab(view):
 
 
 def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
-    words = {said.name: said.text for said in view.snapshot().status}
+    words = {log_lines.name: log_lines.text for log_lines in view.snapshot().status}
     for name in ("contact", "force", "point"):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
     tab.get_by_text("stale: no reading for", exact=False).first.wait_for(timeout=PATIENCE)
@@ -221,6 +225,8 @@ def test_a_browser_draws_the_probe(view, tab):
 def test_the_run_goes_on_without_its_page(estimator, view):
     """The last, since it spoils the page that the others share."""
     view._process.kill()
-    until(lambda: "the run continues" in view.said[-1])
+    until(lambda: "the run continues" in view.log_lines[-1])
     stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=1")
-    assert len(list(estimate_stream(estimator, stream, ProcessingOptions(), view.said.append, view))) == 10
+    assert (
+        len(list(estimate_stream(estimator, stream, ProcessingOptions(), view.log_lines.append, view))) == 10
+    )

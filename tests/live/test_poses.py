@@ -11,10 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, is_pose, pose
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.listener import MAX_DATAGRAM, PoseListener
-from probedesign.live.poses.open_poses import open_poses
-from probedesign.live.poses.pose_file import read_pose_file
+from probedesign.live.poses.base_poses import BasePoses, open_poses
+from probedesign.live.poses.pose_sources import MAX_DATAGRAM, PoseListener, read_pose_file
 from probedesign.live.poses.track import (
     MAX_GAP,
     OFFSET_WINDOW,
@@ -103,7 +101,7 @@ def test_a_matrix_and_back():
         assert Rotation.from_quat(back.q).as_matrix() == pytest.approx(R, abs=1e-12)
 
 
-# what poses are told by
+# fields of a pose
 
 
 @pytest.mark.parametrize("suffix", ["csv", "jsonl"])
@@ -153,7 +151,7 @@ def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "stated"),
     [
         ("", "no poses"),
         ("[1, 2]\n", ":1: is not a JSON object"),
@@ -167,12 +165,12 @@ def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
         ),
     ],
 )  # fmt: skip
-def test_a_file_of_no_poses(text, told, tmp_path):
+def test_a_file_of_no_poses(text, stated, tmp_path):
     path = tmp_path / "poses.jsonl"
     path.write_text(text)
     with pytest.raises(InputError) as error:
         read_pose_file(path)
-    assert told in str(error.value)
+    assert stated in str(error.value)
 
 
 def test_csv_and_json_lines_give_the_same_poses(tmp_path):
@@ -186,14 +184,14 @@ def test_csv_and_json_lines_give_the_same_poses(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spec", "options", "told"),
+    ("spec", "options", "stated"),
     [
         ("none.csv", {}, "none.csv: no such file"),
         ("fixed", {"latency_ms": 5.0}, "--pose fixed has no latency"),
         ("udp://", {}, "write udp://:PORT"),
         ("udp://:port", {}, "write udp://:PORT"),
-        ("udp://:0?topic=/a", {}, "topic is not a parameter"),
-        ("udp://:0?limit_ms=0", {}, "limit_ms must be in"),
+        ("udp://:0?topic=/a", {}, "has no parameter 'topic'"),
+        ("udp://:0?limit_ms=0", {}, "limit_ms = '0' must be"),
         ("udp://:0?limit_ms=1&limit_ms=2", {}, "is given twice"),
         ("udp://192.0.2.1:3000", {}, "use another port, or an address of this machine"),
         ("udp://:0", {"latency_ms": float("nan")}, "--pose-latency-ms nan"),
@@ -201,10 +199,10 @@ def test_csv_and_json_lines_give_the_same_poses(tmp_path):
         ("udp://:0", {"gravity_world": "0,0,-981"}, "--gravity-world 0,0,-981 must be"),
     ],
 )
-def test_what_names_no_poses(spec, options, told):
+def test_what_names_no_poses(spec, options, stated):
     with pytest.raises(InputError) as error:
         open_poses(spec, **options)
-    assert told in str(error.value)
+    assert stated in str(error.value)
 
 
 # by UDP
@@ -260,7 +258,7 @@ def test_hostile_datagrams_are_rejected_and_counted(listener, robot):
 
 
 def test_a_flood_costs_no_more_than_its_share(listener, robot):
-    """As many as it takes to be told, faster than is read: taken is no more than the ticks allow."""
+    """Enough datagrams for a message, faster than they are read: the ticks limit how many are taken."""
     start, lines, i = time.monotonic(), [], 0
     while not any("more than 2000 datagrams a second" in line for line in lines):
         assert time.monotonic() - start < 30.0
@@ -367,9 +365,9 @@ def bag(request, tmp_path_factory):
 
 def test_a_topic_of_a_bag(bag):
     """Stamps are of whole nanoseconds, numbers of double precision."""
-    path, told, _ = bag
+    path, stated, _ = bag
     poses = open_poses(f"{path}?topic=/tool")
-    for one in told:
+    for one in stated:
         T = poses.at(one.time)
         assert T is not None and T[:3, 3] == pytest.approx(one.p, abs=1e-15)
     assert "5 poses of" in poses.title
@@ -377,18 +375,18 @@ def test_a_topic_of_a_bag(bag):
 
 def test_two_frames_of_tf(bag):
     """Chained over two joints and a still link, and the other way round."""
-    path, told, chained = bag
+    path, stated, chained = bag
     there, back = open_poses(f"{path}?world=world&base=probe"), open_poses(f"{path}?world=probe&base=world")
-    for one, T in zip(told, chained, strict=True):
+    for one, T in zip(stated, chained, strict=True):
         assert there.at(one.time) == pytest.approx(T, abs=1e-12)
         assert back.at(one.time) == pytest.approx(inverse(T), abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("query", "told"),
+    ("query", "stated"),
     [
-        ("", "there are /other, /tool; use ?topic=/NAME"),
-        ("?topic=/wrench", "topic /wrench; of poses (PoseStamped) there are /other, /tool"),
+        ("", "has several topics of PoseStamped: '/tool', '/other'; select one with ?topic="),
+        ("?topic=/wrench", "has no topic '/wrench'; topics of PoseStamped: '/tool', '/other'"),
         ("?topic=/other", "no poses"),
         ("?world=world", "use topic=/NAME, or world=FRAME&base=FRAME"),
         (
@@ -398,10 +396,10 @@ def test_two_frames_of_tf(bag):
         ("?world=flange&base=probe", "are all transforms static?"),
     ],
 )
-def test_what_a_bag_does_not_hold(bag, query, told):
+def test_what_a_bag_does_not_hold(bag, query, stated):
     with pytest.raises(InputError) as error:
         open_poses(f"{bag[0]}{query}")
-    assert told in str(error.value)
+    assert stated in str(error.value)
 
 
 @pytest.mark.parametrize("name", ["empty.mcap", "empty.db3", "folder"])
@@ -409,5 +407,5 @@ def test_what_is_no_bag(name, tmp_path):
     pytest.importorskip("rosbags")
     path = tmp_path / name
     path.mkdir() if name == "folder" else path.write_bytes(b"not a bag")
-    with pytest.raises(InputError, match="cannot be read as a ROS 2 bag"):
+    with pytest.raises(InputError, match=r"cannot be read as a ROS 2 bag|not an MCAP file"):
         open_poses(str(path))

@@ -1,4 +1,4 @@
-"""A recorded run gives the same estimates again, whichever frame it is told in."""
+"""A recorded run gives the same estimates again, in whichever frame it is recorded."""
 
 from contextlib import closing
 
@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.core.frames import inverse, wrench_map
-from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import WrenchReading, group_readings
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import locate
-from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_recording
-from probedesign.live.run import estimate_stream
+from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
 
@@ -66,16 +65,16 @@ def test_a_recording_in_the_base_frame(estimator, recorded, tmp_path):
 
 
 def test_gravity_of_the_recording_counts(estimator, tmp_path):
-    """The free probe, turned over between two readings: free in both with its gravity told, a contact in the
+    """The free probe, turned over between two readings: free in both with recorded gravity, a contact in the
     second without."""
     model = estimator.model
     gravities = np.array([[9.81, 0.0, 0.0], [-9.81, 0.0, 0.0]])
     wrenches = [model.to_sensor(model.rod.solve(gravity).wrench_base, gravity) for gravity in gravities]
-    write_recording(tmp_path / "told.csv", [0.0, 1.0], wrenches, gravity_base=gravities)
+    write_recording(tmp_path / "gravity.csv", [0.0, 1.0], wrenches, gravity_base=gravities)
     write_recording(tmp_path / "untold.csv", [0.0, 1.0], wrenches)
-    told = [row["result"] for row in estimate_recording(estimator, tmp_path / "told.csv").rows]
+    results = [row["result"] for row in estimate_recording(estimator, tmp_path / "gravity.csv").rows]
     untold = [row["result"] for row in estimate_recording(estimator, tmp_path / "untold.csv").rows]
-    assert told == ["no_contact", "no_contact"]
+    assert results == ["no_contact", "no_contact"]
     assert untold[0] == "no_contact" and untold[1] != "no_contact"
 
 
@@ -93,7 +92,7 @@ def test_count_seconds_and_rate(estimator, recorded):
 
 
 class Closing:
-    """A source that tells whether it was closed."""
+    """A source that records whether it was closed."""
 
     title, notes, closed = "", (), False
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.offline import estimate_recording
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.estimates import json_line
 from probedesign.live.recordings.csv import write_recording
+from probedesign.live.run import estimate_recording
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import bag, read
@@ -69,7 +69,7 @@ def test_a_cut_bag_is_read_up_to_there(model, tmp_path):
     path = mcap_of(bag(tmp_path / "b", {"/ft": ROWS}, storage="mcap"))
     path.write_bytes(path.read_bytes()[:-100])
     _, blocks = read(path, model)
-    assert sum(map(len, blocks)) == 300  # its one chunk stands before what is cut
+    assert sum(map(len, blocks)) == 300  # its one chunk precedes the cut
 
 
 def test_the_topic_is_chosen_or_named(model, tmp_path):
@@ -112,7 +112,7 @@ def test_a_wrench_in_the_base_frame(model, tmp_path):
 
 
 def test_newton_millimetres_are_detected_and_can_be_selected(model, tmp_path):
-    """A moment of 3 N·mm is told as 3; the sensor's range is 0.12 N·m."""
+    """A moment of 3 N·mm is published as 3; the sensor's range is 0.12 N·m."""
     rows = [(0.5, [0.1, 0.0, 0.0, 0.0, 3.0, 0.0])]
     folder = bag(tmp_path / "b", {"/ft": rows})
     assert "moments of 3 N·m are beyond the sensor's 0.12 N·m" in read(folder, model)[0].notes[1]
@@ -122,14 +122,14 @@ def test_newton_millimetres_are_detected_and_can_be_selected(model, tmp_path):
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 @pytest.mark.parametrize(
-    ("rows", "told"),
+    ("rows", "problem"),
     [
         ([(1.0, WRENCH), (2.0, [np.nan] * 6)], "Fx = nan N at 2 s exceeds the range"),
         ([(1.0, [1e5] * 6)], "Fx = 100000 N at 1 s exceeds the range of any sensor; raw counts"),
     ],
 )
-def test_what_is_no_reading_is_refused(model, tmp_path, storage, rows, told):
-    with pytest.raises(InputError, match=told):
+def test_what_is_no_reading_is_refused(model, tmp_path, storage, rows, problem):
+    with pytest.raises(InputError, match=problem):
         read(bag(tmp_path / "b", {"/ft": rows}, storage=storage), model)
 
 
@@ -162,7 +162,7 @@ def test_what_is_not_there_is_one_line(model, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("query", "told"),
+    ("query", "problem"),
     [
         ("frame=world", "frame = 'world' must be sensor or base"),
         ("moment_unit=lbf", "must be Nm or Nmm"),
@@ -171,7 +171,7 @@ def test_what_is_not_there_is_one_line(model, tmp_path):
         ("topic=/a", "has no topic '/a': it is not a ROS 2 bag"),
     ],
 )
-def test_parameters_of_a_replay(model, tmp_path, query, told):
+def test_parameters_of_a_replay(model, tmp_path, query, problem):
     write_recording(tmp_path / "r.csv", [0.0, 1.0], [WRENCH, WRENCH])
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=problem):
         ReplaySource(model, tmp_path / "r.csv", query)

@@ -9,7 +9,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from probedesign.frozen_probe import load_estimator
 from probedesign.estimation.tracker import Tracker
-from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.run import _warm_up_touches
@@ -33,8 +33,8 @@ assert {"ok", "no_contact"} <= {answer.estimate.result for answer in answers}
 tracker = Tracker(estimator, gravity_world=estimator.model.gravity_base)
 noise = np.random.default_rng(1).standard_normal((100, 6)) * np.sqrt(np.diag(estimator.model.noise.covariance()))
 touches = [touch for touch in _warm_up_touches(estimator) for _ in range(5)]
-said = {tracker.update(wrench + noise[i], T, i / 7000).result for i, (wrench, T) in enumerate(touches)}
-assert "ok" in said
+results = {tracker.update(wrench + noise[i], T, i / 7000).result for i, (wrench, T) in enumerate(touches)}
+assert "ok" in results
 print(sorted(kernels().items() - before.items()))
 """
 

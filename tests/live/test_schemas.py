@@ -1,4 +1,4 @@
-"""The messages of a recording are what ROS 2 says they are: rosbags is the independent reader."""
+"""The messages of a recording are those of ROS 2: rosbags is the independent reader."""
 
 import numpy as np
 import pytest
@@ -49,8 +49,8 @@ def test_poses_are_read_by_others():
     pose = STORE.deserialize_cdr(schemas.stamped("world", [1], [seven]).tobytes(), POSE).pose
     assert (pose.position.z, pose.orientation.z, pose.orientation.w) == (3.0, 0.6, 0.8)
     values = [*seven, *np.arange(36.0)]
-    told = STORE.deserialize_cdr(schemas.stamped("base", [1], [values]).tobytes(), UNCERTAIN_POSE).pose
-    assert told.pose.position.x == 1.0 and told.covariance.tolist() == list(range(36))
+    decoded = STORE.deserialize_cdr(schemas.stamped("base", [1], [values]).tobytes(), UNCERTAIN_POSE).pose
+    assert decoded.pose.position.x == 1.0 and decoded.covariance.tolist() == list(range(36))
 
 
 @given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1))
@@ -58,13 +58,13 @@ def test_texts_are_read_by_others_and_by_us(lines):
     """Of one length, so that they can be laid out together: filled up with spaces, which JSON does not mind."""
     length = max(len(line.encode()) for line in lines)
     for line, data in zip(lines, schemas.texts(lines), strict=True):
-        told = schemas.read_text(data.tobytes())
-        assert STORE.deserialize_cdr(data.tobytes(), TEXT).data == told
-        assert told == line + (length - len(line.encode())) * " "
+        decoded = schemas.read_text(data.tobytes())
+        assert STORE.deserialize_cdr(data.tobytes(), TEXT).data == decoded
+        assert decoded == line + (length - len(line.encode())) * " "
 
 
 def test_a_stamp_that_does_not_fit_is_the_nearest_that_does():
-    """ROS counts seconds in 32 bits; the exact time stands in the block."""
+    """ROS counts seconds in 32 bits; the exact time is in the block."""
     assert (
         schemas.read_stamped(schemas.stamped("f", [9 * 10**18], [[0.0] * 6]).tobytes(), 6)[0]
         == 2**31 * 10**9 - 1

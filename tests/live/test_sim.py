@@ -1,4 +1,4 @@
-"""`sim:`: the estimator finds the contact that the simulation knows, as closely as it says."""
+"""`sim:`: the estimator finds the contact that the simulation knows, within its stated uncertainty."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_the_truth_lies_within_the_estimated_interval(estimator):
 
 
 def test_without_noise_the_answer_is_the_truth(estimator):
-    """The simulation is of reference accuracy, the estimator's fast solve keeps the base moment within 1e-6:
+    """The simulation is of reference accuracy, the estimator's fast solve keeps the base torque within 1e-6:
     of 0.1 m of lever that is 0.1 µm, a hundredth of the bound."""
     quiet = estimator.with_noise(force_N=1e-9, moment_Nm=5e-12)
     found = errors(quiet, list(read(quiet.model, "speed=max&rate_hz=3")))

@@ -1,4 +1,4 @@
-"""Sinks: every one receives everything whatever becomes of the others; datagrams need no receiver."""
+"""Sinks: each receives everything, also after another has failed; datagrams need no receiver."""
 
 import json
 import socket
@@ -13,8 +13,8 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.processing.control import CommandQueue, ProcessingOptions
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
-from probedesign.live.processing.scheduler import CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 
@@ -86,13 +86,13 @@ def test_a_message_has_the_time_of_the_last_reading(estimator):
 
 
 def test_requests_are_taken_between_two_readings(estimator):
-    requests, said, done = CommandQueue(), [], []
+    requests, log_lines, done = CommandQueue(), [], []
     requests.register("start recording", done.append)
     answers = estimate_stream(
         estimator,
         SimulatedSource(estimator.model, "speed=max"),
         ProcessingOptions(),
-        said.append,
+        log_lines.append,
         None,
         requests,
     )
@@ -100,7 +100,7 @@ def test_requests_are_taken_between_two_readings(estimator):
     requests.put("mark", "here")
     requests.put("start recording")
     next(answers)
-    assert said == ["mark: here"] and [request.name for request in done] == ["start recording"]
+    assert log_lines == ["mark: here"] and [request.name for request in done] == ["start recording"]
     requests.put("stop")
     assert list(answers) == []
 
@@ -181,13 +181,15 @@ def test_a_run_without_receiver_continues(bundle, capsys):
 
 
 def test_a_network_that_accepts_nothing_is_reported_once_and_counted(estimator):
-    said = []
-    publisher = UdpPublisher("udp://255.255.255.255:9", said.append)  # broadcasting is not permitted unasked
+    log_lines = []
+    publisher = UdpPublisher(
+        "udp://255.255.255.255:9", log_lines.append
+    )  # broadcasting is not permitted unasked
     for _ in range(3):
         publisher.on_estimate(answer_of(estimator))
     publisher.close()
-    assert (publisher.sent, publisher.dropped, len(said)) == (0, 3, 2)
-    assert "the run continues" in said[0] and "3 were not accepted" in said[1]
+    assert (publisher.sent, publisher.dropped, len(log_lines)) == (0, 3, 2)
+    assert "the run continues" in log_lines[0] and "3 were not accepted" in log_lines[1]
 
 
 @pytest.mark.parametrize(

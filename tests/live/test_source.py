@@ -1,4 +1,6 @@
-"""Which sources there are, what is refused, and how fast they run."""
+"""Opening of sources, errors in their specification, and the rate of readings and estimates."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +15,13 @@ from probedesign.live.processing.blocks import (
     limit_duration,
     paced,
 )
-from probedesign.live.processing.scheduler import ProcessingOptions
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.source import open_source
+from probedesign.live.sources.source import SOURCES, open_source
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "expected"),
     [
         (
             "dac://Dev1/ai0:5",
@@ -44,11 +46,16 @@ from probedesign.live.sources.source import open_source
         ("replay:none.csv?seed=1", "replay: has no parameter 'seed'; did you mean speed? known: speed"),
     ],
 )
-def test_what_is_no_source(estimator, spec, told):
+def test_what_is_no_source(estimator, spec, expected):
     with pytest.raises(InputError) as error:
         open_source(spec, estimator.model)
-    assert told in str(error.value)
+    assert expected in str(error.value)
     assert str(error.value).isprintable()
+
+
+def test_every_source_is_documented():
+    text = (Path(__file__).parents[2] / "docs/live.md").read_text(encoding="utf-8").replace('"', "")
+    assert [scheme for scheme in SOURCES if f"--source {scheme}:" not in text] == []
 
 
 def stream(*times: float, most: int = 1) -> list[Block]:
@@ -95,7 +102,7 @@ class Known:
 
 
 def answered(estimator, times: list[float], rate: float) -> list[float]:
-    """When answers are given at most so often."""
+    """Times of the estimates at a maximum rate."""
     answers = estimate_stream(
         estimator, Known(stream(*times)), ProcessingOptions(rate=rate), lambda line: None
     )
@@ -147,13 +154,13 @@ def test_how_readings_are_cut_into_blocks_changes_nothing(samples, most):
     """To the bit: the same means, whose last readings, faults and stretches are the same."""
     given = noisy(100, fault_at=20, break_at=45, turn_at=70)
 
-    def told(most):
+    def expected(most):
         means = averaged(limit_duration(group_readings(given, most), 9.0), samples)
         return [(r.time, *r.wrench_sensor, *r.gravity_base, r.fault, r.stretch, r.received) for r in means]
 
-    assert told(most) == told(1)
-    assert sum(row[-3] == "saturated" for row in told(1)) == 1
-    assert told(1)[-1][0] < given[0].time + 9.0
+    assert expected(most) == expected(1)
+    assert sum(row[-3] == "saturated" for row in expected(1)) == 1
+    assert expected(1)[-1][0] < given[0].time + 9.0
 
 
 def test_a_mean_spans_no_interruption():

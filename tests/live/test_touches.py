@@ -1,4 +1,4 @@
-"""What is steady and what is not."""
+"""Stationarity of readings and base, and the phases of a touch."""
 
 import numpy as np
 import pytest
@@ -20,24 +20,24 @@ def noise(model, n, seed=0):
 
 
 def seen(model, readings, poses=None):
-    steadiness, said = StationarityTest(model, RATE), []
+    steadiness, states = StationarityTest(model, RATE), []
     for i, reading in enumerate(readings):
         steadiness.update(reading, None if poses is None else poses[i])
-        said.append((steadiness.full, steadiness.stationary, steadiness.moving))
-    return said
+        states.append((steadiness.full, steadiness.stationary, steadiness.moving))
+    return states
 
 
 def test_noise_is_steady_once_a_span_is_full(model):
     """A false "unsteady" has a chance of 1.4e-6 a reading."""
-    said = seen(model, noise(model, 2000))
-    assert [full for full, *_ in said].index(True) == COUNT - 1
-    assert {steady for full, steady, _ in said if full} == {True}
-    assert not any(steady for full, steady, _ in said if not full)
+    states = seen(model, noise(model, 2000))
+    assert [full for full, *_ in states].index(True) == COUNT - 1
+    assert {steady for full, steady, _ in states if full} == {True}
+    assert not any(steady for full, steady, _ in states if not full)
 
 
 @pytest.mark.parametrize("kind", ["step", "ramp", "sway"])
 def test_a_change_of_a_few_deviations_is_not_steady(kind, model):
-    """Each changes the moment about y by four deviations of one reading within the span, whose mean is known eight
+    """Each changes the torque about y by four deviations of one reading within the span, whose mean is known eight
     times better."""
     time = np.arange(2 * COUNT) / RATE
     course = {"step": time >= 1.5 * SPAN, "ramp": time / SPAN, "sway": np.sin(2.0 * np.pi * 6.0 * time)}[kind]
@@ -62,13 +62,13 @@ def test_a_settled_touch_needs_a_still_base(model):
     for speed, phase in ((0.0, "settled"), (0.01, "touching")):
         phases = PhaseTracker(model, RATE)
         for i, reading in enumerate(noise(model, 2 * COUNT)):
-            said = phases.next("contact", reading, pose(p=(0.0, speed * i / RATE, 0.0)))
-        assert said == phase
+            states = phases.next("contact", reading, pose(p=(0.0, speed * i / RATE, 0.0)))
+        assert states == phase
 
 
 def test_a_released_probe_is_free_after_a_span(model):
     phases = PhaseTracker(model, RATE)
     touching = ["contact"] * 10 + ["lost"] + ["free"] * (COUNT + 5)
-    said = [phases.next(t, r, pose()) for t, r in zip(touching, noise(model, len(touching)), strict=True)]
-    assert said[10 : 10 + COUNT - 1] == ["released"] * (COUNT - 1)
-    assert said[-1] == "free"
+    states = [phases.next(t, r, pose()) for t, r in zip(touching, noise(model, len(touching)), strict=True)]
+    assert states[10 : 10 + COUNT - 1] == ["released"] * (COUNT - 1)
+    assert states[-1] == "free"

@@ -1,4 +1,4 @@
-"""What the views show: shape, ellipsoid, parts, words; nothing sure where nothing is."""
+"""Content of the views: shape, ellipsoid, parts, status lines; unknown values are blank."""
 
 import json
 import math
@@ -11,14 +11,15 @@ import pytest
 from rich.console import Console
 
 from probedesign.core.frames import pose
+from probedesign.core.stl import RECORD
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.scheduler import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
+from probedesign.live.view.page import events_html, status_html
 from probedesign.live.view.scene import (
-    FACET,
     RING_POINTS,
     StripCharts,
     TubeMesh,
@@ -27,9 +28,8 @@ from probedesign.live.view.scene import (
     read_stl,
     rigid_parts,
 )
-from probedesign.live.view.snapshot import STRIP, BentShape, Snapshot, StatusLine
-from probedesign.live.view.state import ViewState
-from probedesign.live.view.status_text import TerminalView, events_html, status_html, table_of
+from probedesign.live.view.sinks import TerminalView, table_of
+from probedesign.live.view.state import STRIP, BentShape, Snapshot, StatusLine, ViewState
 
 
 def bent(estimator):
@@ -97,7 +97,7 @@ def test_the_ellipsoid_holds_95_of_100():
 
 
 def stl(corners) -> bytes:
-    facets = np.zeros(len(corners), FACET)
+    facets = np.zeros(len(corners), RECORD)
     facets["corners"] = np.reshape(corners, (-1, 3, 3))
     return b"made by a test".ljust(80) + len(corners).to_bytes(4, "little") + facets.tobytes()
 
@@ -128,7 +128,7 @@ def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "expected"),
     [
         (lambda folder: (folder / "manifest.json").unlink(), "there is no manifest.json"),
         (
@@ -150,11 +150,11 @@ def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
         ),
     ],
 )
-def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, folder, spoil, told):
+def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, folder, spoil, expected):
     spoil(folder)
     parts, note = rigid_parts(estimator.model, folder)
     assert [part.name for part in parts] == ["sensor", "flange", "adapter"]
-    assert told in note and "plain cylinders" in note and "\n" not in note
+    assert expected in note and "plain cylinders" in note and "\n" not in note
 
 
 def test_a_truncated_stl_is_refused(folder):
@@ -176,21 +176,21 @@ class Clock:
 
 
 def kept(estimator, query: str, clock: Clock) -> ViewState:
-    """A keeper that has seen a simulated run, on the clock of the run."""
-    keeper, start = ViewState(clock=clock), clock.now
+    """The state after a simulated run, on the clock of the run."""
+    state, start = ViewState(clock=clock), clock.now
     for answer in estimate_stream(
         estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print
     ):
         reading = answer.reading
         clock.now = start + reading.time
         one = np.array([reading.time])
-        keeper.on_samples(Block(one, reading.wrench_sensor[None], reading.gravity_base, one))
-        keeper.on_estimate(answer)
-    return keeper
+        state.on_samples(Block(one, reading.wrench_sensor[None], reading.gravity_base, one))
+        state.on_estimate(answer)
+    return state
 
 
-def of(moment: Snapshot) -> dict[str, StatusLine]:
-    return {said.name: said for said in moment.status}
+def of(snapshot: Snapshot) -> dict[str, StatusLine]:
+    return {line.name: line for line in snapshot.status}
 
 
 def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> EstimateUpdate:
@@ -201,117 +201,117 @@ def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> Estimate
 
 
 def test_the_status_before_the_first_reading():
-    moment = ViewState().snapshot()
-    assert of(moment)["result"].text == "no reading yet"
-    assert moment.marker is None and moment.shape is None
+    snapshot = ViewState().snapshot()
+    assert of(snapshot)["result"].text == "no reading yet"
+    assert snapshot.marker is None and snapshot.shape is None
 
 
 def test_a_contact_is_shown_with_its_units(estimator):
-    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot()
-    words = of(moment)
+    snapshot = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot()
+    words = of(snapshot)
     assert words["result"] == StatusLine("result", f"ok: {RESULTS['ok']}", "good")
-    assert words["contact"].text == f"s {1e3 * moment.marker.s:.1f} ± {1e3 * moment.marker.std_s:.1f} mm"
+    assert words["contact"].text == f"s {1e3 * snapshot.marker.s:.1f} ± {1e3 * snapshot.marker.std_s:.1f} mm"
     assert " mN, tangential over normal " in words["force"].text and words["moments"].text.endswith(" N·mm")
     assert "10 readings/s, 10 estimates/s" in words["rate"].text
-    assert moment.shape is not None and not moment.stale
-    assert moment.strip.shape == (80, len(STRIP))
+    assert snapshot.shape is not None and not snapshot.stale
+    assert snapshot.strip.shape == (80, len(STRIP))
 
 
 @pytest.mark.parametrize("result", [result for result in RESULTS if result != "ok"])
 def test_a_result_other_than_ok_has_no_place(estimator, result):
     """Not even if it carries candidates or a point fused from earlier readings."""
     ok = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
-    keeper = ViewState()
-    keeper.on_estimate(
-        answer(estimator, Estimate(result, candidates=ok.candidates, force_base=ok.force_base))
-    )
-    moment = keeper.snapshot()
-    assert moment.marker is None
-    assert [of(moment)[name].text for name in ("contact", "point", "force")] == ["–"] * 3
-    assert of(moment)["result"].text == f"{result}: {RESULTS[result]}"
-    assert np.isnan(moment.strip[:, 7:]).all()
+    state = ViewState()
+    state.on_estimate(answer(estimator, Estimate(result, candidates=ok.candidates, force_base=ok.force_base)))
+    snapshot = state.snapshot()
+    assert snapshot.marker is None
+    assert [of(snapshot)[name].text for name in ("contact", "point", "force")] == ["–"] * 3
+    assert of(snapshot)["result"].text == f"{result}: {RESULTS[result]}"
+    assert np.isnan(snapshot.strip[:, 7:]).all()
 
 
 def test_silence_is_stale_and_what_is_known_is_old(estimator):
     clock = Clock()
-    keeper = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
+    state = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
     clock.now += 0.45  # not yet five gaps
-    assert not keeper.snapshot().stale
+    assert not state.snapshot().stale
     clock.now += 1.95
-    moment = keeper.snapshot()
-    assert moment.stale and of(moment)["result"] == StatusLine("result", "stale: no reading for 2.4 s", "bad")
+    snapshot = state.snapshot()
+    assert snapshot.stale and of(snapshot)["result"] == StatusLine(
+        "result", "stale: no reading for 2.4 s", "bad"
+    )
 
 
 def test_a_silent_source_is_shown_with_its_fault(estimator):
-    keeper = ViewState()
-    keeper.on_estimate(answer(estimator, Estimate("no_contact")))
+    state = ViewState()
+    state.on_estimate(answer(estimator, Estimate("no_contact")))
     none = np.empty(0)
-    keeper.on_samples(Block(none, np.empty((0, 6)), estimator.model.gravity_base, none, "stale, no record"))
-    assert of(keeper.snapshot())["fault"] == StatusLine("fault", "stale, no record", "bad")
+    state.on_samples(Block(none, np.empty((0, 6)), estimator.model.gravity_base, none, "stale, no record"))
+    assert of(state.snapshot())["fault"] == StatusLine("fault", "stale, no record", "bad")
 
 
 def test_readings_without_estimates_make_what_is_known_old(estimator):
     clock = Clock()
-    keeper = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
+    state = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
     gravity = estimator.model.gravity_base
     for _ in range(100):
         clock.now += 0.1
-        keeper.on_samples(Block(np.zeros(1), np.zeros((1, 6)), gravity, np.zeros(1)))
-    assert "old" in of(keeper.snapshot())["result"].text and keeper.snapshot().stale
+        state.on_samples(Block(np.zeros(1), np.zeros((1, 6)), gravity, np.zeros(1)))
+    assert "old" in of(state.snapshot())["result"].text and state.snapshot().stale
 
 
 def test_loss_tare_and_recording_are_shown(estimator):
-    keeper = ViewState(lambda: {"lost": 3, "received": 10})
+    state = ViewState(lambda: {"lost": 3, "received": 10})
     for line in ("tare from 100 readings", "recording to a.mcap", "mark: here"):
-        keeper.on_event(1.0, line)
-    words = of(keeper.snapshot())
+        state.on_event(1.0, line)
+    words = of(state.snapshot())
     assert words["loss"] == StatusLine("loss", "3 lost of 0 readings", "fair")
     assert words["tare"].text == "from 100 readings" and words["recording"].text == "to a.mcap"
-    keeper.on_event(2.0, "recorded 7 readings to a.mcap")
-    assert of(keeper.snapshot())["recording"].text == "recorded 7 readings to a.mcap"
-    assert keeper.snapshot().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
+    state.on_event(2.0, "recorded 7 readings to a.mcap")
+    assert of(state.snapshot())["recording"].text == "recorded 7 readings to a.mcap"
+    assert state.snapshot().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
 
 
 def test_each_touch_is_stored_once_with_its_best_contact(estimator):
     """Two touches of a run without phases: of each the place of the least standard deviation."""
     query = "speed=max&rate_hz=10&seconds=23&period_s=10"
-    moment = kept(estimator, query, Clock()).snapshot()
-    assert [place.number for place in moment.touches] == [1, 2]
+    snapshot = kept(estimator, query, Clock()).snapshot()
+    assert [place.number for place in snapshot.touches] == [1, 2]
     answers = list(
         estimate_stream(estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print)
     )
-    for place, start in zip(moment.touches, (0.0, 10.0), strict=True):
+    for place, start in zip(snapshot.touches, (0.0, 10.0), strict=True):
         here = [a.estimate for a in answers if start <= a.reading.time < start + 10.0 and a.estimate.ok]
         assert place.std_s == min(estimate.std_s for estimate in here)
 
 
 def test_a_settled_contact_is_preferred_to_more_precise_moving_ones(estimator):
     found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
-    surer, keeper = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), ViewState()
+    surer, state = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), ViewState()
     for estimate, phase in ((found, "settled"), (surer, "touching"), (Estimate("no_contact"), "released")):
-        keeper.on_estimate(answer(estimator, estimate, phase=phase))
-    (place,) = keeper.snapshot().touches
+        state.on_estimate(answer(estimator, estimate, phase=phase))
+    (place,) = state.snapshot().touches
     assert (place.s, place.std_s) == (found.s_contact, found.std_s)
 
 
 def test_a_known_pose_puts_the_contact_into_the_world(estimator):
     found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update
-    T, keeper = pose(p=(1.0, 2.0, 3.0)), ViewState()
+    T, state = pose(p=(1.0, 2.0, 3.0)), ViewState()
     T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    keeper.on_estimate(answer(estimator, found.estimate, T_world_base=T))
-    place = keeper.snapshot().marker
+    state.on_estimate(answer(estimator, found.estimate, T_world_base=T))
+    place = state.snapshot().marker
     assert place.in_world
     assert place.p_surface == pytest.approx(T[:3, :3] @ found.estimate.p_surface_base + T[:3, 3])
     assert np.trace(place.cov) == pytest.approx(np.trace(found.estimate.cov_surface_base))
-    assert "world" in of(keeper.snapshot())["point"].text
+    assert "world" in of(state.snapshot())["point"].text
 
 
 def test_what_comes_from_outside_is_escaped():
-    moment = Snapshot(
+    snapshot = Snapshot(
         status=(StatusLine("fault", "<script>", "bad"),), events=((math.nan, "mark: <img src=x>"),)
     )
-    assert "<script>" not in status_html(moment) and "&lt;script&gt;" in status_html(moment)
-    assert "<img" not in events_html(moment)
+    assert "<script>" not in status_html(snapshot) and "&lt;script&gt;" in status_html(snapshot)
+    assert "<img" not in events_html(snapshot)
 
 
 # charts
@@ -335,11 +335,11 @@ def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
 
 
 def test_terminal_and_page_show_the_same_status(estimator):
-    moment = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot(shaped=False)
+    snapshot = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock()).snapshot(shaped=False)
     console = Console(file=StringIO(), width=120)
-    console.print(table_of("large", moment))
+    console.print(table_of("large", snapshot))
     drawn = console.file.getvalue()
-    assert all(said.text in drawn for said in moment.status)
+    assert all(line.text in drawn for line in snapshot.status)
 
 
 def test_the_terminal_is_left_as_it_was(estimator):

@@ -11,7 +11,7 @@ import trimesh
 from probedesign.cli.main import run
 from probedesign.core.units import MM
 from probedesign.frozen_probe import write_frozen
-from probedesign.live.poses.pose_file import POSE_COLUMNS
+from probedesign.live.poses.pose_sources import POSE_COLUMNS
 from probedesign.mapping.contact_map import CHI2_95, COLUMNS
 
 

@@ -35,19 +35,16 @@ class RecordingFile(Sink, Protocol):
 
     def flush(self) -> None:
         """Pass everything to the operating system; from then on it survives this program."""
-        ...
 
     def on_pose(self, pose: TimedPose) -> None:
         """Receive a pose of the base."""
-        ...
 
     def on_dropped(self, readings: int, others: int) -> None:
         """Receive the number of readings, and of estimates and events, that were dropped before this point."""
-        ...
 
 
 class BackgroundWriter:
-    """Writes a recording on a background thread; drops and counts what the queue cannot hold.
+    """Writes a recording on a background thread; drops and counts what exceeds the queue.
 
     Attributes:
         readings: number of readings passed to the file.
@@ -62,22 +59,9 @@ class BackgroundWriter:
         max_queued: int = MAX_QUEUED_READINGS,
         flush_period: float = FLUSH_PERIOD,
     ) -> None:
-        """Start the thread.
-
-        Args:
-            file: file to write, used by no one else from now on.
-            name: name of the file, for messages.
-            log: callback for messages to the user; called from both threads.
-            max_queued: maximum number of queued readings.
-            flush_period: period of flushing [s].
-        """
-        self._file, self._name, self._log, self._max_queued, self._flush_period = (
-            file,
-            name,
-            log,
-            max_queued,
-            flush_period,
-        )
+        """Start the thread; it alone uses the file from now on, and `log` is called from both threads."""
+        self._file, self._name, self._log = file, name, log
+        self._max_queued, self._flush_period = max_queued, flush_period
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._queued = self._done = 0
         self._counting = threading.Lock()  # events come from several threads
@@ -91,23 +75,23 @@ class BackgroundWriter:
         """Queue readings; see `Sink`."""
         if self._enqueue(len(block) or 1, partial(self._file.on_samples, block)):
             self.readings += 0 if self._failed else len(block)
-        else:
-            self._count_dropped(0, len(block))
+            return
+        if not self.dropped:
+            self._log(f"{self._name}: the disk is too slow; readings are dropped")
+        self._dropped[0] += len(block)
+        self.dropped += len(block)
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Queue an estimate; see `Sink`."""
-        if not self._enqueue(1, partial(self._file.on_estimate, update)):
-            self._count_dropped(1, 1)
+        self._enqueue_other(partial(self._file.on_estimate, update))
 
     def on_pose(self, pose: TimedPose) -> None:
         """Queue a pose; see `RecordingFile`."""
-        if not self._enqueue(1, partial(self._file.on_pose, pose)):
-            self._count_dropped(1, 1)
+        self._enqueue_other(partial(self._file.on_pose, pose))
 
     def on_event(self, time: float, line: str) -> None:
         """Queue an event; see `Sink`."""
-        if not self._enqueue(1, partial(self._file.on_event, time, line)):
-            self._count_dropped(1, 1)
+        self._enqueue_other(partial(self._file.on_event, time, line))
 
     def close(self) -> None:
         """Write the queue and close the file."""
@@ -137,11 +121,9 @@ class BackgroundWriter:
             self._queue.put((weight, job))
         return True
 
-    def _count_dropped(self, kind: int, count: int) -> None:
-        if not self.dropped and kind == 0:
-            self._log(f"{self._name}: the disk is too slow; readings are dropped")
-        self._dropped[kind] += count
-        self.dropped += count if kind == 0 else 0
+    def _enqueue_other(self, job: Callable[[], None]) -> None:
+        if not self._enqueue(1, job):
+            self._dropped[1] += 1
 
     def _work(self) -> None:
         """Run jobs until the end and flush periodically; after a failure only count them."""
@@ -150,9 +132,8 @@ class BackgroundWriter:
         except Exception as error:  # a full disk or a bug: the run continues in both cases
             self._failed = True
             reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self._log(
-                f"{self._name}: recording ended: {reason}; the file is complete up to this point, the run continues"
-            )
+            complete = "the file is complete up to this point, the run continues"
+            self._log(f"{self._name}: recording ended: {reason}; {complete}")
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
 
@@ -166,21 +147,16 @@ class BackgroundWriter:
                     return
                 job[1]()
                 self._done += job[0]
-                flushed = self._flush_if_due(flushed)
-            flushed = self._flush_if_due(flushed)
-
-    def _flush_if_due(self, last: float) -> float:
-        """Flush the file if it is due; return the time of the last flush [s]."""
-        if time.monotonic() - last < self._flush_period:
-            return last
-        self._file.flush()
-        return time.monotonic()
+                if time.monotonic() - flushed >= self._flush_period:
+                    self._file.flush()
+                    flushed = time.monotonic()
 
     def _gather(self) -> Iterator[Job | None]:
-        """Yield the jobs that arrive within the gathering interval; none if none arrives before a flush is due."""
+        """Yield the jobs that arrive within the gathering interval, or an empty one when a flush is due before."""
         try:
             first = self._queue.get(timeout=self._flush_period)
         except Empty:
+            yield 0, lambda: None
             return
         if first is not None:
             time.sleep(GATHER_TIME)
@@ -194,11 +170,7 @@ DEFAULT_FOLDER = Path("recordings")
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a file name without a suffix of `SUFFIXES`.
-
-    Raises:
-        InputError: the suffix is another.
-    """
+    """Refuse a file name without a suffix of `SUFFIXES`; raises InputError."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{path}: use the suffix .mcap (all data, for ROS 2 and replay) or .csv (raw readings)"
@@ -239,7 +211,6 @@ class RecordingSink:
             path: first file; later files are named NAME-2, NAME-3, ... None names it by probe and date in the folder
                 `recordings`.
             model: probe on the sensor.
-            log: callback for messages to the user.
             force: whether the first file may replace an existing one.
             metadata: additional metadata of an MCAP file.
         """

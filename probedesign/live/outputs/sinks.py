@@ -1,37 +1,47 @@
-"""Sinks of a run: the interface, a group of sinks, standard error, and JSON datagrams by UDP."""
+"""Sinks of a run: the interface, a group, standard error, JSON datagrams by UDP, and the options that select them."""
 
 import math
 import socket
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Protocol
-from urllib.parse import urlsplit
 
 from probedesign.core.errors import InputError
-from probedesign.live import Log
+from probedesign.core.files import check_overwrite
+from probedesign.estimation.estimator import Estimator
+from probedesign.live import Log, split_address
+from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.control import CommandQueue
 from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row
+from probedesign.live.sources.source import Source
 
 
 class Sink(Protocol):
-    """Receives readings, estimates and events of a run. No call may wait for a disk, a network or a person."""
+    """Receives readings, estimates and events of a run. No call may wait for a disk, a network or a person.
+
+    A subclass ignores what it does not override.
+    """
 
     def on_samples(self, block: Block) -> None:
         """Receive raw readings, before averaging and tare; a block without readings reports silence in its fault."""
-        ...
+        return None
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Receive an estimate, at the rate of estimates."""
-        ...
+        return None
 
     def on_event(self, time: float, line: str) -> None:
         """Receive an event at the source's time [s]: a tare, a mark, silence, loss, a fault."""
-        ...
+        return None
 
     def close(self) -> None:
         """Handle the end of the run; called once, whatever ended it."""
-        ...
+        return None
 
 
 class SinkGroup:
@@ -77,35 +87,24 @@ class SinkGroup:
             try:
                 call(sink)
             except Exception as error:
-                self._remove(sink, error)
-
-    def _remove(self, sink: Sink, error: Exception) -> None:
-        if sink in self._sinks:
-            self._sinks.remove(sink)
-            self.log(f"{type(sink).__name__} failed and is no longer used: {error} ({type(error).__name__})")
+                if sink in self._sinks:  # it may have failed in a call within this one
+                    self._sinks.remove(sink)
+                    name, kind = type(sink).__name__, type(error).__name__
+                    self.log(f"{name} failed and is no longer used: {error} ({kind})")
 
 
-class StderrSink:
+class StderrSink(Sink):
     """Prints events to standard error, one line each."""
-
-    def on_samples(self, block: Block) -> None:
-        """Ignore readings."""
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Ignore estimates."""
 
     def on_event(self, time: float, line: str) -> None:
         """Print the event."""
         print(line, file=sys.stderr, flush=True)
 
-    def close(self) -> None:
-        """Do nothing: standard error stays open."""
-
 
 SCHEMA = 1
 
 
-class UdpPublisher:
+class UdpPublisher(Sink):
     """Sends estimates and events as JSON datagrams; never waits for a receiver or the network.
 
     No receiver is required. A datagram that the system does not accept at once is dropped and counted.
@@ -116,16 +115,17 @@ class UdpPublisher:
     """
 
     def __init__(self, address: str, log: Log) -> None:
-        """Resolve the address of the receiver.
-
-        Args:
-            address: `udp://HOST:PORT`.
-            log: callback for messages to the user.
+        """Resolve the address of the receiver, `udp://HOST:PORT`.
 
         Raises:
             InputError: the address is invalid, or the host is unknown.
         """
-        host, port = _host_and_port(address)
+        try:
+            host, port = split_address(address, "udp")
+        except ValueError:
+            host, port = "", None
+        if not host or not port:
+            raise InputError(f"--publish {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket, self._receiver = socket.socket(*found[:3]), found[4]
@@ -135,19 +135,12 @@ class UdpPublisher:
         self._address, self._log = address, log
         self.sent, self.dropped = 0, 0
 
-    def on_samples(self, block: Block) -> None:
-        """Ignore raw readings."""
-
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Send the row of `live --json` and its time stamps."""
         kind: Row = {"kind": "estimate"}
+        row = estimate_row(update.reading, update.estimate)
         world = world_row(update) if update.fused is not None else {}
-        self._send(
-            kind
-            | estimate_row(update.reading, update.estimate)
-            | world
-            | time_stamps(update.reading.received)
-        )
+        self._send(kind | row | world | time_stamps(update.reading.received))
 
     def on_event(self, time: float, line: str) -> None:
         """Send an event."""
@@ -168,16 +161,14 @@ class UdpPublisher:
         except OSError as error:
             self.dropped += 1
             if self.dropped == 1:
-                self._log(
-                    f"--publish {self._address}: a datagram was not sent: {error.strerror or error}; the run continues"
-                )
+                why = error.strerror or error
+                self._log(f"--publish {self._address}: a datagram was not sent: {why}; the run continues")
 
 
 def time_stamps(received: float) -> Row:
     """Return the arrival time of a reading and the current time by both clocks [s], and the latency [ms].
 
-    Args:
-        received: arrival by `time.monotonic` [s]; NaN without hardware.
+    `received` is the arrival by `time.monotonic` [s]; NaN without hardware.
     """
     monotonic, wall = time.monotonic(), time.time()
     return {
@@ -189,20 +180,78 @@ def time_stamps(received: float) -> Row:
     }
 
 
-def _host_and_port(address: str) -> tuple[str, int]:
-    """Return host and port of `udp://HOST:PORT`."""
-    try:
-        parts = urlsplit(address)
-        host, port = parts.hostname or "", parts.port or 0
-    except ValueError:
-        host, port = "", 0
-    if (
-        address != f"udp://{address[6:]}"
-        or not host
-        or not port
-        or parts.path
-        or parts.query
-        or parts.username
-    ):
-        raise InputError(f"--publish {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
-    return host, port
+@dataclass(frozen=True)
+class OutputOptions:
+    """Outputs that the user selected.
+
+    Attributes:
+        record: file to record to; None records nothing until it is requested during the run.
+        force: whether that file may be replaced.
+        publish: udp://HOST:PORT to which estimates are sent.
+        page: host and port of the page in the browser.
+        terminal: whether a live table is shown on the terminal.
+        parts_folder: folder of the exported parts, which the page shows.
+        metadata: options of the run, stored in the recording.
+    """
+
+    record: Path | None
+    force: bool
+    publish: str | None
+    page: tuple[str, int] | None
+    terminal: bool
+    parts_folder: Path
+    metadata: Mapping[str, str]
+
+    def check(self, source: str) -> None:
+        """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
+
+        Raises:
+            InputError: this would happen, or the suffix of the file is unknown.
+        """
+        from probedesign.live.outputs.recording import check_suffix
+
+        record = self.record
+        if record is None:
+            return
+        check_suffix(record)
+        replayed = Path(source.partition("?")[0].removeprefix("replay:"))
+        if record.exists() and replayed.exists() and record.samefile(replayed):
+            raise InputError(f"--record {record} is the recording being replayed; choose another file")
+        check_overwrite(record, self.force)
+
+    def publisher(self, log: Log) -> UdpPublisher | None:
+        """Return the publisher; separate from the other sinks because an invalid address is reported first."""
+        return None if self.publish is None else UdpPublisher(self.publish, log)
+
+    def connect(
+        self,
+        sinks: SinkGroup,
+        commands: CommandQueue,
+        estimator: Estimator,
+        source: Source,
+        poses: BasePoses | None,
+        publisher: UdpPublisher | None,
+    ) -> None:
+        """Add the selected sinks to a run and register their commands.
+
+        Raises:
+            InputError: the file cannot be written, or the page has no port.
+        """
+        from probedesign.live.outputs.recording import RecordingSink
+        from probedesign.live.view.sinks import BrowserView, TerminalView
+
+        counts = partial(getattr, source, "counts", {})
+        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, dict(self.metadata))
+        commands.register("start recording", lambda _: recordings.try_start())
+        commands.register("stop recording", lambda _: recordings.stop())
+        sinks.add(recordings)
+        if poses is not None:
+            poses.on_pose = recordings.on_pose
+        if publisher is not None:
+            sinks.add(publisher)
+        if self.page is not None:
+            sinks.add(BrowserView(estimator, self.parts_folder, commands, sinks.log, *self.page, counts))
+        if self.terminal:
+            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+        if self.record is not None:  # after the views, which show recording by its events
+            recordings.start()

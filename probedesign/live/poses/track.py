@@ -92,9 +92,7 @@ def _rotation(q: tuple[float, ...]) -> Array:
 
 def pose_from_matrix(time: float, T: Array) -> TimedPose:
     """Return the pose at a time [s] of a rigid transform (4, 4)."""
-    from scipy.spatial.transform import (
-        Rotation,  # takes a third of a second to import, and a live run needs none
-    )
+    from scipy.spatial.transform import Rotation  # a third of a second to import; a live run needs none
 
     q = Rotation.from_matrix(T[:3, :3]).as_quat()
     return TimedPose(time, tuple(T[:3, 3].tolist()), tuple(q.tolist()))
@@ -213,16 +211,10 @@ class TransformTree:
         if shared is None:
             known = ", ".join(sorted({*self._parent, *self._parent.values()}))[:200] or "none"
             raise InputError(f"TF does not connect {world!r} and {base!r}; frames: {known}")
-        to_world_path, to_base_path = (
-            to_world_path[: to_world_path.index(shared)],
-            to_base_path[: to_base_path.index(shared)],
-        )
-        times = {
-            time
-            for child in (*to_world_path, *to_base_path)
-            if child in self._moving
-            for time in self._moving[child].times
-        }
+        to_world_path = to_world_path[: to_world_path.index(shared)]
+        to_base_path = to_base_path[: to_base_path.index(shared)]
+        moving = [self._moving[child] for child in (*to_world_path, *to_base_path) if child in self._moving]
+        times = {time for track in moving for time in track.times}
         found = []
         for time in sorted(times):
             to_world, to_base = self._compose(to_world_path, time), self._compose(to_base_path, time)
@@ -274,11 +266,6 @@ class ClockOffset:
                 del self._minima[old]
         self._minima[second] = min(self._minima.get(second, math.inf), arrival - stamp)
         return min(self._minima.values())
-
-    @property
-    def known(self) -> bool:
-        """Whether there is any message."""
-        return bool(self._minima)
 
     @property
     def value(self) -> float:

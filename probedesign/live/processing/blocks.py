@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
 from probedesign.core.frames import Array
 
 
-@dataclass(frozen=True)
-class TrueContact:
+class TrueContact(NamedTuple):
     """The true contact of a simulation; NaN while nothing touches.
 
     Attributes:
@@ -43,7 +43,7 @@ class WrenchReading:
         time: time by the source's clock [s].
         wrench_sensor: wrench in the sensor frame, bias included [N, N·m], (6,).
         gravity_base: gravity vector in base axes [m/s²], (3,).
-        truth: the true contact, if the source knows it.
+        truth: the true contact, if the source provides it.
         fault: description of a sensor fault; a reading with a fault is treated as out of range.
         stretch: number of the uninterrupted stretch of readings; averages never span two stretches.
         received: arrival time by `time.monotonic` [s]; NaN if the reading was not received from hardware.
@@ -71,7 +71,7 @@ class Block:
         received: arrival times by `time.monotonic` [s], (n,); NaN if not received from hardware.
         fault: description of a fault that affects all of them; they are treated as out of range.
         stretch: number of the uninterrupted stretch of readings.
-        truths: the true contact of each reading, if the source knows it; otherwise empty.
+        truths: the true contact of each reading, if the source provides it; otherwise empty.
     """
 
     time: Array
@@ -103,14 +103,20 @@ class Block:
             yield WrenchReading(stamp, wrench, self.gravity_base, truth, self.fault, self.stretch, received)
 
 
-def dropout_block(gravity_base: Array, why: str, stretch: int) -> Block:
-    """Return a block without readings, which reports a silent sensor.
+def joined(blocks: list[Block]) -> Block:
+    """Return the readings of blocks as one, with gravity, fault and stretch of the first."""
+    if len(blocks) == 1:
+        return blocks[0]
+    time, wrench, received = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("time", "wrench_sensor", "received")
+    )
+    truths = tuple(truth for block in blocks for truth in block.truths)
+    return replace(blocks[0], time=time, wrench_sensor=wrench, received=received, truths=truths)
 
-    Args:
-        gravity_base: gravity vector of the last reading [m/s²], (3,).
-        why: reason for the silence.
-        stretch: number of the interrupted stretch.
-    """
+
+def dropout_block(gravity_base: Array, why: str, stretch: int) -> Block:
+    """Return a block without readings, which reports a silent sensor, with the reason and the interrupted stretch."""
     return Block(np.empty(0), np.empty((0, 6)), gravity_base, np.empty(0), why, stretch)
 
 
@@ -123,18 +129,20 @@ def iter_readings(blocks: Iterable[Block]) -> Iterator[WrenchReading]:
 def group_readings(
     readings: Iterable[WrenchReading], max_count: int = 1, max_span: float = inf
 ) -> Iterator[Block]:
-    """Group readings into blocks; a block is emitted when it is full or the next reading does not fit.
+    """Group readings in order of time into blocks that span less than `max_span` [s] and have one state of the source.
 
-    Args:
-        readings: readings in order of time.
-        max_count: maximum number of readings in a block.
-        max_span: the last reading of a block is less than this after its first [s].
+    A block is emitted when it is full or the next reading does not fit.
     """
     pending: list[WrenchReading] = []
+
+    def fits(a: WrenchReading, b: WrenchReading) -> bool:
+        if (a.fault, a.stretch, a.truth is None) != (b.fault, b.stretch, b.truth is None):
+            return False
+        same_gravity = a.gravity_base is b.gravity_base or np.array_equal(a.gravity_base, b.gravity_base)
+        return same_gravity and b.time - a.time < max_span
+
     for reading in readings:
-        if pending and not (
-            _same_source_state(pending[0], reading) and reading.time - pending[0].time < max_span
-        ):
+        if pending and not fits(pending[0], reading):
             yield _block_of(pending)
             pending = []
         pending.append(reading)
@@ -143,12 +151,6 @@ def group_readings(
             pending = []
     if pending:
         yield _block_of(pending)
-
-
-def _same_source_state(a: WrenchReading, b: WrenchReading) -> bool:
-    if (a.fault, a.stretch, a.truth is None) != (b.fault, b.stretch, b.truth is None):
-        return False
-    return a.gravity_base is b.gravity_base or np.array_equal(a.gravity_base, b.gravity_base)
 
 
 def _block_of(readings: list[WrenchReading]) -> Block:
@@ -169,34 +171,19 @@ def mean_reading(blocks: list[Block]) -> WrenchReading:
 
     The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
     """
+    truths = [truth for block in blocks for truth in block.truths]
+    gravity = blocks[0].gravity_base  # the same object if it is constant
+    if any(block.gravity_base is not gravity for block in blocks):
+        rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
+        gravity = gravity if (rows == gravity).all() else np.asarray(rows.mean(axis=0))
     return WrenchReading(
         float(np.concatenate([block.time for block in blocks]).mean()),
         np.concatenate([block.wrench_sensor for block in blocks]).mean(axis=0),
-        _mean_gravity(blocks),
-        _mean_truth([truth for block in blocks for truth in block.truths]),
+        gravity,
+        TrueContact(*(np.mean(values, axis=0) for values in zip(*truths, strict=True))) if truths else None,
         next((block.fault for block in blocks if block.fault), ""),
         blocks[-1].stretch,
         float(blocks[-1].received[-1]),
-    )
-
-
-def _mean_gravity(blocks: list[Block]) -> Array:
-    """Return the mean gravity vector; the same object if it is constant."""
-    first = blocks[0].gravity_base
-    if all(block.gravity_base is first for block in blocks):
-        return first
-    rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
-    return first if (rows == first).all() else np.asarray(rows.mean(axis=0))
-
-
-def _mean_truth(truths: list[TrueContact]) -> TrueContact | None:
-    if not truths:
-        return None
-    return TrueContact(
-        float(np.mean([t.s_contact for t in truths])),
-        np.mean([t.p_contact_base for t in truths], axis=0),
-        np.mean([t.force_base for t in truths], axis=0),
-        np.mean([t.p_surface_base for t in truths], axis=0),
     )
 
 
@@ -233,14 +220,8 @@ def limit_duration(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
         yield block
 
 
-@dataclass(frozen=True)
-class AveragedBatch:
-    """n consecutive samples of one stretch and their mean.
-
-    Attributes:
-        block: the samples, with the gravity vector of the mean and the first fault.
-        reading: the mean of the samples.
-    """
+class AveragedBatch(NamedTuple):
+    """n consecutive samples of one stretch, with the gravity vector of the mean and the first fault, and their mean."""
 
     block: Block
     reading: WrenchReading
@@ -280,13 +261,9 @@ def _joined_batch(parts: list[Block]) -> AveragedBatch:
     if len(parts) == 1 and len(parts[0]) == 1:
         return AveragedBatch(parts[0], next(parts[0].readings()))
     reading = mean_reading(parts)
-    whole = Block(
-        np.concatenate([index.time for index in parts]),
-        np.concatenate([index.wrench_sensor for index in parts]),
-        reading.gravity_base,
-        np.concatenate([index.received for index in parts]),
-        reading.fault,
-        reading.stretch,
-        tuple(truth for index in parts for truth in index.truths),
+    return AveragedBatch(
+        replace(
+            joined(parts), gravity_base=reading.gravity_base, fault=reading.fault, stretch=reading.stretch
+        ),
+        reading,
     )
-    return AveragedBatch(whole, reading)

@@ -14,24 +14,73 @@ from time import monotonic
 import numpy as np
 
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading
-from probedesign.live.processing.estimates import EstimateUpdate, locate
-from probedesign.live.processing.low_pass import LowPass
-from probedesign.live.processing.scheduler import MAX_AGE, EstimateScheduler, ProcessingOptions
-from probedesign.live.processing.tare import (
+from probedesign.live.processing.control import (
+    MAX_AGE,
     TARE_DURATION,
+    EstimateScheduler,
+    ProcessingOptions,
     Tare,
     TareCollector,
     TareWindow,
     describe_tare,
     without_bias,
 )
+from probedesign.live.processing.estimates import EstimateUpdate, locate
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
+
+
+class LowPass:
+    """Low-pass filter with a double real pole (critically damped), 3 dB down at the cut-off.
+
+    Its step response has no overshoot, so a contact force is never overestimated.
+
+    Each pole is y += (1 - a)(x - y), with gain (1 - a)² / (1 - 2 a cos ω + a²), which is 1/√2 at the cut-off. At
+    low frequencies its delay is exactly a / (1 - a) samples, for any cut-off.
+
+    Attributes:
+        delay: delay of signals that are slow compared with the cut-off [s]; about 0.2/cut-off.
+    """
+
+    def __init__(self, cutoff: float, rate: float) -> None:
+        """Design the filter for a half-power frequency and a sampling rate [Hz]; it starts in steady state.
+
+        Raises:
+            InputError: the cut-off is not positive or not below half the rate.
+        """
+        if not 0.0 < cutoff < 0.5 * rate:
+            raise InputError(
+                f"--filter-hz {cutoff:g} must be positive and below half of {rate:.6g} readings/s"
+            )
+        cosine = math.cos(2.0 * math.pi * cutoff / rate)
+        # (1 - a)² √2 = 1 - 2 a cos ω + a², the root within the unit circle.
+        half = (math.sqrt(2.0) - cosine) / (math.sqrt(2.0) - 1.0)
+        pole = half - math.sqrt(half * half - 1.0)
+        self.delay = 2.0 * pole / (1.0 - pole) / rate
+        self._sections = np.array([[1.0 - pole, 0.0, 0.0, 1.0, -pole, 0.0]] * 2)
+        self._state: Array | None = None
+
+    def filter(self, samples: Array) -> Array:
+        """Return the next samples (n, k), filtered."""
+        from scipy.signal import sosfilt  # takes half a second to import, so only if a filter is used
+
+        if self._state is None:  # steady state of each pole is pole × value
+            pole = -self._sections[0, 4]
+            self._state = np.zeros((2, 2, samples.shape[1]))
+            self._state[:, 0] = pole * samples[0]
+        filtered, self._state = sosfilt(self._sections, samples, axis=0, zi=self._state)
+        return np.asarray(filtered, dtype=float)
+
+    def reset(self) -> None:
+        """Discard the filter state: the next sample is treated as the first."""
+        self._state = None
+
 
 MIN_RATE_SAMPLES = 8
 """Number of samples from which the rate of the source is determined before processing starts."""
@@ -52,20 +101,12 @@ class Chain:
     def __init__(
         self, estimator: Estimator, options: ProcessingOptions, poses: BasePoses | None, log: Log
     ) -> None:
-        """Start with no readings.
-
-        Args:
-            estimator: estimator of the probe.
-            options: processing options.
-            poses: poses of the base; None if it is fixed as the frozen probe or the source states.
-            log: callback for messages to the user.
-        """
+        """Start with no readings; `poses` is None if the base is fixed as the frozen probe or the source states."""
         self.tare: Tare | None = None
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
         self._batches, self._waiting = BatchAverager(options.samples), deque[AveragedBatch]()
-        self._tare_collector = (
-            TareCollector(options.window, estimator) if options.window is not None else None
-        )
+        window = options.window
+        self._tare_collector = None if window is None else TareCollector(window, estimator)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
         self._monitor: TouchMonitor | None = None
@@ -93,7 +134,9 @@ class Chain:
         self._waiting.extend(self._batches.add(block))
         if math.isnan(self._rate) and not self._initialize():
             return
-        while self._waiting and not self._awaits_pose(self._waiting[0].reading.time):
+        while self._waiting and not (
+            self._poses is not None and self._poses.may_arrive(self._waiting[0].reading.time, self._now)
+        ):
             yield from self._step(self._waiting.popleft(), now if n_waiting > 0 else -math.inf)
             n_waiting -= 1
 
@@ -115,12 +158,9 @@ class Chain:
         if self._tare_refused():
             return
         start = self._now - self._first
-        self._tare_collector = TareCollector(
-            TareWindow(start, start + TARE_DURATION), self._estimator, on_request=True
-        )
+        window = TareWindow(start, start + TARE_DURATION)
+        self._tare_collector = TareCollector(window, self._estimator, on_request=True)
         self._log(f"tare: keep the probe free and still for {TARE_DURATION:g} s")
-
-    # before the first batch is processed
 
     def _initialize(self) -> bool:
         """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
@@ -144,23 +184,27 @@ class Chain:
         return True
 
     def _reset_monitor(self) -> None:
-        """Start a new touch monitor."""
         self._monitor = TouchMonitor(
             self._estimator, self._contacts, self._rate, self._options.samples, self._poses, self._log,
             self._options.estimates,
         )  # fmt: skip
 
-    # one batch
-
     def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:
         """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
         if math.isnan(self._first):
             self._first = batch.reading.time
-        whole = replace(batch.reading, fault=batch.reading.fault or self._saturation(batch.block))
+        # A sample at its limit is a fault of the whole batch: the mean would not show it.
+        within = np.abs(batch.block.wrench_sensor) <= self._estimator.model.saturation_limit
+        saturation = "" if within.all() else "a channel is at its limit or not a number"
+        whole = replace(batch.reading, fault=batch.reading.fault or saturation)
         reading = self._with_gravity(whole)
         self._report_pose(reading)
-        if reading.stretch != self._stretch:
-            self._interrupted(reading.stretch)
+        if reading.stretch != self._stretch:  # readings are missing before this one
+            self._stretch = reading.stretch
+            if self._low_pass is not None:
+                self._low_pass.reset()
+            if self._monitor is not None:
+                self._monitor.on_interruption()
         smooth = self._filtered(batch.block, whole)
         self._collect_tare(AveragedBatch(batch.block, reading))
         if self._tare_collector is not None and not self._tare_collector.on_request:
@@ -178,22 +222,14 @@ class Chain:
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
         wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base)
-        return EstimateUpdate(
-            reading,
-            estimate,
-            self._state.phase,
-            self._state.fused,
+        stale = "pose" if self._poses is not None and T is None else ""
+        pose, wrench = (
             np.full((4, 4), np.nan) if T is None else T,
-            wrench if not reading.fault else np.full(6, np.nan),
-            monotonic(),
-            "pose" if self._poses is not None and T is None else "",
-            self.contacts,
+            np.full(6, np.nan) if reading.fault else wrench,
         )
-
-    def _saturation(self, block: Block) -> str:
-        """Return the fault of a batch in which any sample is at its limit: the mean would not show it."""
-        within = np.abs(block.wrench_sensor) <= self._estimator.model.saturation_limit
-        return "" if within.all() else "a channel is at its limit or not a number"
+        return EstimateUpdate(
+            reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts
+        )
 
     def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
         """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
@@ -211,14 +247,6 @@ class Chain:
         self._pose_missing = missing
         why = self._poses.reason(reading.time) + "; no estimates until one is available"
         self._log(why if missing else "the base pose is available again")
-
-    def _interrupted(self, stretch: int) -> None:
-        """Handle missing readings before this one."""
-        self._stretch = stretch
-        if self._low_pass is not None:
-            self._low_pass.reset()
-        if self._monitor is not None:
-            self._monitor.on_interruption()
 
     def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
         """Return the filtered reading at the time it represents; None without a filter."""
@@ -272,6 +300,3 @@ class Chain:
             return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)
         return self._monitor.update(batch, self.tare, T)
-
-    def _awaits_pose(self, time: float) -> bool:
-        return self._poses is not None and self._poses.may_arrive(time, self._now)

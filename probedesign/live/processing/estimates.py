@@ -12,12 +12,8 @@ from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.fused import FusedEstimate
 from probedesign.live.processing.blocks import WrenchReading
-from probedesign.live.processing.tare import Tare, without_bias
+from probedesign.live.processing.control import Tare, without_bias
 from probedesign.live.processing.touches import Contact, Phase
-
-
-def _nan_pose() -> Array:
-    return np.full((4, 4), np.nan)
 
 
 @dataclass(frozen=True)
@@ -40,7 +36,7 @@ class EstimateUpdate:
     estimate: Estimate
     phase: Phase = ""
     fused: FusedEstimate | None = None
-    T_world_base: Array = field(default_factory=_nan_pose)
+    T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     wrench_base: Array = field(default_factory=lambda: np.full(6, np.nan))
     computed: float = float("nan")
     stale: str = ""
@@ -50,15 +46,9 @@ class EstimateUpdate:
 def locate(
     estimator: Estimator, reading: WrenchReading, tare: Tare | None = None, method: Method = "ml"
 ) -> Estimate:
-    """Return the estimate of one reading. Saturation is tested before the bias is removed.
+    """Return the estimate of one reading, bias included. Saturation is tested before the bias is removed.
 
-    The variance of the bias grows with the age of the tare.
-
-    Args:
-        estimator: estimator of the probe.
-        reading: the reading, bias included.
-        tare: the sensor bias; None if no tare was taken.
-        method: see `Estimator.estimate`.
+    The variance of the bias grows with the age of the tare. For `method` see `Estimator.estimate`.
     """
     if reading.fault or not estimator.model.in_range(reading.wrench_sensor):
         return Estimate("out_of_range")
@@ -121,8 +111,7 @@ def world_row(update: EstimateUpdate) -> Row:
     """Return the fused estimate in the units of `WORLD_COLUMNS`; unknown values are NaN."""
     fused = update.fused or FusedEstimate("out_of_range")
     values: list[float | str] = [update.phase, fused.result]
-    values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world)]
-    values += _mm2(fused.cov_contact_world)
+    values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world), *_mm2(fused.cov_contact_world)]
     present = update.contacts[-1].number if update.contacts and update.contacts[-1].ongoing else math.nan
     values += [present, update.stale, *_mm2(fused.cov_surface_world)]
     return dict(zip(WORLD_COLUMNS, values, strict=True))
@@ -151,23 +140,16 @@ def _csv_field(name: str, value: float | str) -> str:
 
 def json_line(row: Row) -> str:
     """Return the row as one line of JSON, with null for non-finite numbers."""
-    return json.dumps({name: _finite_or_null(value) for name, value in row.items()}, allow_nan=False)
-
-
-def _finite_or_null(value: float | str) -> float | str | None:
-    return value if isinstance(value, str) or math.isfinite(value) else None
+    finite = {n: v if isinstance(v, str) or math.isfinite(v) else None for n, v in row.items()}
+    return json.dumps(finite, allow_nan=False)
 
 
 def readable_line(
     elapsed: float, reading: WrenchReading, estimate: Estimate, update: EstimateUpdate | None = None
 ) -> str:
-    """Return one line of fixed columns for the terminal; unknown values are blank.
+    """Return one line of fixed columns for the terminal, `elapsed` seconds after the first; unknown values are blank.
 
-    Args:
-        elapsed: time since the first line [s].
-        reading: the reading.
-        estimate: its estimate.
-        update: source of phase and world coordinates, if poses of the base are known.
+    The update has the phase and world coordinates, if poses of the base are known.
     """
     force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
     cells = [

@@ -14,7 +14,7 @@ change; nothing moves and readings are collected. Three tests distinguish the ph
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -27,10 +27,9 @@ from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.latency import MIN_REPORTED, LatencyCheck
+from probedesign.live.poses.base_poses import MIN_REPORTED, BasePoses, LatencyCheck
 from probedesign.live.processing.blocks import AveragedBatch
-from probedesign.live.processing.tare import Tare
+from probedesign.live.processing.control import Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 
@@ -51,12 +50,7 @@ class StationarityTest:
     """Tests whether the readings of the last span vary by no more than their noise, and whether the base moves."""
 
     def __init__(self, model: ProbeModel, rate: float) -> None:
-        """Start with an empty span.
-
-        Args:
-            model: probe model, for the noise of one reading.
-            rate: rate of readings [Hz].
-        """
+        """Start with an empty span; the model gives the noise of one reading, `rate` is that of readings [Hz]."""
         self._whiten = model.whiten
         self._period = max(1, math.ceil(SPAN * rate / MAX_MEANS))  # readings to a mean
         n = max(4, math.ceil(SPAN * rate / self._period))
@@ -120,12 +114,9 @@ class PhaseTracker:
         self._phase: Phase = ""
 
     def next(self, touching: Touching, wrench: Array, T_world_base: Array | None) -> Phase:
-        """Return the phase after one more reading.
+        """Return the phase after one more reading; see `StationarityTest.update`.
 
-        Args:
-            touching: last decision of the detector for it; "lost" if that was the decision for any of its samples.
-            wrench: wrench at the base minus the free probe's [N, N·m], (6,).
-            T_world_base: pose of the base, (4, 4), if it is known.
+        `touching` is the last decision of the detector for it; "lost" if that was the decision for any of its samples.
         """
         stationarity = self.stationarity
         if touching == "lost" or (touching == "contact") != (self._phase in ("touching", "settled")):
@@ -242,14 +233,8 @@ BIAS_STEPS = 0.5
 accumulates in 100 s. Free readings before the touch constrain it."""
 
 
-@dataclass(frozen=True)
-class TouchState:
-    """State after a batch.
-
-    Attributes:
-        phase: phase of the touch; empty if unknown.
-        fused: estimate from all readings of this touch; None without poses.
-    """
+class TouchState(NamedTuple):
+    """State after a batch: the phase, empty if unknown, and the fused estimate of the touch, None without poses."""
 
     phase: Phase
     fused: FusedEstimate | None
@@ -279,7 +264,6 @@ class TouchMonitor:
             rate: rate of single samples [Hz].
             samples: number of samples in a batch.
             poses: poses of the base, if known.
-            log: callback for messages to the user.
             estimates: whether the readings of a touch are fused to a point in the world, and touches are reported.
         """
         model = estimator.model
@@ -298,7 +282,7 @@ class TouchMonitor:
             self._tracker = Tracker(
                 of_means, priors=priors, gravity_world=poses.gravity_world, rate=rate / samples
             )
-        self._samples = self._no_state
+        self._state = self._no_state
         self._period, self._last = samples / rate, math.nan
 
     @property
@@ -306,26 +290,25 @@ class TouchMonitor:
         return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
 
     def update(self, batch: AveragedBatch, tare: Tare | None, T_world_base: Array | None) -> TouchState:
-        """Process a batch without fault and with known gravity.
-
-        Args:
-            batch: the batch, bias included.
-            tare: the sensor bias.
-            T_world_base: pose of the base, (4, 4), if poses are known.
-        """
+        """Process a batch without fault and with known gravity, bias included, and the pose of the base, if known."""
         gravity = batch.reading.gravity_base
         free = self._estimator.free(gravity)
         if not free.ok:
             return self._no_state
-        self._skip_gap(batch.reading.time)
+        gap = batch.reading.time - self._last - self._period
+        if gap > self._period:
+            self._detector.rest(gap)
+        self._last = batch.reading.time
         excess = self._excess(batch, tare)
         mean, decisions = excess.mean(axis=0), self._detector.run(excess)
         phase = self._phases.next("lost" if "lost" in decisions else decisions[-1], mean, T_world_base)
         fused = self._fused(decisions, mean + free.wrench_base, T_world_base, batch.reading.time)
-        self._update_contacts(batch.reading.time, phase, fused)
+        ended = self._contacts.update(batch.reading.time, phase, fused)
+        if ended is not None and self._estimates:
+            self._log(ended.summary)
         self._check_latency(batch.reading.time, phase, mean, T_world_base)
-        self._samples = TouchState(phase, fused)
-        return self._samples
+        self._state = TouchState(phase, fused)
+        return self._state
 
     def calibrate(self, batches: list[AveragedBatch], tare: Tare) -> None:
         """Calibrate the detector on batches of a free probe, as those of the tare.
@@ -340,13 +323,6 @@ class TouchMonitor:
         gravity, bias = batch.reading.gravity_base, 0.0 if tare is None else tare.bias_sensor
         samples = self._estimator.model.to_base(batch.block.wrench_sensor - bias, gravity)
         return samples - self._estimator.free(gravity).wrench_base
-
-    def _skip_gap(self, time: float) -> None:
-        """Inform the detector of missing samples."""
-        gap = time - self._last - self._period
-        if gap > self._period:
-            self._detector.rest(gap)
-        self._last = time
 
     def on_interruption(self) -> None:
         """Handle missing readings between the last batch and the next."""
@@ -364,18 +340,13 @@ class TouchMonitor:
             return self._tracker.update(wrench, T, time, decisions[0])
         return FusedEstimate("no_contact")
 
-    def _update_contacts(self, time: float, phase: Phase, fused: FusedEstimate | None) -> None:
-        ended = self._contacts.update(time, phase, fused)
-        if ended is not None and self._estimates:
-            self._log(ended.summary)
-
     def _check_latency(self, time: float, phase: Phase, excess: Array, T: Array | None) -> None:
         """Check for every touch, when it settles, whether poses and wrench moved at the same time."""
         if T is None or self._poses is None:
             return
         if phase not in ("touching", "settled"):
             return self._latency_check.reset()
-        if phase == "settled" and self._samples.phase == "touching":
+        if phase == "settled" and self._state.phase == "touching":
             delay_ms = 1e3 * self._latency_check.delay()
             if abs(delay_ms) > 1e3 * MIN_REPORTED:
                 stated = 1e3 * self._poses.latency

@@ -1,8 +1,11 @@
 """Recordings: CSV with raw readings, and MCAP with standard ROS 2 messages in a file that survives a crash."""
 
+import os
 from importlib.util import find_spec
+from pathlib import Path
 
-from probedesign.core.errors import MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.files import exists_already
 
 
 def require() -> None:
@@ -13,3 +16,60 @@ def require() -> None:
     """
     if find_spec("mcap") is None:
         raise MissingDependencyError.of_extra("an MCAP recording", "mcap", "live")
+
+
+class AppendFile:
+    """Buffers what is written until `flush`, which appends all of it or leaves the file unchanged."""
+
+    def __init__(self, path: Path, force: bool = False) -> None:
+        """Create the file, and its folder if necessary; `force` replaces an existing file.
+
+        Raises:
+            InputError: the file exists and `force` is not set, or it cannot be written.
+        """
+        flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0) | (os.O_TRUNC if force else os.O_EXCL)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(path, flags, 0o644)
+        except FileExistsError:
+            raise exists_already(path) from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        self._path = path
+        self._pending: list[bytes] = []
+        self._pending_size = self._written = 0
+
+    def write(self, data: bytes) -> int:
+        """Buffer bytes for the next `flush`; return their number."""
+        self._pending.append(data)
+        self._pending_size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the offset of the next byte."""
+        return self._written + self._pending_size
+
+    def flush(self) -> None:
+        """Pass the buffer to the operating system.
+
+        Raises:
+            OSError: it cannot be written completely; the file is unchanged.
+        """
+        rest = memoryview(b"".join(self._pending))
+        try:
+            while rest:
+                rest = rest[os.write(self._file, rest) :]
+        except OSError:
+            os.ftruncate(self._file, self._written)
+            raise
+        self._written += self._pending_size
+        self._pending, self._pending_size = [], 0
+
+    def close(self) -> None:
+        """Close the file; the buffer is not written."""
+        os.close(self._file)
+
+    def discard(self) -> None:
+        """Close and delete the file."""
+        self.close()
+        self._path.unlink(missing_ok=True)

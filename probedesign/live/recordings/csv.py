@@ -1,9 +1,13 @@
-"""Recordings of a wrench sensor as CSV with a unit in every column name. See docs/recording-format.md.
+"""Recordings of a wrench sensor as CSV: ours, with a unit in every column name, and those of ATI's demonstration.
 
 Reading is strict: a column without unit, an invalid number or decreasing time is an error that names the line. Only
 unambiguous damage is repaired: an incomplete last line is dropped, and gaps are counted.
+
+Source: docs/recording-format.md; ATI's Java demo, version 1.1.1.
 """
 
+import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -11,29 +15,20 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from probedesign.core.csv_tables import (
-    CEILING,
-    NUMBER,
-    WRENCH,
-    WRENCH_ALIASES,
-    WRENCH_KINDS,
-    Column,
-    CsvLines,
-    Frame,
-    find_columns,
-    read_lines,
-    shown,
-)
+from probedesign.core import csv_tables
+from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, shown
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.recordings.append_file import AppendFile
+from probedesign.live.recordings import AppendFile
+from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS, unit_of
+from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND, fault_of
 
 GRAVITY = ("gx", "gy", "gz")
-KINDS = {"time": "time", **WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
-ALIASES = {"t": "time", "timestamp": "time", **WRENCH_ALIASES}
+KINDS = {"time": "time", **csv_tables.WRENCH_KINDS, **dict.fromkeys(GRAVITY, "gravity")}
+ALIASES = {"t": "time", "timestamp": "time", **csv_tables.WRENCH_ALIASES}
 
 CSV_HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
 GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
@@ -45,15 +40,12 @@ def recording_columns(table: CsvLines) -> list[Column]:
     Raises:
         InputError: a column is missing, duplicated or without a known unit.
     """
-    found = find_columns(table, KINDS, ALIASES, CSV_HEADER)
+    found = csv_tables.find_columns(table, KINDS, ALIASES, CSV_HEADER)
     wanted = ("time", *WRENCH, *(GRAVITY if found.keys() & set(GRAVITY) else ()))
     names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
-    missing = [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]
-    if missing:
-        table.fail(
-            table.header_number,
-            f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}",
-        )
+    if missing := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]:
+        problem = f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}"
+        table.fail(table.header_number, problem)
     return [found[quantity] for quantity in wanted]
 
 
@@ -87,18 +79,12 @@ class Recording:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording.
-
-    Args:
-        path: CSV with units in its column names, see docs/recording-format.md.
-
-    Returns:
-        The recording in SI units.
+    """Read a recording, in SI units, from CSV with units in its column names, see docs/recording-format.md.
 
     Raises:
         InputError: the file cannot be read or is invalid; the message names the line.
     """
-    table = read_lines(Path(path), "recording", CSV_HEADER)
+    table = csv_tables.read_lines(Path(path), "recording", CSV_HEADER)
     columns = recording_columns(table)
     rows, notes = _whole_rows(table, columns)
     if not rows:
@@ -109,16 +95,8 @@ def read_recording(path: str | Path) -> Recording:
     gaps, missing = gaps_in(values[:, 0])
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
-    return Recording(
-        time=values[:, 0],
-        wrench=values[:, 1:7],
-        frame=table.frame,
-        gravity_base=gravity,
-        gaps=gaps,
-        missing_samples=missing,
-        dropped_lines=len(table.rows) - len(rows),
-        notes=notes,
-    )
+    dropped = len(table.rows) - len(rows)
+    return Recording(values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes)
 
 
 def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
@@ -176,7 +154,7 @@ def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) ->
         fields = row.split(",")
         for column in columns:
             text = fields[column.index].strip()
-            if not NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+            if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
                 remedy = "correct the value or delete the line"
                 table.fail(number, f"{column.name} = {shown(text)} is not a finite number; {remedy}")
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
@@ -200,7 +178,7 @@ def check_wrenches(path: Path, time: Array, wrench: Array) -> None:
     """Refuse wrenches [N, N·m], (n, 6), beyond the range of any sensor.
 
     Raises:
-        InputError: a force or a moment is too large or not a number; the message states its time.
+        InputError: a force or a moment is too large or not a number; the message has its time.
     """
     ceiling = np.repeat([CEILING["force"], CEILING["moment"]], 3)
     invalid = ~(np.abs(wrench) <= ceiling)
@@ -231,10 +209,10 @@ def write_recording(
     frame: Frame = "sensor",
     gravity_base: ArrayLike | None = None,
 ) -> None:
-    """Write a recording that is read back exactly; an existing file is replaced.
+    """Write a recording that is read back exactly; an existing file is replaced, its folder created if necessary.
 
     Args:
-        path: path of the file; its folder is created if necessary.
+        path: path of the file.
         time: time of each sample [s], (n,).
         wrench: wrenches [N, N·m], (n, 6), in the axes of `frame`.
         frame: "sensor" or "base".
@@ -269,15 +247,7 @@ class CsvRecorder:
     """
 
     def __init__(self, path: Path, force: bool = False) -> None:
-        """Create the file and write its header.
-
-        Args:
-            path: path; its folder is created if necessary.
-            force: replace an existing file.
-
-        Raises:
-            InputError: the file exists and `force` is not set, or it cannot be written.
-        """
+        """Create the file and write its header; see `AppendFile`."""
         self._file = AppendFile(path, force)
         self._file.write(f"# frame: sensor\n{CSV_HEADER},{GRAVITY_HEADER}\n".encode())
         try:
@@ -319,3 +289,103 @@ class CsvRecorder:
             self._file.flush()
         finally:
             self._file.close()
+
+
+FIRST_WORDS = "Start Time"
+ATI_HEADER = ("status(hex)", "rdtsequence", "f/tsequence", "fx", "fy", "fz", "tx", "ty", "tz", "time")
+WRAP = 1 << 32
+
+
+def is_ati_demo(path: Path) -> bool:
+    """Return whether a file begins like a recording of ATI's demonstration program."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(FIRST_WORDS) + 4).lstrip(b'\xef\xbb\xbf"').startswith(FIRST_WORDS.encode())
+    except (OSError, ValueError):
+        return False
+
+
+def read_ati_demo(path: Path) -> Recording:
+    """Read a recording of ATI's demonstration program: seven lines, a header, and rows of quoted fields.
+
+    A row contains counts or units. The time is the sensor's, from the first sample.
+
+    Raises:
+        InputError: the file cannot be read or is invalid; the message names the line.
+    """
+    lines = csv_tables.read_text(path, "recording").splitlines()
+    factors, start = _head(path, lines)
+    rows = [(number, fields) for number, fields in enumerate(csv.reader(lines[start:]), start + 1) if fields]
+    notes = []
+    if rows and len(rows[-1][1]) < len(ATI_HEADER):
+        notes.append(f"line {rows[-1][0]} is incomplete at the end: dropped")
+        rows.pop()
+    dropped = len(notes)
+    values = np.array([_numbers(path, number, fields) for number, fields in rows]).reshape(-1, 8)
+    if not len(values):
+        raise InputError(f"{path}: no samples, only a header")
+    time = _time(path, values[:, 1], [number for number, _ in rows])
+    counts = bool((values[:, 2:] == np.rint(values[:, 2:])).all())  # counts are integers, newtons are not
+    wrench = values[:, 2:] * factors[0] / (factors[1] if counts else 1.0)
+    good = np.array([not fault_of(int(status)) for status in values[:, 0]])
+    if not good.all():
+        notes.append(f"{int((~good).sum())} samples with a fault are omitted")
+    gaps, missing = gaps_in(time[good])
+    if gaps:
+        notes.append(f"{missing} samples are missing in {gaps} gaps")
+    check_wrenches(path, time[good], wrench[good])
+    return Recording(time[good], wrench[good], "sensor", None, gaps, missing, dropped, tuple(notes))
+
+
+def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
+    """Return units in SI and counts per unit, (6,) each, and the number of lines before the first row."""
+    head: dict[str, str] = {}
+    for number, line in enumerate(lines[:20], 1):
+        if re.sub(r"[\s\"]", "", line).lower().split(",") == list(ATI_HEADER):
+            force, torque = (
+                unit_of(f"{path}: {what} Units", head.get(f"{what} Units", ""), units)
+                for what, units in (("Force", FORCE_UNITS), ("Torque", TORQUE_UNITS))
+            )
+            counts = [_counts(path, head, f"Counts per Unit {what}") for what in ("Force", "Torque")]
+            return (np.repeat([force, torque], 3), np.repeat(counts, 3)), number
+        name, _, value = line.strip().strip('"').partition(":")
+        head[name.strip()] = value.strip()
+    raise InputError(
+        f"{path}: like a recording of ATI's demo, but without its header: Status (hex), ..., Time"
+    )
+
+
+def _counts(path: Path, head: dict[str, str], name: str) -> float:
+    try:
+        counts = float(head[name])
+    except (KeyError, ValueError):
+        counts = 0.0
+    if not 0.0 < counts < np.inf:
+        raise InputError(f"{path}: {name} {shown(head.get(name, ''))} must be a positive number")
+    return counts
+
+
+def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
+    """Return status, sequence number of the sensor and six channels."""
+    try:
+        if len(fields) != len(ATI_HEADER):
+            raise ValueError
+        numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
+    except ValueError:
+        text = shown(",".join(fields))
+        raise InputError(
+            f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo"
+        ) from None
+    if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
+        raise InputError(f"{path}:{number}: {shown(','.join(fields))} contains a number that no box sends")
+    return numbers
+
+
+def _time(path: Path, sequence: Array, numbers: list[int]) -> Array:
+    """Return the time by the sensor's own counter, across its 32-bit overflow [s], (n,)."""
+    ticks = np.diff(sequence) % WRAP
+    back = np.flatnonzero(ticks > WRAP / 2)
+    if len(back):
+        number = numbers[int(back[0]) + 1]
+        raise InputError(f"{path}:{number}: F/T Sequence decreases; sort the rows or split the recording")
+    return np.concatenate([[0.0], np.cumsum(ticks)]) / SAMPLES_PER_SECOND

@@ -66,7 +66,7 @@ def parse(kind: type[Record], content: bytes) -> Record:
         DamagedError: it cannot be parsed.
     """
     try:
-        record: Record = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]
+        record: Record = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]  # not in its stubs
     except Exception as error:  # the package does not validate: any exception is the file's fault
         raise DamagedError(f"a {kind.__name__} record cannot be read ({type(error).__name__})") from None
     return record
@@ -237,11 +237,7 @@ class McapBag:
             self.probe = probe if isinstance(probe, dict) else None
 
     def _read_summary(self) -> None:
-        """Read schemas and channels from the end of the file.
-
-        Raises:
-            DamagedError: the file was not closed, or its end is invalid.
-        """
+        """Read schemas and channels from the end of the file."""
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(size - FOOTER_AND_MAGIC, len(MCAP_MAGIC)))

@@ -12,7 +12,6 @@ import struct
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,10 +25,9 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
 from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.blocks import Block, joined
 from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
-from probedesign.live.recordings import require, schemas
-from probedesign.live.recordings.append_file import AppendFile
+from probedesign.live.recordings import AppendFile, require, schemas
 from probedesign.live.recordings.schemas import (
     MCAP_MAGIC,
     METADATA_NAME,
@@ -229,7 +227,6 @@ class McapRecorder:
             MissingDependencyError: the MCAP package is not installed.
         """
         require()
-
         self._file = AppendFile(path, force)
         self._pending: list[Block] = []
         self._updates: list[EstimateUpdate] = []
@@ -258,10 +255,12 @@ class McapRecorder:
 
     def _write_pending(self) -> None:
         """Write the estimates, the readings as wrenches, and one message with what their headers do not contain."""
-        self._write_answers()
+        updates, self._updates = self._updates, []
+        for topic, stamps, data in update_messages(updates):
+            self._add(topic, stamps, data)
         if not self._pending:
             return
-        block, self._pending, self._count = _joined_blocks(self._pending), [], 0
+        block, self._pending, self._count = joined(self._pending), [], 0
         stamps = schemas.nanoseconds(block.time)
         if len(block):
             self._add(
@@ -280,11 +279,6 @@ class McapRecorder:
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Buffer an estimate as long as the readings."""
         self._updates.append(update)
-
-    def _write_answers(self) -> None:
-        updates, self._updates = self._updates, []
-        for topic, stamps, data in update_messages(updates):
-            self._add(topic, stamps, data)
 
     def on_pose(self, pose: TimedPose) -> None:
         """Write a pose of the base, as received."""
@@ -343,22 +337,8 @@ def _same_state(a: Block, b: Block) -> bool:
     return (a.fault, a.stretch) == (b.fault, b.stretch) and np.array_equal(a.gravity_base, b.gravity_base)
 
 
-def _joined_blocks(blocks: list[Block]) -> Block:
-    """Return blocks of the same state as one block."""
-    if len(blocks) == 1:
-        return blocks[0]
-    time, wrench, received = (
-        np.concatenate([getattr(block, name) for block in blocks])
-        for name in ("time", "wrench_sensor", "received")
-    )
-    return replace(blocks[0], time=time, wrench_sensor=wrench, received=received, truths=())
-
-
 UNKNOWN_ROTATION_VAR = math.pi**2
 """Variance of each angle of a contact's orientation [rad²], which is not estimated: π in each direction."""
-
-Values = Sequence[tuple[float, list[float]]]
-"""Time [s] and values of each message."""
 
 
 def update_messages(updates: Sequence[EstimateUpdate]) -> Iterator[tuple[schemas.Topic, Nanoseconds, Bytes]]:
@@ -366,10 +346,15 @@ def update_messages(updates: Sequence[EstimateUpdate]) -> Iterator[tuple[schemas
 
     Messages are encoded together: one by one they take five times as long.
     """
+    contacts = [(a.reading.time, a.estimate) for a in updates if a.estimate.ok]
+    fused = [(a.reading.time, a.fused) for a in updates if a.fused is not None and a.fused.ok]
+    wrenches = [(a.reading.time, a.wrench_base.tolist()) for a in updates if np.isfinite(a.wrench_base).all()]
+    found = [(t, _pose_values(e.p_surface_base, e.cov_surface_base)) for t, e in contacts]
+    found_world = [(t, _pose_values(f.p_surface_world, f.cov_surface_world)) for t, f in fused]
     for topic, frame, values in (
-        (schemas.WITHOUT_BIAS, "base", _wrenches(updates)),
-        (schemas.CONTACT, "base", _contacts(updates)),
-        (schemas.CONTACT_WORLD, "world", _contacts_world(updates)),
+        (schemas.WITHOUT_BIAS, "base", wrenches),
+        (schemas.CONTACT, "base", found),
+        (schemas.CONTACT_WORLD, "world", found_world),
     ):
         if values:
             stamps = nanoseconds([time for time, _ in values])
@@ -377,20 +362,6 @@ def update_messages(updates: Sequence[EstimateUpdate]) -> Iterator[tuple[schemas
     if updates:
         stamps = nanoseconds([update.reading.time for update in updates])
         yield schemas.ESTIMATE, stamps, texts([_estimate_json(update) for update in updates])
-
-
-def _wrenches(updates: Sequence[EstimateUpdate]) -> Values:
-    return [(a.reading.time, a.wrench_base.tolist()) for a in updates if np.isfinite(a.wrench_base).all()]
-
-
-def _contacts(updates: Sequence[EstimateUpdate]) -> Values:
-    found = [(a.reading.time, a.estimate) for a in updates if a.estimate.ok]
-    return [(time, _pose_values(e.p_surface_base, e.cov_surface_base)) for time, e in found]
-
-
-def _contacts_world(updates: Sequence[EstimateUpdate]) -> Values:
-    found = [(a.reading.time, a.fused) for a in updates if a.fused is not None and a.fused.ok]
-    return [(time, _pose_values(f.p_surface_world, f.cov_surface_world)) for time, f in found]
 
 
 def _pose_values(p: Array, cov: Array) -> list[float]:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,30 +20,16 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of an MCAP file."""
 
 
-@dataclass(frozen=True)
-class Channel:
-    """A topic of a bag.
-
-    Attributes:
-        topic: name of the topic.
-        type: type of its messages, as geometry_msgs/msg/WrenchStamped.
-        encoding: encoding of its messages; CDR in every bag of ROS 2.
-    """
+class Channel(NamedTuple):
+    """A topic of a bag, the type of its messages, as geometry_msgs/msg/WrenchStamped, and their encoding."""
 
     topic: str
     type: str
     encoding: str = "cdr"
 
 
-@dataclass(frozen=True)
-class Message:
-    """One message of a bag.
-
-    Attributes:
-        topic: name of its topic.
-        logged: time of recording [ns].
-        data: the message in the topic's encoding.
-    """
+class Message(NamedTuple):
+    """One message of a bag: its topic, the time of recording [ns], and the bytes in the topic's encoding."""
 
     topic: str
     logged: int
@@ -111,11 +97,8 @@ def stamped(frame: str, stamps: ArrayLike, values: ArrayLike) -> Bytes:
     seconds, rest = np.divmod(np.asarray(stamps, dtype=np.int64), 1_000_000_000)
     name = frame.encode() + b"\0"
     packed = np.zeros(len(numbers), _message_dtype(len(name), numbers.shape[1]))
-    packed["encapsulation"], packed["length"], packed["name"] = (
-        np.void(CDR_LITTLE_ENDIAN),
-        len(name),
-        np.void(name),
-    )
+    packed["encapsulation"], packed["name"] = np.void(CDR_LITTLE_ENDIAN), np.void(name)
+    packed["length"] = len(name)
     packed["second"] = np.clip(seconds, *_SECONDS)
     packed["rest"] = np.where(seconds < _SECONDS[0], 0, np.where(seconds > _SECONDS[1], 999_999_999, rest))
     packed["values"] = numbers
@@ -164,16 +147,12 @@ def read_wrenches(messages: Sequence[bytes | memoryview]) -> Array:
     """
     if messages and len({(len(each), bytes(each[:4]), bytes(each[12:16])) for each in messages}) == 1:
         first = messages[0]
-        if bytes(first[:4]) == CDR_LITTLE_ENDIAN and len(first) >= 16:
-            dtype = _message_dtype(_frame_length(first), 6) if _frame_length(first) < len(first) else None
-            if dtype is not None and dtype.itemsize == len(first):
+        length = int.from_bytes(first[12:16], "little")  # of the frame's name
+        if bytes(first[:4]) == CDR_LITTLE_ENDIAN and len(first) >= 16 and length < len(first):
+            dtype = _message_dtype(length, 6)
+            if dtype.itemsize == len(first):
                 return np.frombuffer(b"".join(messages), dtype)["values"]
     return np.array([read_stamped(each, 6)[2] for each in messages]).reshape(-1, 6)
-
-
-def _frame_length(message: bytes | memoryview) -> int:
-    """Return the length of the frame name in a little-endian header."""
-    return int.from_bytes(message[12:16], "little")
 
 
 def read_text(data: bytes | memoryview) -> str:
@@ -183,10 +162,7 @@ def read_text(data: bytes | memoryview) -> str:
         ValueError: the bytes are not such a message.
     """
     order = _order(data)
-    if len(data) < 8:
-        raise ValueError(f"{len(data)} bytes are too short")
-    (length,) = struct.unpack_from(f"{order}I", data, 4)
-    if len(data) < 8 + length:
+    if len(data) < 8 or len(data) < 8 + (length := struct.unpack_from(f"{order}I", data, 4)[0]):
         raise ValueError(f"{len(data)} bytes are too short")
     return _string(data[8 : 8 + length])
 

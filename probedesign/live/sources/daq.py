@@ -1,6 +1,9 @@
 """Source `daq://Dev1/ai0:5?cal=FILE`: six gauges on a National Instruments card, converted by ATI's calibration.
 
-Samples are acquired with nidaqmx on the card's own clock for as long as the source is read.
+A calibration file (`.cal`) has the matrix from six gauge voltages to a wrench. Samples are acquired with nidaqmx on the
+card's own clock for as long as the source is read.
+
+Source: calibration files of Nano17 sensors, versions 1.0 and 1.1; version 1.1 contains the matrix in both forms.
 """
 
 import re
@@ -12,6 +15,7 @@ from math import inf, isfinite
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +25,128 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, dropout_block
-from probedesign.live.sources.calibration import (
-    CHANNELS,
-    MAX_GAUGE_VOLTS,
-    GaugeCalibration,
-    clipped,
-    read_calibration,
+from probedesign.live.sources.netft.configuration import (
+    FORCE_UNITS,
+    LENGTH_UNITS,
+    TORQUE_UNITS,
+    parse_xml,
+    unit_of,
 )
-from probedesign.live.sources.dropout import DropoutMonitor
-from probedesign.live.sources.parameters import SourceParameter, parse_parameters, pop_text_parameter
+from probedesign.live.sources.source import (
+    DropoutMonitor,
+    SourceParameter,
+    parse_parameters,
+)
 
 if TYPE_CHECKING:
     from nidaqmx.errors import DaqError
     from nidaqmx.task import Task
+
+
+CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+MAX_FILE_BYTES = 1 << 20
+MAX_GAUGE_VOLTS = 9.8
+"""Limit of a gauge voltage [V]; beyond it the amplifier clips and the sample is invalid."""
+MAX_CONDITION = 100.0
+"""Maximum condition number of the matrix with rows divided by full scale; a Nano17's is about 2.5."""
+
+
+@dataclass(frozen=True)
+class GaugeCalibration:
+    """Calibration of one sensor.
+
+    Attributes:
+        serial: serial number of the sensor.
+        part: name of the calibration, as SI-12-0.12.
+        matrix: wrench [N, N·m] per gauge voltage, about the centre of the tool face, (6, 6).
+        ranges: range of each channel [N, N·m], (6,).
+    """
+
+    serial: str
+    part: str
+    matrix: Array
+    ranges: Array
+
+    def wrench(self, volts: Array, zero: Array | float = 0.0) -> Array:
+        """Return the wrench [N, N·m] of gauge voltages minus zero voltages [V], (6,) or (n, 6)."""
+        return np.asarray((volts - zero) @ self.matrix.T)
+
+
+def clipped(volts: Array) -> NDArray[np.bool_]:
+    """Return which gauges are clipped by the amplifier or not finite, in the shape of `volts`."""
+    return ~(np.abs(volts) <= MAX_GAUGE_VOLTS)
+
+
+def read_calibration(path: Path) -> GaugeCalibration:
+    """Read a calibration file of either version.
+
+    Without `UserAxis` (1.0), the rows of `Axis` are divided by their scales and shifted by Dz from the transducer's
+    own origin to the tool face: Tx += Dz Fy, Ty -= Dz Fx.
+
+    Raises:
+        InputError: the file cannot be read, is not a calibration, or contains an impossible one.
+        MissingDependencyError: defusedxml is not installed.
+    """
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_FILE_BYTES)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"{path}: cannot be read as a calibration: {why}") from None
+    root = parse_xml(text, path)
+    found = root.find("Calibration")
+    if root.tag != "FTSensor" or found is None:
+        raise InputError(f"{path}: not an ATI calibration: FTSensor with a Calibration is missing")
+    try:
+        force = unit_of("ForceUnits", found.get("ForceUnits", ""), FORCE_UNITS)
+        torque = unit_of("TorqueUnits", found.get("TorqueUnits", ""), TORQUE_UNITS)
+        user = found.findall("UserAxis")
+        rows = _by_name(user or found.findall("Axis"))
+        matrix = np.array([_numbers(row, "values", 6) for row in rows])
+        ranges = np.array([_numbers(row, "max", 1)[0] for row in rows]) * np.repeat([force, torque], 3)
+        if not user:
+            matrix /= np.array([_numbers(row, "scale", 1) for row in rows])
+        matrix *= np.repeat([force, torque], 3)[:, None]
+        if not user:
+            _move_origin(matrix, found)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if not (ranges > 0.0).all() or not np.linalg.cond(matrix / ranges[:, None]) < MAX_CONDITION:
+        raise InputError(f"{path}: its matrix is singular or its range not positive; is the file complete?")
+    return GaugeCalibration(str(root.get("Serial", "")), str(found.get("PartNumber", "")), matrix, ranges)
+
+
+def _move_origin(matrix: Array, calibration: Element) -> None:
+    """Move the origin along z, in place."""
+    transform = calibration.find("BasicTransform")
+    if transform is None:
+        raise InputError("has neither UserAxis nor BasicTransform, so its origin is unknown")
+    turned = [name for name in ("Dx", "Dy", "Rx", "Ry", "Rz") if _numbers(transform, name, 1)[0] != 0.0]
+    if turned:
+        raise InputError(f"BasicTransform has {', '.join(turned)}; only Dz is supported")
+    dz = _numbers(transform, "Dz", 1)[0] * unit_of(
+        "DistUnits", calibration.get("DistUnits", ""), LENGTH_UNITS
+    )
+    matrix[3] += dz * matrix[1]
+    matrix[4] -= dz * matrix[0]
+
+
+def _by_name(axes: list[Element]) -> list[Element]:
+    named = {axis.get("Name"): axis for axis in axes}
+    if len(axes) != 6 or set(named) != set(CHANNELS):
+        raise InputError(f"has {len(axes)} axes; a calibration has {', '.join(CHANNELS)}, once each")
+    return [named[name] for name in CHANNELS]
+
+
+def _numbers(element: Element, name: str, count: int) -> list[float]:
+    try:
+        values = [float(text) for text in element.get(name, "").split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not np.isfinite(values).all() or (name == "scale" and values[0] == 0.0):
+        what = f"{name} of {element.tag} {element.get('Name', '')}".strip()
+        raise InputError(f"{what} = {element.get(name, '')[:40]!r} must be {count} numbers")
+    return values
 
 
 GAUGES = 6
@@ -93,7 +206,7 @@ class DaqCard:
         device = _device(channels)
         names = _devices()
         if device.lower() not in (name.lower() for name in names):
-            there = f"available are {', '.join(names)}" if names else "there is none"
+            there = f"available are {', '.join(names)}" if names else "none is present"
             raise InputError(f"{self.name}: no card {device}; {there}; NI's tools list and rename them")
 
     def acquired(self) -> Generator[GaugeSamples, None, None]:
@@ -142,17 +255,11 @@ class DaqCard:
 
         task = Task()
         try:
-            task.ai_channels.add_ai_voltage_chan(
-                self._channels,
-                terminal_config=TerminalConfiguration.DIFF,
-                min_val=-INPUT_RANGE,
-                max_val=INPUT_RANGE,
-            )
-            task.timing.cfg_samp_clk_timing(
-                self._rate,
-                sample_mode=AcquisitionType.CONTINUOUS,
-                samps_per_chan=max(1000, round(BUFFER_DURATION * self._rate)),
-            )
+            limits = {"min_val": -INPUT_RANGE, "max_val": INPUT_RANGE}
+            differential, continuous = TerminalConfiguration.DIFF, AcquisitionType.CONTINUOUS
+            task.ai_channels.add_ai_voltage_chan(self._channels, terminal_config=differential, **limits)
+            size = max(1000, round(BUFFER_DURATION * self._rate))
+            task.timing.cfg_samp_clk_timing(self._rate, sample_mode=continuous, samps_per_chan=size)
         except BaseException:
             task.close()
             raise
@@ -160,21 +267,16 @@ class DaqCard:
 
     def _driver_error(self, error: "DaqError") -> InputError:
         line = " ".join(str(error).split("\n\n")[0].split())
-        return InputError(f"{self.name}: NI's driver says: {line} (error {error.error_code})")
+        return InputError(f"{self.name}: NI's driver reports: {line} (error {error.error_code})")
 
 
 def _device(channels: str) -> str:
     """Return the card whose six inputs these are."""
-    cards, count = set(), 0
-    for part in channels.split(","):
-        found = re.fullmatch(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*", part)
-        if found is None:
-            count = 0
-            break
-        card, first, last = found.groups()
-        cards.add(card)
-        count += abs(int(last or first) - int(first)) + 1
-    if count != GAUGES or len(cards) != 1:
+    pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
+    parts = [found.groups() for part in channels.split(",") if (found := pattern.fullmatch(part))]
+    count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
+    cards = {card for card, _, _ in parts}
+    if count != GAUGES or len(cards) != 1 or len(parts) <= channels.count(","):
         raise InputError(f"daq://{channels}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
     return cards.pop()
 
@@ -216,7 +318,6 @@ class DaqSource:
             model: probe on the sensor.
             target: `//DEVICE/ai0:5`.
             query: cal, zero_V, and the parameters of `PARAMETERS`.
-            log: callback for messages to the user.
 
         Raises:
             InputError: the channels, a parameter or the calibration is invalid, or there is no such card.
@@ -224,16 +325,14 @@ class DaqSource:
         """
         if not target.startswith("//"):
             raise InputError(f"daq:{target}: write daq://Dev1/ai0:5?cal=FILE")
-        cal, query = pop_text_parameter("daq:", query, "cal")
-        zero, query = pop_text_parameter("daq:", query, "zero_V")
-        rate = parse_parameters("daq:", query, PARAMETERS)["rate_hz"]
-        if not cal:
+        numbers, texts = parse_parameters("daq:", query, PARAMETERS, {"cal": (), "zero_V": ()})
+        if not texts["cal"]:
             raise InputError(
                 f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal"
             )
-        self.calibration: GaugeCalibration = read_calibration(Path(cal))
-        self._zero = _zero(zero)
-        self._card = DaqCard(target.removeprefix("//"), rate)
+        self.calibration: GaugeCalibration = read_calibration(Path(texts["cal"]))
+        self._zero = _zero(texts["zero_V"])
+        self._card = DaqCard(target.removeprefix("//"), numbers["rate_hz"])
         self._gravity, self._log = model.gravity_base, log
         self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
         self.notes = (
@@ -310,5 +409,5 @@ def _range_note(calibration: GaugeCalibration, model: ProbeModel) -> tuple[str, 
         return ()
     ranges = ", ".join(f"{value:g}" for value in calibration.ranges)
     return (
-        f"the calibration range {ranges} N, Nm differs from that of the frozen probe's sensor: is it the right file?",
+        f"the calibration range {ranges} N, Nm differs from that of the probe's sensor: is it the right file?",
     )

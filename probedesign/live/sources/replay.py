@@ -5,11 +5,10 @@ Our own MCAP recordings reproduce the blocks of the original source exactly. Oth
 
 import json
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args
-from urllib.parse import parse_qsl, urlencode
 
 import numpy as np
 
@@ -19,26 +18,18 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
-from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
+from probedesign.live.processing.blocks import Block, WrenchReading
+from probedesign.live.recordings.csv import (
+    Recording,
+    check_wrenches,
+    is_ati_demo,
+    read_ati_demo,
+    read_recording,
+)
 from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
-from probedesign.live.sources.netft.ati_demo import is_ati_demo, read_ati_demo
-from probedesign.live.sources.parameters import (
-    BLOCK_DURATION,
-    MAX_BLOCK_READINGS,
-    SPEED,
-    SourceParameter,
-    parse_parameters,
-)
-from probedesign.live.sources.rosbag import (
-    BLOCK_SIZE,
-    AnnotatedBag,
-    Bag,
-    RosWrenchTopic,
-    find_wrench_topic,
-    is_bag,
-    open_bag,
-)
+from probedesign.live.sources import rosbag
+from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag, RosWrenchTopic
+from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 
 MomentUnit = Literal["Nm", "Nmm"]
 
@@ -84,10 +75,10 @@ class OpenRecording:
 
 
 def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | None = None) -> OpenRecording:
-    """Open the recording at a path.
+    """Open the recording at a path: CSV, MCAP, `.db3`, or the folder of a bag.
 
     Args:
-        path: CSV, MCAP, `.db3`, or the folder of a bag.
+        path: path of the file or folder.
         model: recorded probe; its gravity is used if the recording has none.
         options: what to read of a bag.
 
@@ -96,10 +87,10 @@ def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | No
         MissingDependencyError: the package that reads it is not installed.
     """
     options = options or RecordingOptions()
-    if not is_bag(path):
+    if not rosbag.is_bag(path):
         return _open_table(path, model, options)
-    bag = open_bag(path)
-    if isinstance(bag, AnnotatedBag) and METADATA_NAME in bag.metadata and not options.topic:
+    bag = rosbag.open_bag(path)
+    if METADATA_NAME in bag.metadata and not options.topic:
         return _open_native(bag, model, options)
     return _open_foreign(bag, model, options)
 
@@ -128,17 +119,14 @@ def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
         yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan))
 
 
-def _open_native(bag: AnnotatedBag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-
+def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
     notes = _check_probe(bag, model, options)
     blocks = NativeRecording(bag)
 
     def missing() -> tuple[str, ...]:
         notes = []
         if blocks.n_dropped:
-            notes.append(
-                f"{blocks.n_dropped} readings were dropped by the recorder because the disk was too slow"
-            )
+            notes.append(f"{blocks.n_dropped} readings were dropped by the recorder: the disk was too slow")
         if bag.damage:
             notes.append(f"incomplete: {bag.damage}")
         return tuple(notes)
@@ -151,37 +139,28 @@ def _open_native(bag: AnnotatedBag, model: ProbeModel, options: RecordingOptions
     )
 
 
-def _check_probe(bag: AnnotatedBag, model: ProbeModel, options: RecordingOptions) -> tuple[str, ...]:
-    """Return notes on the recorded probe.
-
-    Raises:
-        InputError: it is another probe, and that was not allowed.
-    """
+def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tuple[str, ...]:
+    """Return notes on the recorded probe."""
     probe = bag.probe or {}
     name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
     if fingerprint != model.fingerprint:
-        notes = (
-            f"recorded with probe {shown(name)}, fingerprint {shown(fingerprint)}, not {model.fingerprint}"
-        )
+        note = f"recorded with probe {shown(name)}, fingerprint {shown(fingerprint)}, not {model.fingerprint}"
         if not options.other_probe:
-            raise InputError(f"{bag.path}: {notes}; use its own frozen probe, or allow it with other_probe")
-        return (notes,)
+            raise InputError(f"{bag.path}: {note}; use its own frozen probe, or allow it with other_probe")
+        return (note,)
     from probedesign.frozen_probe import freeze
 
     if probe.get("checksum") == freeze(model)["checksum"]:
         return ()
-    return (
-        "recorded with another frozen version of this probe (material, sensor, program): estimates may differ",
-    )
+    return ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
 
 
 def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-    published = find_wrench_topic(bag, options.topic)
+    published = rosbag.find_wrench_topic(bag, options.topic)
     named: Frame = "base" if published.frame_id == "base" else "sensor"
     frame = options.frame or named
-    notes = [
-        f"topic {plain(published.channel.topic)}, frame {shown(published.frame_id)}, interpreted as the {frame} frame"
-    ]
+    topic = f"topic {plain(published.channel.topic)}"
+    notes = [f"{topic}, frame {shown(published.frame_id)}, interpreted as the {frame} frame"]
     if published.unstamped:
         notes.append("its headers have no time stamp: the time of recording is used")
     notes += _check_unit(published, model, options)
@@ -195,7 +174,7 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
                 wrench = model.to_sensor(wrench, model.gravity_base)
             yield Block(time, wrench, model.gravity_base, unread[: len(time)])
 
-    return OpenRecording(bag.path, f"topic {plain(published.channel.topic)}", frame, tuple(notes),
+    return OpenRecording(bag.path, topic, frame, tuple(notes),
                     lambda: _checked(bag.path, blocks()),
                     lambda: (f"incomplete: {bag.damage}",) if bag.damage else ())  # fmt: skip
 
@@ -266,15 +245,12 @@ class NativeRecording:
             if first != n_read + self.n_dropped:  # averages must not span dropped readings
                 self.n_dropped, n_gaps = first - n_read, n_gaps + 1
             n_read, raw = n_read + len(block), []
-            yield block if not n_gaps else _new_segment(block, n_gaps)
+            # A new stretch after dropped readings; 2³² keeps it clear of the source's stretches.
+            yield replace(block, stretch=block.stretch + (n_gaps << 32)) if n_gaps else block
 
 
 def _native_block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
-    """Return the number of readings before the block, and the block.
-
-    Raises:
-        ValueError, KeyError, TypeError: the message does not match its schema.
-    """
+    """Return the number of readings before the block, and the block."""
     content = json.loads(text)
     time = _finite_array(content["time_s"])
     gravity = _finite_array(content["gravity_base_m_s2"])
@@ -294,14 +270,12 @@ def _finite_array(values: Any) -> Array:
     return array
 
 
-def _new_segment(block: Block, n_gaps: int) -> Block:
-    """Return the block in a new stretch after dropped readings; 2³² keeps it clear of the source's stretches."""
-    return Block(block.time, block.wrench_sensor, block.gravity_base, block.received, block.fault,
-                 block.stretch + (n_gaps << 32))  # fmt: skip
-
-
 PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}
-TEXT_PARAMETERS = {"topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit)}
+TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
+    "topic": (),
+    "frame": get_args(Frame),
+    "moment_unit": get_args(MomentUnit),
+}
 """Text parameters with their values; empty if any value is allowed."""
 
 
@@ -314,13 +288,7 @@ class ReplaySource:
         recorded_from: source that was recorded, as stated in the recording; may be empty.
     """
 
-    def __init__(
-        self,
-        model: ProbeModel,
-        path: Path,
-        query: str = "",
-        log: Log = lambda line: None,
-    ) -> None:
+    def __init__(self, model: ProbeModel, path: Path, query: str = "", log: Log = lambda line: None) -> None:
         """Open the file.
 
         Args:
@@ -335,18 +303,16 @@ class ReplaySource:
         """
         if not path.name:
             raise InputError("replay: a file is required; write replay:FILE")
-        texts, rest = _text_parameters(query)
-        numbers = parse_parameters("replay:", rest, PARAMETERS)
+        numbers, texts = parse_parameters("replay:", query, PARAMETERS, TEXT_PARAMETERS)
+        given = {name: text for name, text in texts.items() if text}
         self._speed, self._log = numbers["speed"], log
-        options = RecordingOptions(other_probe=numbers["other_probe"] == 1, **texts)  # type: ignore[arg-type]  # checked
+        options = RecordingOptions(other_probe=numbers["other_probe"] == 1, **given)  # type: ignore[arg-type]  # checked
         self._recording = open_recording(path, model, options)
         self.title = f"replay of {path}, {self._recording.description}"
         self.notes, self.recorded_from = self._recording.notes, self._recording.source
 
     def __iter__(self) -> Generator[Block, None, None]:
-        return paced(
-            group_readings(self._readings(), MAX_BLOCK_READINGS, BLOCK_DURATION * self._speed), self._speed
-        )
+        return played(self._readings(), self._speed)
 
     def _readings(self) -> Iterator[WrenchReading]:
         for block in self._recording.blocks():
@@ -354,22 +320,3 @@ class ReplaySource:
         for line in self._recording.missing():
             if line not in self.notes:
                 self._log(f"{self._recording.path}: {line}")
-
-
-def _text_parameters(query: str) -> tuple[dict[str, str], str]:
-    """Return the text parameters, and the query without them.
-
-    Raises:
-        InputError: one is duplicated or has an invalid value.
-    """
-    try:
-        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
-    except ValueError:
-        return {}, query  # reported by the parser of the rest
-    texts = [(name, value) for name, value in pairs if name in TEXT_PARAMETERS]
-    for i, (name, value) in enumerate(texts):
-        if name in dict(texts[:i]):
-            raise InputError(f"replay: {name} is given twice; keep one")
-        if TEXT_PARAMETERS[name] and value not in TEXT_PARAMETERS[name]:
-            raise InputError(f"replay: {name} = {value!r} must be {' or '.join(TEXT_PARAMETERS[name])}")
-    return dict(texts), urlencode([pair for pair in pairs if pair[0] not in TEXT_PARAMETERS])

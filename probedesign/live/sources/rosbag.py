@@ -1,12 +1,11 @@
 """ROS 2 bags, as MCAP or sqlite3: channels, messages, wrenches and poses."""
 
 import difflib
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,11 +14,7 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require
-from probedesign.live.recordings.schemas import MCAP_MAGIC, WRENCH, Channel, Message, read_stamped
-
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
-
+from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, Channel, Message, read_stamped
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 """The first bytes of a `.db3` file."""
@@ -31,27 +26,16 @@ class Bag(Protocol):
     path: Path
     damage: str
     """Description of the damage, as far as the bag was read; empty if none."""
+    metadata: dict[str, dict[str, str]]
+    """Metadata by name; only MCAP has them."""
+    probe: dict[str, object] | None
+    """Attached frozen probe, if any."""
 
     def channels(self) -> list[Channel]:
         """Return all channels."""
-        ...
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the messages of the topics; of a damaged bag those before the damage."""
-        ...
-
-
-@runtime_checkable
-class AnnotatedBag(Bag, Protocol):
-    """A bag with metadata and attachments.
-
-    Attributes:
-        metadata: metadata by name.
-        probe: attached frozen probe, if any.
-    """
-
-    metadata: dict[str, dict[str, str]]
-    probe: dict[str, object] | None
 
 
 def is_bag(path: Path) -> bool:
@@ -82,12 +66,7 @@ def open_bag(path: Path) -> Bag:
 
 
 def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
-    """Select the channel to read.
-
-    Args:
-        bag: the bag.
-        types: accepted message types.
-        topic: name of the topic; may be empty if there is only one.
+    """Select the channel of one of these message types; `topic` may be empty if there is only one.
 
     Raises:
         InputError: there is no such channel, or there are several and no name is given.
@@ -125,6 +104,8 @@ class RosBag:
         except ImportError:
             raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
         self.path, self.damage = path, ""
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.probe: dict[str, object] | None = None
         self._reader = Reader
         try:
             with Reader(path) as reader:
@@ -146,9 +127,8 @@ class RosBag:
             with self._reader(self.path) as reader:
                 wanted = [connection for connection in reader.connections if connection.topic in topics]
                 for connection, logged, data in reader.messages(wanted) if wanted else ():
-                    if not isinstance(data, bytes) or not isinstance(
-                        logged, int
-                    ):  # a database may contain anything
+                    # a database may contain anything
+                    if not isinstance(data, bytes) or not isinstance(logged, int):
                         raise ValueError(f"a message of {connection.topic} is not a message")
                     yield Message(connection.topic, logged, data)
         except InputError:
@@ -199,14 +179,10 @@ class RosWrenchTopic:
 
 
 def find_wrench_topic(bag: Bag, topic: str = "") -> RosWrenchTopic:
-    """Return the topic of wrenches in a bag.
-
-    Args:
-        bag: the bag.
-        topic: name of the topic; may be empty if there is only one.
+    """Return the topic of wrenches in a bag; `topic` may be empty if there is only one.
 
     Raises:
-        InputError: there is none, it is empty, or there are several and no name is given.
+        InputError: none exists, it is empty, or there are several and no name is given.
     """
     channel = select_channel(bag, {WRENCH}, topic)
     first = next(iter(bag.messages({channel.topic})), None)
@@ -226,7 +202,6 @@ def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...
         raise InputError(f"{bag.path}: a message of {shown(message.topic)} logged at {at}: {error}") from None
 
 
-POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 TF = "tf2_msgs/msg/TFMessage"
 STATIC = "/tf_static"
 
@@ -246,92 +221,61 @@ def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "")
         base: TF frame of the probe's base.
 
     Raises:
-        InputError: the path is not a bag, has no such poses, or an invalid one.
-        MissingDependencyError: rosbags is not installed.
+        InputError: the path is not a bag, is damaged, has no such poses, or an invalid one.
+        MissingDependencyError: the package that reads it is not installed.
     """
     if bool(world) != bool(base) or (world and topic):
         raise InputError(f"--pose {path}: use topic=/NAME, or world=FRAME&base=FRAME")
-    with _pose_reader(path) as reader:
-        found = _poses_from_tf(reader, path, world, base) if world else _poses_from_topic(reader, path, topic)
-    found.sort(key=lambda pose: pose.time)
-    return found
+    bag = open_bag(path)
+    found = _poses_from_tf(bag, world, base) if world else _poses_from_topic(bag, topic)
+    if bag.damage:
+        raise InputError(f"{path}: is damaged: {bag.damage}; probedesign recover copies what is left")
+    return sorted(found, key=lambda pose: pose.time)
 
 
-def _poses_from_topic(reader: "AnyReader", path: Path, topic: str) -> list[TimedPose]:
-    topics = {c.topic: c for c in reader.connections if c.msgtype == POSE_STAMPED}
-    name = topic or (next(iter(topics)) if len(topics) == 1 else "")
-    if name not in topics:
-        there = f"there are {', '.join(sorted(topics))[:200]}" if topics else "there are none"
-        raise InputError(
-            f"{path}: topic {topic or 'not named'}; of poses (PoseStamped) {there}; use ?topic=/NAME"
-        )
+def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
+    name = select_channel(bag, {POSE}, topic).topic
     found, frames = [], set()
-    for _, message in _deserialized(reader, path, topics[name].msgtype, name):
-        frames.add(message.header.frame_id)
-        position, orientation = message.pose.position, message.pose.orientation
-        found.append(_timed_pose(path, name, message.header.stamp, position, orientation))
+    for message in bag.messages({name}):
+        try:
+            stamp, frame, numbers = read_stamped(message.data, 7)
+            found.append(_at(*divmod(stamp, 1_000_000_000), numbers[:3], numbers[3:]))
+        except (InputError, ValueError) as error:
+            raise InputError(f"{bag.path}: a pose on {name}: {error}") from None
+        frames.add(frame)
     if not found:
-        raise InputError(f"{path}: topic {name} has no poses")
+        raise InputError(f"{bag.path}: topic {name} has no poses" + (bag.damage and f"; {bag.damage}"))
     if len(frames) > 1:
         text = ", ".join(sorted(frames))[:80]
-        raise InputError(f"{path}: topic {name} has poses in several frames, {text}; one frame is required")
+        raise InputError(
+            f"{bag.path}: topic {name} has poses in several frames, {text}; one frame is required"
+        )
     return found
 
 
-def _poses_from_tf(reader: "AnyReader", path: Path, world: str, base: str) -> list[TimedPose]:
-    tree = TransformTree()
-    for topic, message in _deserialized(reader, path, TF):
-        for edge in message.transforms:
-            move = edge.transform
-            pose = _timed_pose(path, topic, edge.header.stamp, move.translation, move.rotation)
-            tree.add(edge.header.frame_id, edge.child_frame_id, pose, topic == STATIC)
+def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
     try:
-        return tree.poses(world, base)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def _deserialized(reader: "AnyReader", path: Path, kind: str, topic: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield topic and message of all messages of a type, and of one topic if given."""
-    chosen = [c for c in reader.connections if c.msgtype == kind and topic in ("", c.topic)]
-    if not chosen:
-        return
-    try:
-        for connection, _, raw in reader.messages(connections=chosen):
-            yield connection.topic, reader.deserialize(raw, connection.msgtype)
-    except InputError:
-        raise
-    except Exception as error:  # rosbags may raise anything on invalid bytes
-        raise InputError(f"{path}: is damaged: {' '.join(str(error).split())[:120]}") from None
-
-
-def _timed_pose(path: Path, topic: str, stamp: Any, position: Any, orientation: Any) -> TimedPose:
-    try:
-        time = stamp.sec + stamp.nanosec * 1e-9
-        return timed_pose(
-            time,
-            (position.x, position.y, position.z),
-            (orientation.x, orientation.y, orientation.z, orientation.w),
-        )
-    except InputError as error:
-        raise InputError(f"{path}: a pose on {topic}: {error}") from None
-
-
-@contextmanager
-def _pose_reader(path: Path) -> Iterator["AnyReader"]:
-    try:
-        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
+        raise MissingDependencyError.of_extra("reading TF", "rosbags", "live") from None
+    types, edges, tree = get_typestore(Stores.LATEST), [], TransformTree()
+    for message in bag.messages({channel.topic for channel in bag.channels() if channel.type == TF}):
+        try:
+            decoded: Any = types.deserialize_cdr(bytes(message.data), TF)
+            for edge in decoded.transforms:
+                p, q, stamp = edge.transform.translation, edge.transform.rotation, edge.header.stamp
+                pose = _at(stamp.sec, stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+                edges.append((edge.header.frame_id, edge.child_frame_id, pose, message.topic == STATIC))
+        except Exception as error:  # rosbags may raise anything on invalid bytes
+            why = plain(str(error), 120) or type(error).__name__
+            raise InputError(f"{bag.path}: a transform on {message.topic}: {why}") from None
     try:
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
-        reader.open()
-    except Exception as error:  # rosbags does not validate: any exception is possible
-        why = " ".join(str(error).split())[:120] or type(error).__name__
-        hint = "; if it was cut off: probedesign recover" if path.suffix == ".mcap" else ""
-        raise InputError(f"{path}: cannot be read as a ROS 2 bag: {why}{hint}") from None
-    try:
-        yield reader
-    finally:
-        reader.close()
+        for parent, child, pose, static in sorted(edges, key=lambda edge: edge[2].time):
+            tree.add(parent, child, pose, static)
+        return tree.poses(world, base)
+    except InputError as error:
+        raise InputError(f"{bag.path}: {error}") from None
+
+
+def _at(second: int, nanosecond: int, p: Sequence[float], q: Sequence[float]) -> TimedPose:
+    return timed_pose(second + nanosecond * 1e-9, p, q)

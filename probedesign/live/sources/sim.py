@@ -9,21 +9,8 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.processing.blocks import (
-    NO_CONTACT,
-    Block,
-    TrueContact,
-    WrenchReading,
-    group_readings,
-    paced,
-)
-from probedesign.live.sources.parameters import (
-    BLOCK_DURATION,
-    MAX_BLOCK_READINGS,
-    SPEED,
-    SourceParameter,
-    parse_parameters,
-)
+from probedesign.live.processing.blocks import NO_CONTACT, Block, TrueContact, WrenchReading
+from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 from probedesign.rod.friction import MAX_FRICTION
 from probedesign.simulation.rod_and_sensor import OUTERMOST, reading_std, safe_force, solve_contact
 
@@ -55,26 +42,19 @@ class SimulatedSource:
     notes: tuple[str, ...] = ()
 
     def __init__(self, model: ProbeModel, query: str = "") -> None:
-        """Parse the parameters.
-
-        Args:
-            model: the probe.
-            query: the parameters of `PARAMETERS`.
+        """Parse the parameters of `PARAMETERS`.
 
         Raises:
             InputError: a parameter is invalid; during iteration: the probe has no equilibrium under the force.
         """
-        parameters = parse_parameters("sim:", query, PARAMETERS)
+        parameters, _ = parse_parameters("sim:", query, PARAMETERS)
         self._model = model
         self._force = parameters["force_mN"] * MILLINEWTON
         if math.isnan(self._force):
             self._force = safe_force(model.rod)
         self._angle = math.radians(parameters["angle_deg"])
-        self._period, self._rate, self._speed = (
-            parameters["period_s"],
-            parameters["rate_hz"],
-            parameters["speed"],
-        )
+        self._period, self._rate = parameters["period_s"], parameters["rate_hz"]
+        self._speed = parameters["speed"]
         self._count = max(1, round(parameters["seconds"] * parameters["rate_hz"]))
         self._seed, self._friction = int(parameters["seed"]), parameters["friction"]
         low, high = min(POSITION) * model.rod.length / MM, max(POSITION) * model.rod.length / MM
@@ -84,14 +64,11 @@ class SimulatedSource:
         )
 
     def __iter__(self) -> Generator[Block, None, None]:
-        return paced(
-            group_readings(self._readings(), MAX_BLOCK_READINGS, BLOCK_DURATION * self._speed), self._speed
-        )
+        return played(self._readings(), self._speed)
 
     def _readings(self) -> Iterator[WrenchReading]:
-        for position in np.linspace(
-            min(POSITION), max(POSITION), 8
-        ):  # a force without equilibrium fails here, not during the run
+        # A force without equilibrium fails here, not during the run.
+        for position in np.linspace(min(POSITION), max(POSITION), 8):
             self._loaded(position * self._model.rod.length, self._force)
         noise = np.random.default_rng(self._seed)
         std = reading_std(self._model)
@@ -113,15 +90,9 @@ class SimulatedSource:
         return self._loaded(position * self._model.rod.length, press * self._force, sliding)
 
     def _loaded(self, s: float, force: float, sliding: float = 0.0) -> tuple[Array, TrueContact]:
-        """Return base wrench (6,) and true contact under a normal force [N] at s [m].
+        """Return base wrench (6,) and true contact under a force normal to the surface [N] at arclength s [m].
 
-        Args:
-            s: arclength of the contact [m]; with friction, of the touched section.
-            force: force normal to the surface [N].
-            sliding: 1 if the contact slides towards the tip, -1 towards the base, 0 if it does not slide.
-
-        Raises:
-            InputError: there is no equilibrium.
+        With friction, s is that of the touched section. `sliding` is 1 towards the tip, -1 towards the base.
         """
         rod, gravity = self._model.rod, self._model.gravity_base
         ratios = (sliding * self._friction, 0.0) if self._friction > 0.0 else None
@@ -129,7 +100,4 @@ class SimulatedSource:
         if contact.result != "ok":
             at = f"{force / MILLINEWTON:g} mN at s = {s / MM:.1f} mm"
             raise InputError(f"sim: no equilibrium under {at} ({contact.result}); reduce force_mN")
-        truth = TrueContact(
-            contact.s_contact, contact.p_contact_base, contact.force_base, contact.p_surface_base
-        )
-        return contact.equilibrium.wrench_base, truth
+        return contact.equilibrium.wrench_base, TrueContact(*contact[2:])  # the fields after the equilibrium

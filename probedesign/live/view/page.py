@@ -1,22 +1,182 @@
-"""The page, served by viser: a 3D scene, status text, charts and buttons."""
+"""The page, served by viser: a 3D scene, panels with status text and buttons, and strip charts.
+
+All text from outside is escaped.
+"""
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
+from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
 import viser.transforms as tf
+from viser import uplot
 from websockets.asyncio import server
 
 from probedesign.core.frames import Array
-from probedesign.live.view.panel import Panel
+from probedesign.core.units import MM
+from probedesign.live import LOOPBACK
 from probedesign.live.view.scene import SceneSetup, StripCharts, ellipsoid
-from probedesign.live.view.snapshot import ContactMarker, Snapshot
-from probedesign.live.view.status_text import events_html, status_html, touches_html
+from probedesign.live.view.state import ContactMarker, Level, Snapshot
 
-LOCAL = ("127.0.0.1", "localhost", "::1")
+if TYPE_CHECKING:
+    pass
+
+
+LEVEL_COLOURS: dict[Level, str] = {"good": "#1b7f4b", "fair": "#a86400", "bad": "#b3261e", "plain": "#46525e"}
+TABLE = (
+    "width:100%;border-collapse:collapse;font-size:13px;line-height:1.45;font-variant-numeric:tabular-nums"
+)
+MAX_SHOWN = 8
+"""Maximum number of events and touches on the page: the last ones."""
+
+
+def status_html(snapshot: Snapshot) -> str:
+    """Return the result on a coloured background and the other lines in two columns."""
+    if not snapshot.status:
+        return ""
+    first, *rest = snapshot.status
+    rows = "".join(
+        f'<tr><td style="color:#75808b;padding-right:10px;vertical-align:top">{escape(line.name)}</td>'
+        f'<td style="color:{LEVEL_COLOURS[line.level] if line.level != "plain" else "inherit"}">'
+        f"{escape(line.text)}</td></tr>"
+        for line in rest
+    )
+    ground = f"background:{LEVEL_COLOURS[first.level]};color:white;border-radius:6px;padding:7px 10px;margin-bottom:8px"
+    return (
+        f'<div style="padding:4px 12px"><div style="{ground};font-size:14px;font-weight:600">{escape(first.text)}</div>'
+        f'<table style="{TABLE}">{rows}</table></div>'
+    )
+
+
+def events_html(snapshot: Snapshot) -> str:
+    """Return the last events, newest first."""
+    lines = "".join(
+        f'<tr><td style="color:#75808b;padding-right:8px;vertical-align:top;white-space:nowrap">{_time_text(time)}</td>'
+        f"<td>{escape(line)}</td></tr>"
+        for time, line in reversed(snapshot.events[-MAX_SHOWN:])
+    )
+    return f'<div style="padding:2px 12px"><table style="{TABLE};font-size:12px">{lines}</table></div>'
+
+
+def touches_html(touches: tuple[ContactMarker, ...]) -> str:
+    """Return the earlier touches, newest first."""
+    if not touches:
+        return '<div style="padding:2px 12px;font-size:12px;color:#75808b">none yet; added when a touch ends</div>'
+    rows = "".join(_touch(marker) for marker in reversed(touches[-MAX_SHOWN:]))
+    head = (
+        "<tr style='color:#75808b'><td>no.</td><td>s ± std [mm]</td><td>x, y, z [mm]</td><td>frame</td></tr>"
+    )
+    return f'<div style="padding:2px 12px"><table style="{TABLE};font-size:12px">{head}{rows}</table></div>'
+
+
+def _touch(marker: ContactMarker) -> str:
+    x, y, z = (f"{float(value) / MM:z.1f}" for value in marker.p_surface)
+    frame = "world" if marker.in_world else "base"
+    s = f"{marker.s / MM:.1f} ± {marker.std_s / MM:.1f}"
+    return f"<tr><td>{marker.number}</td><td>{s}</td><td>{x}, {y}, {z}</td><td>{frame}</td></tr>"
+
+
+def _time_text(time: float) -> str:
+    return f"{time:.1f} s" if math.isfinite(time) else ""
+
+
+AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
+"""Colours of x, y and z."""
+INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
+"""Colours of an estimate and of the ends of its interval."""
+AXIS: uplot.Axis = {"stroke": "#55606b", "grid": {"stroke": "#e7eaed", "width": 1}, "ticks": {"show": False},
+                    "font": "11px sans-serif"}  # fmt: skip
+HEIGHT = 150
+
+
+class Panel:
+    """Status text, charts and buttons."""
+
+    def __init__(
+        self, server: viser.ViserServer, send_command: Callable[[str, str], None], note: str, length: float
+    ) -> None:
+        """Create the panels; `note` is on what is drawn, `length` that of the probe [m]."""
+        self._length_mm = length / MM
+        gui = server.gui
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(400.0)
+        self._texts = [gui.add_html("")]
+        self._buttons(gui, send_command)
+        for title in ("Events", "Touches so far"):
+            with gui.add_folder(title):
+                self._texts.append(gui.add_html(""))
+        if note:
+            gui.add_markdown(note)
+        strips = gui.add_panel()
+        with strips.add_tab("Last 15 s"):
+            self._charts = {
+                "place": _chart(gui, "s of the contact and its 95 % [mm]", ("s", "from", "to"), dots=True),
+                "push": _chart(gui, "force of the contact [mN]", ("F",), dots=True),
+                "forces": _chart(gui, "force at the base [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz")),
+                "moments": _chart(
+                    gui, "moment at the base [N·mm]: x red, y green, z blue", ("Mx", "My", "Mz")
+                ),
+            }
+        strips.dock_left()
+        strips.set_width(360.0)
+
+    def _buttons(self, gui: viser.GuiApi, send_command: Callable[[str, str], None]) -> None:
+        tare = gui.add_button("Tare: nothing touches the probe now", icon=viser.Icon.SCALE)
+        tare.on_click(lambda _: send_command("tare", ""))
+        text = gui.add_text("Note", "")
+        mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
+        mark.on_click(lambda _: send_command("mark", text.value))
+        start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color="red")
+        start.on_click(lambda _: send_command("start recording", ""))
+        stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray")
+        stop.on_click(lambda _: send_command("stop recording", ""))
+
+    def show_text(self, *texts: str) -> None:
+        """Update status, events and touches where they have changed."""
+        for shown, text in zip(self._texts, texts, strict=True):
+            if shown.content != text:
+                shown.content = text
+
+    def draw(self, charts: StripCharts) -> None:
+        """Draw the charts."""
+        low, high = charts.window()
+        for name, data in charts.lines().items():
+            chart = self._charts[name]
+            chart.data = tuple(np.ascontiguousarray(line, dtype=np.float64) for line in data)
+            y = (0.0, 1.05 * self._length_mm) if name == "place" else _range(data[1:])
+            chart.scales = {"x": {"time": False, "range": (low, high)}, "y": {"range": y}}
+
+
+def _range(lines: Iterable[Array]) -> tuple[float, float]:
+    """Return the range of the lines with a margin; NaN, which uPlot does not ignore, is removed."""
+    values = np.concatenate(list(lines))
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
+    margin = max(0.1 * (high - low), 0.5)
+    return low - margin, high + margin
+
+
+def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = False) -> viser.GuiUplotHandle:
+    """Create an empty chart over time; dots instead of lines if values may be missing in between."""
+    empty = np.array([np.nan])
+    series = [uplot.Series(label="t [s]")]
+    for i, (name, colour) in enumerate(zip(names, INTERVAL_COLOURS if dots else AXIS_COLOURS, strict=False)):
+        size = 2.5 if i else 3.5
+        drawn: uplot.Series_Points = {"show": dots, "size": size, "fill": colour, "stroke": colour}
+        series.append(uplot.Series(label=name, stroke=colour, width=0.0 if dots else 1.6, points=drawn))
+    return gui.add_uplot(
+        data=(empty,) * (1 + len(names)),
+        series=tuple(series),
+        title=title,
+        scales={"x": {"time": False, "range": (0.0, 15.0)}, "y": {"auto": True}},
+        axes=({**AXIS}, {**AXIS, "size": 46}),
+        legend={"show": False},
+        height=HEIGHT,
+    )
 
 
 def restrict_origins(host: str) -> None:
@@ -24,14 +184,11 @@ def restrict_origins(host: str) -> None:
 
     Otherwise any page in a browser on this machine could connect and press its buttons. A server that is open to the
     network has unknown names and is not restricted.
-
-    Args:
-        host: address of the server.
     """
-    if host not in LOCAL:
+    if host not in LOOPBACK:
         return
-    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOCAL)
-    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]
+    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOOPBACK)
+    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]  # viser has no option for it
 
 
 SendCommand = Callable[[str, str], None]
@@ -46,13 +203,9 @@ MAX_MARKS = 24
 """Maximum number of earlier touches that are drawn."""
 
 PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
-COLOURS = {
-    "sensor": (60, 64, 72),
-    "flange": PROBE,
-    "clamp_ring": (112, 122, 136),
-    "flange_adapter": (150, 158, 168),
-}
 METAL = (132, 142, 154)
+PART_COLOURS = {"sensor": (60, 64, 72), "flange": PROBE, "clamp_ring": (112, 122, 136),
+                "flange_adapter": (150, 158, 168)}  # fmt: skip
 
 
 class _Server(viser.ViserServer):
@@ -66,12 +219,7 @@ class ViewerPage:
     """Shows one snapshot after another in every connected browser."""
 
     def __init__(self, setup: SceneSetup, send_command: SendCommand) -> None:
-        """Start the server and show the free probe.
-
-        Args:
-            setup: static content.
-            send_command: receives a command and its text.
-        """
+        """Start the server and show the free probe; `send_command` receives a command and its text."""
         self._setup, self._charts = setup, StripCharts()
         self._server = server = _Server(setup.host, setup.port, setup.title, verbose=False)
         server.gui.configure_theme(
@@ -97,9 +245,8 @@ class ViewerPage:
             self._show_probe(snapshot)
             self._show_contact(snapshot)
             self._show_touches(snapshot.touches)
-            self._panel.show_text(
-                status_html(snapshot), events_html(snapshot), touches_html(snapshot.touches)
-            )
+            texts = status_html(snapshot), events_html(snapshot), touches_html(snapshot.touches)
+            self._panel.show_text(*texts)
             if self._charts.add(snapshot.strip):
                 self._panel.draw(self._charts)
         self._server.flush()
@@ -111,20 +258,11 @@ class ViewerPage:
         scene.configure_default_lights(True, cast_shadow=True)
         self._base = scene.add_frame("/base", show_axes=False)
         for part in setup.parts:
-            scene.add_mesh_simple(
-                f"/base/{part.name}",
-                UNIT * part.vertices,
-                part.faces,
-                color=COLOURS.get(part.name, METAL),
-                flat_shading=True,
-            )
+            colour, name = PART_COLOURS.get(part.name, METAL), f"/base/{part.name}"
+            scene.add_mesh_simple(name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True)
+        free = UNIT * setup.tube.vertices(setup.free)
         self._probe = scene.add_mesh_simple(
-            "/base/probe",
-            UNIT * setup.tube.vertices(setup.free),
-            setup.tube.faces,
-            color=PROBE,
-            opacity=0.42,
-            side="double",
+            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double"
         )
         self._contact = scene.add_icosphere(
             "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
@@ -136,11 +274,10 @@ class ViewerPage:
             head_length=UNIT * 4e-3, visible=False,
         )  # fmt: skip
         self._label = scene.add_label("/contact_label", "", anchor="bottom-center", visible=False)
+        size = UNIT * 1.5e-3
         self._marks = [
             (
-                scene.add_icosphere(
-                    f"/touch/{i}", UNIT * 1.5e-3, STALE_COLOUR, visible=False, cast_shadow=False
-                ),
+                scene.add_icosphere(f"/touch/{i}", size, STALE_COLOUR, visible=False, cast_shadow=False),
                 scene.add_label(f"/touch/{i}/number", "", font_screen_scale=0.8, visible=False),
             )
             for i in range(MAX_MARKS)
@@ -160,12 +297,12 @@ class ViewerPage:
         )  # fmt: skip
         along = T[:, 2]
         middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
-        aside = np.cross(along, (0.0, 0.0, 1.0))
-        aside = aside / np.linalg.norm(aside) if np.linalg.norm(aside) > 0.2 else np.array([0.0, -1.0, 0.0])
+        side = np.cross(along, (0.0, 0.0, 1.0))
+        side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
         camera = self._server.initial_camera
         camera.fov = math.radians(40.0)
         camera.look_at = middle
-        camera.position = middle + UNIT * length * (2.3 * aside + np.array([0.0, 0.0, 0.8]) + 0.5 * along)
+        camera.position = middle + UNIT * length * (2.3 * side + np.array([0.0, 0.0, 0.8]) + 0.5 * along)
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; grey and unchanged if it is unknown."""

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array, inverse, is_pose
+from probedesign.core.stl import PREAMBLE, RECORD, stl_corners
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.design.catalog.sensors import NANO17
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.view.snapshot import STRIP, BentShape
+from probedesign.live.view.state import STRIP, BentShape
 
 MAX_STATIONS, RING_POINTS = 72, 36
 
@@ -37,8 +38,7 @@ class TubeMesh:
         """Arclengths of the rings [m]: uniform, plus the knots of the radius."""
         even = np.linspace(self.s[0], self.s[-1], MAX_STATIONS)
         knots = self.s if len(self.s) <= MAX_STATIONS else self.s[:: len(self.s) // MAX_STATIONS]
-        found: Array = np.unique(np.concatenate([even, knots, self.s[-1:]]))
-        return found
+        return np.asarray(np.unique(np.concatenate([even, knots, self.s[-1:]])))
 
     @cached_property
     def faces(self) -> Array:
@@ -64,8 +64,7 @@ class TubeMesh:
         radius = np.interp(self.stations, self.s, self.radius)[:, None, None]
         rings = p[:, None] + radius * (round_x * x[:, None] + round_y * y[:, None])
         caps = [np.vstack([rings[end], p[end]]) for end in (0, -1)]
-        found: Array = np.concatenate([rings.reshape(-1, 3), *caps])
-        return found
+        return np.asarray(np.concatenate([rings.reshape(-1, 3), *caps]))
 
 
 def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
@@ -94,8 +93,6 @@ def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
 
 
 EXPORTED = ("sensor_adapter", "clamp_ring", "flange_adapter")
-FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-HEADER = 84
 MAX_FACETS = 200_000
 CYLINDER_SIDES = 48
 
@@ -116,33 +113,22 @@ class RigidPart:
 
 
 def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
-    """Return sensor, adapters and the probe's flange, and a note on them.
-
-    Args:
-        model: probe on the sensor.
-        folder: folder of the frozen probe, and possibly of its exported parts.
-    """
-    plain = [_sensor_part(model), _flange_part(model)]
+    """Return sensor, adapters and the probe's flange, and a note on them, from the folder of the exported parts."""
+    flange, T_base = model.flange, np.eye(4)
+    plain = [_sensor_part(model), _cylinder("flange", flange.diameter, -flange.thickness, 0.0, T_base)]
     try:
         return plain + _exported(model, folder), ""
+    except FileNotFoundError:
+        why = "there is no manifest.json"
     except (OSError, ValueError, KeyError, TypeError) as error:
-        why = (
-            "there is no manifest.json"
-            if isinstance(error, FileNotFoundError)
-            else str(error) or "unreadable"
-        )
-        return [
-            *plain,
-            _adapter_part(model),
-        ], f"parts of {folder}: {' '.join(why.split())}; plain cylinders are drawn instead"
+        why = " ".join(str(error).split()) or "unreadable"
+    bottom = float(inverse(model.T_sensor_base)[2, 3])
+    adapter = _cylinder("adapter", flange.diameter, bottom, -flange.thickness, T_base)
+    return [*plain, adapter], f"parts of {folder}: {why}; plain cylinders are drawn instead"
 
 
 def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
-    """Return the printed parts, in base axes.
-
-    Raises:
-        OSError, ValueError, KeyError, TypeError: they are missing, or not of this probe.
-    """
+    """Return the printed parts, in base axes."""
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
     if manifest["fingerprint"] != model.fingerprint:
         raise ValueError(f"they belong to probe {manifest['fingerprint']}, not {model.fingerprint}")
@@ -164,11 +150,11 @@ def read_stl(path: Path) -> Array:
         ValueError: it is not a binary STL.
     """
     with path.open("rb") as file:
-        content = file.read(HEADER + MAX_FACETS * FACET.itemsize + 1)
-    count = int.from_bytes(content[80:HEADER], "little")
-    if len(content) != HEADER + count * FACET.itemsize or not 0 < count <= MAX_FACETS:
+        content = file.read(PREAMBLE + MAX_FACETS * RECORD.itemsize + 1)
+    count = int.from_bytes(content[80:PREAMBLE], "little")
+    if len(content) != PREAMBLE + count * RECORD.itemsize or not 0 < count <= MAX_FACETS:
         raise ValueError(f"{path.name} is not a binary STL")
-    corners = np.frombuffer(content, FACET, offset=HEADER)["corners"].astype(float) * MM
+    corners = stl_corners(content).astype(float) * MM
     if not np.isfinite(corners).all():
         raise ValueError(f"{path.name} has a non-finite corner")
     return corners
@@ -182,17 +168,6 @@ def _placed(name: str, corners: Array, T: Array) -> RigidPart:
 def _sensor_part(model: ProbeModel) -> RigidPart:
     """Return the body of the Nano17; its tool face is the origin of the sensor frame."""
     return _cylinder("sensor", NANO17.body_d, -NANO17.height, 0.0, inverse(model.T_sensor_base))
-
-
-def _flange_part(model: ProbeModel) -> RigidPart:
-    """Return the disc below the base, which is one piece with the probe."""
-    return _cylinder("flange", model.flange.diameter, -model.flange.thickness, 0.0, np.eye(4))
-
-
-def _adapter_part(model: ProbeModel) -> RigidPart:
-    """Return a cylinder from the sensor's face to the flange, as wide as the flange."""
-    bottom = float(inverse(model.T_sensor_base)[2, 3])
-    return _cylinder("adapter", model.flange.diameter, bottom, -model.flange.thickness, np.eye(4))
 
 
 def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:

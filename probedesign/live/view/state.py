@@ -1,16 +1,217 @@
-"""State of a run for the views: a sink that stores the latest data and returns snapshots to other threads."""
+"""State of a run for the views: a sink that stores the latest data, and snapshots of it with status lines."""
 
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
+from probedesign.estimation.estimate import RESULTS
+from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.view.snapshot import STRIP, BentShape, ContactMarker, RunHealth, Snapshot, status_lines
+
+Level = Literal["good", "fair", "bad", "plain"]
+
+
+class StatusLine(NamedTuple):
+    """One line of the status: its topic, its text, and how good or bad it is."""
+
+    name: str
+    text: str
+    level: Level = "plain"
+
+
+@dataclass(frozen=True)
+class BentShape:
+    """The bent centreline at the nodes of its solution.
+
+    Attributes:
+        s: arclengths, base to tip [m], (k,).
+        p_base: points [m], (k, 3).
+        R_base: section frames with columns x, y and tangent, (k, 3, 3).
+    """
+
+    s: Array
+    p_base: Array
+    R_base: Array
+
+
+@dataclass(frozen=True)
+class ContactMarker:
+    """A located contact.
+
+    Attributes:
+        p_surface: touched point [m], (3,).
+        cov: its covariance [m²], (3, 3).
+        force: force of the object on the probe [N], (3,).
+        s, std_s: arclength and its standard deviation [m].
+        in_world: whether all this is in the world frame; otherwise in the base frame.
+        time: time by the source's clock [s].
+        number: number of the touch, from 1.
+        friction_ratio: tangential over normal force; NaN if unknown.
+    """
+
+    p_surface: Array
+    cov: Array
+    force: Array
+    s: float
+    std_s: float
+    in_world: bool
+    time: float
+    number: int
+    friction_ratio: float = float("nan")
+
+
+STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
+"""Columns of a row of a strip chart: [s], [N], [N·m], [m], [N]."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """State of a run at one time.
+
+    Attributes:
+        since: time of the last estimate, from the first one [s].
+        result: result of the last estimate; empty before the first.
+        stale: whether probe and contact are not current: no recent reading or estimate.
+        status: the status lines.
+        shape: shape of the probe, if estimated.
+        marker: the contact, if the estimate is ok.
+        touches: best contact of each touch so far, the last ones.
+        T_world_base: pose of the base, (4, 4); NaN if unknown.
+        gravity_base: gravity vector [m/s²], (3,).
+        strip: rows of `STRIP` since the last snapshot, (j, 10).
+        events: last events, with the source's time [s].
+    """
+
+    since: float = 0.0
+    result: str = ""
+    stale: bool = False
+    status: tuple[StatusLine, ...] = ()
+    shape: BentShape | None = None
+    marker: ContactMarker | None = None
+    touches: tuple[ContactMarker, ...] = ()
+    T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
+    gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
+    events: tuple[tuple[float, str], ...] = ()
+
+
+NEWTON_MM = 1e-3
+"""One N·mm in N·m."""
+
+
+@dataclass(frozen=True)
+class RunHealth:
+    """Condition of the run.
+
+    Attributes:
+        stale: no reading for longer than usual.
+        no_estimate: no estimate for longer than usual.
+        silent_for: time since the last reading [s].
+        rate, estimate_rate: readings and estimates per second.
+        fault: fault of the last readings.
+        n_readings: number of readings so far.
+        counts: counters of the source.
+        tare, recording: last events on them; empty if there was none.
+    """
+
+    stale: bool = False
+    no_estimate: bool = False
+    silent_for: float = float("nan")
+    rate: float = float("nan")
+    estimate_rate: float = float("nan")
+    fault: str = ""
+    n_readings: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+    tare: str = ""
+    recording: str = ""
+
+
+def status_lines(
+    update: EstimateUpdate | None, marker: ContactMarker | None, health: RunHealth
+) -> tuple[StatusLine, ...]:
+    """Return all status lines, most important first."""
+    lines = [_result_line(update, health)]
+    if update is not None:
+        lines.append(StatusLine("phase", update.phase or "not monitored"))
+        lines += _contact_lines(marker)
+        lines += _fused_lines(update)
+        lines += _wrench_lines(update.wrench_base)
+    return (*lines, *_health_lines(update, health))
+
+
+def _result_line(update: EstimateUpdate | None, health: RunHealth) -> StatusLine:
+    if health.stale:
+        return StatusLine("result", f"stale: no reading for {health.silent_for:.1f} s", "bad")
+    if update is None:
+        return StatusLine("result", "no estimate yet" if health.n_readings else "no reading yet", "fair")
+    if health.no_estimate:
+        return StatusLine("result", "no recent estimate: the values shown are old", "bad")
+    result = update.estimate.result
+    levels: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
+    return StatusLine("result", f"{result}: {RESULTS[result]}", levels.get(result, "bad"))
+
+
+def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
+    """Return the lines of the contact; dashes if it is unknown, so that the lines keep their positions."""
+    if marker is None:
+        return [StatusLine(name, "–") for name in ("contact", "point", "force")]
+    frame = "world" if marker.in_world else "base"
+    stds = _numbers(np.sqrt(np.maximum(np.diag(marker.cov), 0.0)), MM)
+    ratio = marker.friction_ratio
+    friction = f", tangential over normal {ratio:.2f}" if np.isfinite(ratio) else ""  # not with every method
+    return [
+        StatusLine("contact", f"s {marker.s / MM:.1f} ± {marker.std_s / MM:.1f} mm"),
+        StatusLine("point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {stds} mm"),
+        StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{friction}"),
+    ]
+
+
+def _fused_lines(update: EstimateUpdate) -> list[StatusLine]:
+    """Return the line of the fused estimate, or the reason why it is missing."""
+    fused = update.fused
+    if fused is None:
+        return [StatusLine("fused", f"no {update.stale}", "fair")] if update.stale else []
+    place = f"{_numbers(fused.p_surface_world, MM)} mm, world, ± {fused.rms / MM:.1f} mm"
+    return [StatusLine("fused", place if fused.ok else fused.result)]
+
+
+def _wrench_lines(wrench: Array) -> list[StatusLine]:
+    """Return the lines of the wrench at the base."""
+    if not np.isfinite(wrench).all():
+        return [StatusLine("forces", "–"), StatusLine("moments", "–")]
+    return [
+        StatusLine("forces", f"{_numbers(wrench[:3], MILLINEWTON)} mN at the base"),
+        StatusLine("moments", f"{_numbers(wrench[3:], NEWTON_MM, 2)} N·mm"),
+    ]
+
+
+def _health_lines(update: EstimateUpdate | None, health: RunHealth) -> list[StatusLine]:
+    rates = [f"{health.rate:.0f} readings/s", f"{health.estimate_rate:.0f} estimates/s"]
+    if update is not None and np.isfinite(latency := update.computed - update.reading.received):
+        rates.append(f"{1e3 * latency:.1f} ms from reading to estimate")
+    names = ("lost", "late", "dropped", "faults")
+    lost = ", ".join(f"{health.counts[name]} {name}" for name in names if health.counts.get(name))
+    loss = f"{lost or 'none known'} of {health.n_readings} readings"
+    return [
+        *([StatusLine("fault", health.fault, "bad")] if health.fault else []),
+        StatusLine("rate", ", ".join(rates).replace("nan", "–")),
+        StatusLine("loss", loss, "fair" if lost else "plain"),
+        StatusLine("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
+        StatusLine("recording", health.recording.removeprefix("recording ") or "no"),
+    ]
+
+
+def _numbers(values: Array, unit: float, digits: int = 1) -> str:
+    return "(" + ", ".join(f"{float(value) / unit:z.{digits}f}" for value in values) + ")"
+
 
 MIN_STALE_TIME = 0.05
 """Minimum silence that is stale [s], as for a Net F/T box."""
@@ -66,16 +267,11 @@ MAX_STRIP_ROWS = 4096
 Counts = Callable[[], Mapping[str, int]]
 
 
-class ViewState:
+class ViewState(Sink):
     """Stores the latest data of a run without blocking, and returns a `Snapshot` on request."""
 
     def __init__(self, counts: Counts = dict, clock: Callable[[], float] = time.monotonic) -> None:
-        """Start before the first reading.
-
-        Args:
-            counts: returns the counters of the source: lost, dropped.
-            clock: clock of the arrival times [s].
-        """
+        """Start before the first reading; `counts` returns the counters of the source, `clock` the time [s]."""
         self._counts, self._clock = counts, clock
         self._update: EstimateUpdate | None = None
         self._first = math.nan
@@ -113,9 +309,6 @@ class ViewState:
         if topic := STATUS_EVENTS.get(line.partition(" ")[0].rstrip(":")):
             self._last_events[topic] = line
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
     def snapshot(self, shaped: bool = True) -> Snapshot:
         """Return the current snapshot; the probe's shape is solved here, in the calling thread, if requested."""
         update = self._update
@@ -142,9 +335,7 @@ class ViewState:
         )
 
     def _pop_strip(self) -> Array:
-        rows = []
-        while self._strip:
-            rows.append(self._strip.popleft())
+        rows = [self._strip.popleft() for _ in range(len(self._strip))]
         return np.array(rows).reshape(-1, len(STRIP))
 
     def _touch_number(self, update: EstimateUpdate) -> int:

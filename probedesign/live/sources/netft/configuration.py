@@ -11,13 +11,15 @@ import threading
 from dataclasses import dataclass, fields
 from functools import cached_property
 from http.client import HTTPConnection, HTTPException
+from pathlib import Path
 from time import monotonic
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array, pose, rotation_z, wrench_map
-from probedesign.live.sources.netft.wire import PAGE
+from probedesign.live.sources.netft.rdt import PAGE
 
 POUND_FORCE = 4.4482216152605  # exact, from the pound and standard gravity
 KILOGRAM_FORCE = 9.80665  # exact
@@ -105,8 +107,10 @@ class NetFTConfiguration:
         length = unit_of("scfgtdu", self.length_unit, LENGTH_UNITS)
         angle = unit_of("scfgtau", self.angle_unit, ANGLE_UNITS)
         x, y, z = angle * np.asarray(self.tool[3:])
-        R = _rotation_x(x) @ _rotation_y(y) @ rotation_z(z)
-        return pose(R, length * np.asarray(self.tool[:3]))
+        (c, s), (d, t) = (math.cos(x), math.sin(x)), (math.cos(y), math.sin(y))
+        about_x = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        about_y = np.array([[d, 0.0, t], [0.0, 1.0, 0.0], [-t, 0.0, d]])
+        return pose(about_x @ about_y @ rotation_z(z), length * np.asarray(self.tool[:3]))
 
     @cached_property
     def to_sensor(self) -> Array:
@@ -124,13 +128,9 @@ class NetFTConfiguration:
             units = f"{self.length_unit}, {self.angle_unit}"
             notes.append(f"the box has a tool transform ({shift}; {units}): compensated")
         if any(self.bias):
-            notes.append(
-                "the box has a software bias: absolute loads and the distance to the range limit are unknown"
-            )
+            notes.append("the box has a software bias: loads and the distance to the range limit are unknown")
         if self.filter:
-            notes.append(
-                f"the box filters (setuserfilter {self.filter:g}): readings are delayed and correlated"
-            )
+            notes.append(f"the box filters (setuserfilter {self.filter:g}): readings are delayed, correlated")
         return tuple(notes)
 
 
@@ -147,16 +147,13 @@ TEXT_FIELDS = ("product", "name", "force_unit", "torque_unit", "length_unit", "a
 
 
 def parse_configuration(page: bytes) -> NetFTConfiguration:
-    """Parse the page; its content is not trusted.
-
-    Args:
-        page: content of `netftapi2.xml`.
+    """Return the configuration on the page `netftapi2.xml`, whose content is not trusted.
 
     Raises:
         InputError: it is not XML, declares entities, or a tag is missing, duplicated or not a number.
         MissingDependencyError: defusedxml is not installed.
     """
-    texts = _texts(page)
+    texts = _texts(parse_xml(page, "netftapi2.xml"))
     missing = [tag for tag in REQUIRED_TAGS if tag not in texts]
     if missing:
         raise InputError(f"netftapi2.xml: has no {', '.join(missing)}; is this a Net F/T box?")
@@ -170,17 +167,27 @@ def differences(before: NetFTConfiguration, after: NetFTConfiguration) -> list[s
     return [f"{tag}: {_text(old)}, now {_text(new)}" for tag, old, new in pairs if old != new]
 
 
-def _texts(page: bytes) -> dict[str, str]:
-    """Return the text of every known tag."""
+def parse_xml(content: bytes, file: str | Path) -> Element:
+    """Return the root of an XML document, which is not trusted; `file` is for messages.
+
+    Raises:
+        InputError: it is not XML, or declares entities.
+        MissingDependencyError: defusedxml is not installed.
+    """
     try:
         from defusedxml.common import DefusedXmlException
         from defusedxml.ElementTree import ParseError, fromstring
     except ImportError:
-        raise MissingDependencyError.of_extra("reading a Net F/T box", "defusedxml", "live") from None
+        raise MissingDependencyError.of_extra(f"reading {file}", "defusedxml", "live") from None
     try:
-        root = fromstring(page, forbid_dtd=True)
+        root: Element = fromstring(content, forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
-        raise InputError(f"netftapi2.xml: not valid or safe XML: {type(error).__name__}") from None
+        raise InputError(f"{file}: not valid or safe XML: {type(error).__name__}") from None
+    return root
+
+
+def _texts(root: Element) -> dict[str, str]:
+    """Return the text of every known tag."""
     texts: dict[str, str] = {}
     for element in root.iter():
         if element.tag not in TAGS.values():
@@ -218,16 +225,6 @@ def _text(value: object) -> str:
     return "; ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else str(value)
 
 
-def _rotation_x(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _rotation_y(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
 MAX_PAGE_BYTES = 65536
 """Maximum size of the page [bytes]; about ten thousand are usual."""
 PAGE_TIMEOUT = 2.0
@@ -235,11 +232,7 @@ PAGE_TIMEOUT = 2.0
 
 
 def fetch_configuration(host: str, port: int) -> NetFTConfiguration:
-    """Fetch the current configuration of the box.
-
-    Args:
-        host: address of the box.
-        port: port of its HTTP server.
+    """Fetch the current configuration of the box at an address and the port of its HTTP server.
 
     Raises:
         InputError: the box does not respond, or not with the page of a Net F/T box.
@@ -248,12 +241,7 @@ def fetch_configuration(host: str, port: int) -> NetFTConfiguration:
 
 
 def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
-    """Fetch the page.
-
-    Args:
-        host: address of the box.
-        port: port of its HTTP server.
-        timeout: maximum time [s].
+    """Fetch the page within a timeout [s].
 
     Raises:
         InputError: there is no response, or it is not a page.
@@ -288,17 +276,9 @@ class ConfigurationMonitor:
     """
 
     def __init__(self, host: str, port: int, first: NetFTConfiguration, period: float) -> None:
-        """Prepare; nothing is fetched yet.
-
-        Args:
-            host: address of the box.
-            port: port of its HTTP server.
-            first: configuration at the start.
-            period: polling period [s].
-        """
+        """Prepare; nothing is fetched yet. `first` is the configuration at the start."""
         self.changed: list[str] = []
-        self.period = period
-        self._host, self._port, self._initial = host, port, first
+        self.period, self._host, self._port, self._initial = period, host, port, first
         self._ended = threading.Event()
 
     def check(self) -> bool:

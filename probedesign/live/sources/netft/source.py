@@ -1,25 +1,183 @@
-"""Source `netft://HOST[:PORT]`: a streaming Net F/T box, read with pynetft."""
+"""Source `netft://HOST[:PORT]`: decodes the records of a streaming Net F/T box to wrenches, times and faults."""
 
 from collections import Counter
 from collections.abc import Generator
 from contextlib import closing
-from urllib.parse import urlsplit
+from itertools import pairwise
+from math import inf, isfinite
+from time import monotonic
 
 import numpy as np
 
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
-from probedesign.live import Log
-from probedesign.live.processing.blocks import Block
+from probedesign.live import Log, split_address
+from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.netft.configuration import (
     ConfigurationMonitor,
     NetFTConfiguration,
     fetch_configuration,
 )
-from probedesign.live.sources.netft.record_decoder import RecordDecoder, summary
-from probedesign.live.sources.netft.session import RdtSession
-from probedesign.live.sources.netft.wire import HTTP_PORT, RDT_PORT
-from probedesign.live.sources.parameters import SourceParameter, parse_parameters
+from probedesign.live.sources.netft.rdt import (
+    HARMLESS,
+    HTTP_PORT,
+    RDT_PORT,
+    STALE_TIME,
+    RdtRecords,
+    RdtSession,
+    SensorClock,
+    fault_of,
+    steps,
+)
+from probedesign.live.sources.source import DropoutMonitor, SourceParameter, parse_parameters
+
+COUNT_INTERVAL = 1.0
+"""Interval at which the counts are updated [s]."""
+REPORT_INTERVAL = 10.0
+"""Minimum interval between reports of losses [s]."""
+
+COUNTERS = {
+    "lost": "lost", "late": "late and rejected", "doubled": "duplicated", "malformed": "malformed",
+    "faults": "with a fault", "dropped": "dropped because reading was too slow", "interruptions": "interruptions",
+    "restarts": "restarts",
+}  # fmt: skip
+"""Texts of the counters, in the order of the summary."""
+REPORTED = ("lost", "dropped", "malformed")
+"""Counters that are reported while they increase."""
+
+
+def summary(counts: Counter[str]) -> str:
+    """Return all counters as one line."""
+    text = [f"{counts[name]} {text}" for name, text in COUNTERS.items() if counts[name]]
+    return f"{counts['received']} records, {', '.join(text) or 'none lost'}"
+
+
+NO_RECORD = "the box responds to HTTP but sends no records; check the firewall and the port"
+FAULT_REPORT_INTERVAL = 1.0
+"""Minimum interval between reports of faults [s]: a load near the limit causes many."""
+
+
+class RecordDecoder:
+    """Decodes the records of a session into blocks of readings.
+
+    Attributes:
+        counts: counters of the session, plus readings with a fault, interruptions and restarts; updated every second.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        gravity_base: Array,
+        configuration: NetFTConfiguration,
+        session: RdtSession,
+        monitor: ConfigurationMonitor,
+        log: Log,
+    ) -> None:
+        """Start before the first record; `gravity_base` is that of every reading [m/s²], (3,)."""
+        self._name, self._gravity, self._log = name, gravity_base, log
+        self._to_sensor = configuration.to_sensor
+        self._session, self._monitor = session, monitor
+        self._clock, self._dropout = SensorClock(), DropoutMonitor(name, log, NO_RECORD)
+        self._reported, self._report_time = Counter[str](), -inf
+        self.counts: Counter[str] = Counter()
+        self._last, self._stretch = -inf, 0
+        self._counted, self._faulted = monotonic(), -inf
+        self._fault = ""
+
+    def blocks(self) -> Generator[Block, None, None]:
+        """Yield readings as they arrive; a block without readings after each `STALE_TIME` without one.
+
+        Raises:
+            InputError: the box never sends, or its configuration has changed.
+        """
+        with closing(self._session.records()) as stream:
+            for records in stream:
+                self._check_configuration()
+                if monotonic() - self._counted > COUNT_INTERVAL:
+                    self.count()
+                    self._report_losses()
+                yield from self._decode(records) if len(records) else self._report_silence()
+
+    def count(self) -> None:
+        """Update the counts."""
+        self._counted = monotonic()
+        self._session.count()
+        for name, count in self._session.counts.items():
+            self.counts[name] = count
+
+    def _report_losses(self) -> None:
+        """Report the increase of the counters since the last report, at limited frequency."""
+        more = {name: self.counts[name] - self._reported[name] for name in REPORTED}
+        if any(more.values()) and monotonic() - self._report_time > REPORT_INTERVAL:
+            text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
+            self._log(f"{self._name}: {text}; {self.counts['received']} received so far")
+            self._reported, self._report_time = self.counts.copy(), monotonic()
+
+    def _decode(self, records: RdtRecords) -> Generator[Block, None, None]:
+        """Yield blocks of records, split where the stream was interrupted and where the fault changes."""
+        new, time, restarted = self._clock.times(records.ft_sequence, records.received)
+        records = records[new]
+        if not len(records):
+            return
+        status = records.status
+        if status.any():
+            status = np.where(np.isin(status, HARMLESS), 0, status)
+        before = self._last if isfinite(self._last) else records.received[0]
+        broken = restarted | (steps(records.received, before) > STALE_TIME)
+        broken[0] |= self._dropout.ongoing
+        cuts = np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1
+        for start, end in pairwise([0, *cuts.tolist(), len(records)]):
+            received = records.received[start:end]
+            if broken[start] and not self._resumed(float(received[0])):
+                yield from self._report_silence("its page does not respond")
+                return
+            wrench = records.counts[start:end] @ self._to_sensor.T
+            fault = self._report_fault(int(status[start]), end - start)
+            yield Block(time[start:end], wrench, self._gravity, received, fault, self._stretch)
+            self._last = float(received[-1])
+
+    def _report_silence(self, hint: str = "asking again") -> Generator[Block, None, None]:
+        """Report silence; yield a block without readings if there have been any."""
+        self._dropout.on_silence(self._last, hint)
+        if self._dropout.ongoing:
+            yield dropout_block(self._gravity, self._dropout.reason, self._stretch)
+
+    def _resumed(self, received: float) -> bool:
+        """Return whether resumed records come from the same box with the same configuration.
+
+        Records of another box, or of the same box with another configuration, must not continue the stream.
+        """
+        if not self._monitor.check():
+            return False
+        self._check_configuration()
+        self._stretch += 1
+        self.counts["interruptions"] += 1
+        if self._clock.restarts > self.counts["restarts"]:
+            self.counts["restarts"] = self._clock.restarts
+            self._log(f"{self._name}: its clock restarted; the previous tare is kept, take a new one")
+        self._dropout.on_resumed(received - self._last)
+        return True
+
+    def _report_fault(self, status: int, count: int) -> str:
+        """Return the fault of a status word; report where it begins and ends."""
+        fault = fault_of(status) if status else ""
+        if fault:
+            self.counts["faults"] += count
+        if fault != self._fault and (not fault or monotonic() - self._faulted > FAULT_REPORT_INTERVAL):
+            self._log(f"{self._name}: {fault or 'healthy again'}")
+            self._fault, self._faulted = fault, monotonic()
+        return fault
+
+    def _check_configuration(self) -> None:
+        """Check that the configuration is unchanged."""
+        if self._monitor.changed:
+            text = ", ".join(self._monitor.changed)
+            raise InputError(
+                f"{self._name}: its configuration has changed ({text}); readings of the last "
+                f"{self._monitor.period:g} s may be wrong; restart with a new tare"
+            )
+
 
 PARAMETERS = {
     "http": SourceParameter(HTTP_PORT, 1, 65535, integer=True),
@@ -38,20 +196,14 @@ class NetFTSource:
     """
 
     def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
-        """Fetch the configuration of the box; nothing streams yet.
-
-        Args:
-            model: probe on the sensor.
-            target: `//HOST` or `//HOST:PORT`.
-            query: the parameters of `PARAMETERS`.
-            log: callback for messages to the user.
+        """Fetch the configuration of the box at `//HOST[:PORT]`, with `PARAMETERS`; nothing streams yet.
 
         Raises:
             InputError: the address or a parameter is invalid, or no box responds.
             MissingDependencyError: pynetft is not installed.
         """
         host, port = _address(target)
-        parameters = parse_parameters("netft:", query, PARAMETERS)
+        parameters, _ = parse_parameters("netft:", query, PARAMETERS)
         self._name = f"netft://{host}:{port}"
         self._session = RdtSession(self._name, host, port)  # checks dependencies before any request
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
@@ -83,19 +235,15 @@ def _range_note(configuration: NetFTConfiguration, model: ProbeModel) -> tuple[s
     if np.allclose(reach, model.wrench_range, rtol=0.01):
         return ()
     ranges = ", ".join(f"{value:g}" for value in configuration.ranges)
-    return (
-        f"the box's range {ranges} differs from that of the frozen probe's sensor: is it another calibration?",
-    )
+    return (f"the box's range {ranges} differs from that of the probe's sensor: is it another calibration?",)
 
 
 def _address(target: str) -> tuple[str, int]:
     """Return host and port of `//HOST[:PORT]`."""
     try:
-        parts = urlsplit(target)
-        host, port = parts.hostname or "", parts.port if parts.port is not None else RDT_PORT
+        host, port = split_address(f"netft:{target}", "netft")
     except ValueError:
-        host, port = "", 0
-    bare = target.startswith("//") and not (parts.path.strip("/") or parts.username or parts.fragment)
-    if not host or not port or not bare:
+        host, port = "", None
+    if not host or port == 0:
         raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
-    return host, port
+    return host, RDT_PORT if port is None else port

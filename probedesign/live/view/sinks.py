@@ -1,4 +1,4 @@
-"""Sink of `--view`: shows the run on a page that another process serves."""
+"""Sinks of `live` that show the run: on a page that another process serves, or as a table on the terminal."""
 
 import importlib.util
 import json
@@ -10,21 +10,24 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, get_args
+from typing import IO, TYPE_CHECKING, Any, get_args
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimator import Estimator
-from probedesign.live import Log
-from probedesign.live.processing.scheduler import CommandName, CommandQueue
+from probedesign.live import LOOPBACK, Log
+from probedesign.live.processing.control import CommandName, CommandQueue
 from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
-from probedesign.live.view.snapshot import BentShape
-from probedesign.live.view.state import Counts, ViewState
+from probedesign.live.view.state import BentShape, Counts, Level, Snapshot, ViewState
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
 
 PERIOD = 1.0 / 30.0
 """Minimum interval between two frames [s]."""
 MAX_NOTE = 200
 """Maximum number of characters of a mark."""
-LOCAL = ("127.0.0.1", "localhost", "::1")
 
 
 class BrowserView(ViewState):
@@ -49,10 +52,8 @@ class BrowserView(ViewState):
         """Open the page.
 
         Args:
-            estimator: estimator of the probe.
             folder: folder of the exported parts, if any.
             commands: receives the commands of the user.
-            log: callback for messages to the user.
             host: address to listen on.
             port: port, or the first free one after it.
             counts: returns the counters of the source: lost, dropped.
@@ -72,10 +73,8 @@ class BrowserView(ViewState):
         with suppress(BrokenPipeError):  # the next line reports the reason
             self._send(process.stdin, scene_setup(estimator, folder, host, port, log))
         self.url = self._wait_for_url(process.stdout)
-        who = (
-            "this machine only" if host in LOCAL else "the network: anyone there can tare and stop recordings"
-        )
-        log(f"view: {self.url}, open to {who}")
+        public = "the network: anyone there can tare and stop recordings"
+        log(f"view: {self.url}, open to {'this machine only' if host in LOOPBACK else public}")
         self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
         self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
         self._writer.start()
@@ -100,17 +99,12 @@ class BrowserView(ViewState):
         page.flush()
 
     def _wait_for_url(self, page: IO[bytes]) -> str:
-        """Return the address of the page when it is open.
-
-        Raises:
-            InputError: it cannot be opened.
-        """
+        """Return the address of the page when it is open."""
         message = _parse_message(page.readline())
         if "url" not in message:
             self._process.kill()
-            raise InputError(
-                f"--view: the page could not be opened: {message.get('error', 'its process ended')}"
-            )
+            why = message.get("error", "its process ended")
+            raise InputError(f"--view: the page could not be opened: {why}")
         return str(message["url"])
 
     def _read(self, page: IO[bytes]) -> None:
@@ -163,11 +157,7 @@ def _parse_message(line: bytes) -> dict[str, Any]:
 
 
 def _check_address(host: str, port: int) -> None:
-    """Check that the address belongs to this machine; viser does not report other errors.
-
-    Raises:
-        InputError: it does not.
-    """
+    """Check that the address belongs to this machine; viser does not report other errors."""
     if not 0 < port < 65536:
         raise InputError(f"--view-port {port} must be in 1 ... 65535")
     try:
@@ -177,3 +167,41 @@ def _check_address(host: str, port: int) -> None:
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None
+
+
+REFRESH_RATE = 8
+STYLES: dict[Level, str] = {"good": "bold green", "fair": "yellow", "bad": "bold red", "plain": ""}
+
+
+class TerminalView(ViewState):
+    """Sink that shows a live table at the bottom of a terminal until it is closed."""
+
+    def __init__(self, title: str, counts: Counts = dict, console: "Console | None" = None) -> None:
+        """Start the table, on standard output if `console` is None; `counts` returns the counters of the source."""
+        from rich.live import Live
+
+        super().__init__(counts)
+        self._title = title
+        self._live = Live(console=console, get_renderable=self._table, refresh_per_second=REFRESH_RATE)
+        self._live.start()
+
+    def close(self) -> None:
+        """Stop updating; the last table remains and the cursor is restored."""
+        self._live.stop()
+
+    def _table(self) -> "Table":
+        return table_of(self._title, self.snapshot(shaped=False))
+
+
+def table_of(title: str, snapshot: Snapshot) -> "Table":
+    """Return the status lines in two columns, and the touches so far."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=f"{title}, {snapshot.since:.1f} s", title_justify="left", show_header=False, box=None)
+    for line in snapshot.status:
+        table.add_row(Text(line.name, style="dim"), Text(line.text, style=STYLES[line.level]))
+    for marker in snapshot.touches[-3:]:
+        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
+        table.add_row(Text(f"touch {marker.number}", style="dim"), Text(text))
+    return table

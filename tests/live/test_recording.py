@@ -1,4 +1,4 @@
-"""Recording while a run goes on: nobody waits for the disk, and nothing that happens to it ends the run."""
+"""Recording during a run: nothing waits for the disk, and no failure of the disk ends the run."""
 
 import errno
 import os
@@ -8,9 +8,9 @@ from contextlib import closing
 import pytest
 
 from probedesign.core.errors import InputError
+from probedesign.live import recordings as pieces
 from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink
-from probedesign.live.processing.scheduler import ProcessingOptions
-from probedesign.live.recordings import append_file as pieces
+from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.recordings.csv import read_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
@@ -25,7 +25,7 @@ def model(estimator):
     return estimator.model
 
 
-class Held:
+class BlockedFile:
     """A file whose disk answers only when it is let go."""
 
     def __init__(self, file):
@@ -40,7 +40,7 @@ class Held:
 
 
 def full_after(monkeypatch, size: int) -> None:
-    """A disk with so many bytes of room, told as Linux tells it: part of a write, then an error."""
+    """A disk with a given number of free bytes, which fails as on Linux: part of a write, then an error."""
     left = [size]
 
     def write(file: int, data) -> int:
@@ -56,34 +56,35 @@ def full_after(monkeypatch, size: int) -> None:
 
 def test_a_slow_disk_drops_readings_and_reports_it(model, tmp_path):
     """Room for 40 readings: the first block is being written, four of nine wait, the rest is left out."""
-    said, path = [], tmp_path / "slow.mcap"
-    held = Held(McapRecorder(path, model))
-    behind = BackgroundWriter(held, "slow.mcap", said.append, max_queued=40)
+    log_lines, path = [], tmp_path / "slow.mcap"
+    blocked = BlockedFile(McapRecorder(path, model))
+    writer = BackgroundWriter(blocked, "slow.mcap", log_lines.append, max_queued=40)
     written = [block(i * 10, 10) for i in range(10)]
     for each in written:
-        behind.on_samples(each)
-    assert said == ["slow.mcap: the disk is too slow; readings are dropped"]
-    held.go.set()
-    behind.close()
-    assert behind.dropped + behind.readings == 100 and behind.dropped >= 50
+        writer.on_samples(each)
+    assert log_lines == ["slow.mcap: the disk is too slow; readings are dropped"]
+    blocked.go.set()
+    writer.close()
+    assert writer.dropped + writer.readings == 100 and writer.dropped >= 50
     assert (
-        said[1] == f"slow.mcap: the disk was too slow: {behind.dropped} readings dropped, marked in the file"
+        log_lines[1]
+        == f"slow.mcap: the disk was too slow: {writer.dropped} readings dropped, marked in the file"
     )
     _, blocks = read(path, model)
-    assert joined(blocks) == joined(written[: behind.readings // 10])
+    assert joined(blocks) == joined(written[: writer.readings // 10])
 
 
 def test_a_disk_that_is_full_at_the_end_is_reported(model, tmp_path, monkeypatch):
     """And not, after a long wait, as one that does not answer."""
-    said, file = [], McapRecorder(tmp_path / "end.mcap", model)
-    behind = BackgroundWriter(file, "end.mcap", said.append)
+    log_lines, file = [], McapRecorder(tmp_path / "end.mcap", model)
+    writer = BackgroundWriter(file, "end.mcap", log_lines.append)
 
     def full():
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(file, "close", full)
-    behind.close()
-    assert len(said) == 1 and "recording ended: No space left on device" in said[0]
+    writer.close()
+    assert len(log_lines) == 1 and "recording ended: No space left on device" in log_lines[0]
 
 
 def test_averages_do_not_span_dropped_readings(model, tmp_path):
@@ -96,27 +97,31 @@ def test_averages_do_not_span_dropped_readings(model, tmp_path):
     file.close()
     recorded, blocks = read(tmp_path / "gap.mcap", model)
     assert len({each.stretch for each in blocks}) == 2 and blocks[0].stretch == blocks[1].stretch
-    assert recorded.missing() == ("7 readings were dropped by the recorder because the disk was too slow",)
+    assert recorded.missing() == ("7 readings were dropped by the recorder: the disk was too slow",)
 
 
 @pytest.mark.parametrize("kind", ["mcap", "csv"])
 @pytest.mark.parametrize("room", [0, 15_000])
 def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, monkeypatch, kind, room):
-    """240 readings take 40 kB of CSV and 25 of MCAP, where what stands before them is written already; 64 come at
+    """240 readings take 40 kB of CSV and 25 of MCAP, where the head is written already; 64 come at
     once."""
-    path, said = tmp_path / f"full.{kind}", []
-    recordings = RecordingSink(path, estimator.model, said.append)
+    path, log_lines = tmp_path / f"full.{kind}", []
+    recordings = RecordingSink(path, estimator.model, log_lines.append)
     recordings.start()
     recordings._current[1]._flush_period = 0.0
     full_after(monkeypatch, room)
     answers = list(
         estimate_stream(
-            estimator, SimulatedSource(estimator.model, SIM), ProcessingOptions(), said.append, recordings
+            estimator,
+            SimulatedSource(estimator.model, SIM),
+            ProcessingOptions(),
+            log_lines.append,
+            recordings,
         )
     )
     recordings.close()
     assert len(answers) == 240
-    (line,) = [line for line in said if "recording ended" in line]
+    (line,) = [line for line in log_lines if "recording ended" in line]
     assert "No space left on device" in line and "the run continues" in line
     if kind == "csv":
         assert room == 0 or read_recording(path).dropped_lines == 0
@@ -136,8 +141,8 @@ def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
 
 
 def test_each_start_is_a_new_file(model, tmp_path):
-    said, path = [], tmp_path / "r.mcap"
-    with closing(RecordingSink(path, model, said.append)) as recordings:
+    log_lines, path = [], tmp_path / "r.mcap"
+    with closing(RecordingSink(path, model, log_lines.append)) as recordings:
         recordings.on_samples(block(0, 3))  # before the start: recorded nowhere
         for i in range(1, 4):
             recordings.try_start()
@@ -151,21 +156,21 @@ def test_each_start_is_a_new_file(model, tmp_path):
     for i, name in enumerate(names[:3], 1):
         (only,) = read(tmp_path / name, model)[1]
         assert same(only, block(3 * i, 3))
-    assert said[:2] == [f"recording to {path}", f"recorded 3 readings to {path}"]
-    assert said[6:8] == ["no recording is active", f"recording to {tmp_path / 'r-4.mcap'}"]
-    assert said[8] == f"recording to {tmp_path / 'r-4.mcap'} is already active"
+    assert log_lines[:2] == [f"recording to {path}", f"recorded 3 readings to {path}"]
+    assert log_lines[6:8] == ["no recording is active", f"recording to {tmp_path / 'r-4.mcap'}"]
+    assert log_lines[8] == f"recording to {tmp_path / 'r-4.mcap'} is already active"
 
 
-def test_no_file_is_overwritten_unasked(model, tmp_path):
-    said, path = [], tmp_path / "r.mcap"
+def test_no_file_is_overwritten_without_force(model, tmp_path):
+    log_lines, path = [], tmp_path / "r.mcap"
     path.write_text("mine")
-    recordings = RecordingSink(path, model, said.append)
+    recordings = RecordingSink(path, model, log_lines.append)
     recordings.try_start()
-    assert said == [
+    assert log_lines == [
         f"cannot start recording: {path}: exists already; --force replaces it, or choose another name"
     ]
     assert path.read_text() == "mine"
-    with closing(RecordingSink(path, model, said.append, force=True)) as recordings:
+    with closing(RecordingSink(path, model, log_lines.append, force=True)) as recordings:
         recordings.start()
         assert recordings.path == path
     assert read(path, model)[1] == []

@@ -1,12 +1,16 @@
-"""Session with a box through pynetft: reads its queue in one pass, renews the client if it rejects all records.
+"""RDT: the protocol of the box over UDP (big-endian), a session with it through pynetft, and the sensor's clock.
 
-Also the sensor's clock: time from a 32-bit counter that overflows, stops or restarts.
+Source: ATI, Net F/T Sensor System, installation and operation manual 9620-05-NET FT, the chapter on RDT and the table
+of the system status code. Axia sensors use another table.
 """
 
+import struct
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator
+from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, islice
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,10 +19,95 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
-from probedesign.live.sources.netft.wire import SAMPLES_PER_SECOND
 
 if TYPE_CHECKING:
     from pynetft import Client
+
+
+RDT_PORT = 49152
+HTTP_PORT = 80
+PAGE = "/netftapi2.xml"
+
+SAMPLES_PER_SECOND = 7000
+"""Sampling rate of the box, independent of the record rate, counted by `ft_sequence`. The record rate is an integer
+fraction of it."""
+MAX_RECORDS = 40
+"""Maximum number of records in a packet of buffered streaming."""
+
+STOP, REALTIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042
+"""Commands to the box."""
+
+HEADER = 0x1234
+REQUEST = struct.Struct(">HHI")
+RECORD = struct.Struct(">III6i")
+RECORDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
+"""The record as an array type."""
+
+
+class Request(NamedTuple):
+    """Request of a client: a command, and a number of records; 0 is unlimited."""
+
+    command: int
+    records: int = 0
+
+    def packed(self) -> bytes:
+        """Return the request as eight bytes."""
+        return REQUEST.pack(HEADER, self.command, self.records)
+
+
+def parse_request(datagram: bytes) -> Request | None:
+    """Return the request in a datagram; None if it is not a request."""
+    if len(datagram) != REQUEST.size:
+        return None
+    header, command, count = REQUEST.unpack(datagram)
+    return Request(command, count) if header == HEADER else None
+
+
+HEALTHY = (0x00000000, 0x80010000)
+"""The second value: a monitor condition has been latched, which is not a fault of the sample."""
+
+SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
+HARMLESS = (*HEALTHY, LATCHED)
+
+FAULT_TEXTS = {
+    30: "processor or memory error",
+    29: "digital board error",
+    28: "analogue board error",
+    27: "serial link error",
+    26: "program memory error",
+    25: "halted by a wrong configuration",
+    24: "settings are not valid",
+    23: "configuration does not fit the calibration",
+    22: "network failure",
+    21: "CAN failure",
+    20: "RDT failure",
+    19: "EtherNet/IP failure",
+    18: "DeviceNet failure",
+    17: "transducer saturated or A/D error",
+    14: "watchdog",
+    13: "stack",
+    12: "EEPROM failure",
+    11: "flash failure",
+    10: "analogue board watchdog",
+    9: "gauge excitation current too high",
+    8: "gauge excitation current too low",
+    7: "artificial ground out of range",
+    6: "supply too high",
+    5: "supply too low",
+    4: "no data from the transducer",
+    3: "reference voltage or power",
+    2: "temperature",
+    1: "HTTP failure",
+}
+"""Texts by bit; bit 31 is the summary and bit 16 is not a fault."""
+
+
+def fault_of(status: int) -> str:
+    """Return the fault of a status word; empty without one."""
+    if status in HARMLESS:
+        return ""
+    texts = [text for bit, text in FAULT_TEXTS.items() if status >> bit & 1]
+    return f"{', '.join(texts) or 'unknown fault'} (status 0x{status:08x})"
 
 
 QUEUE_SIZE = 1 << 16
@@ -35,7 +124,7 @@ RECONNECT_DELAY = 0.010
 """Delay before a new request after the end of a session [s]; pynetft ends it with every sample of a faulty status."""
 SWITCH_INTERVAL = 1e-4
 """Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
-thread would hold it for Python's usual 5 ms, longer than the interval between records."""
+thread would keep it for Python's usual 5 ms, longer than the interval between records."""
 
 
 @dataclass(frozen=True)
@@ -63,19 +152,14 @@ class RdtRecords:
 
 
 class RdtSession:
-    """Reads the records of one box with pynetft.
+    """Reads the records of one box with pynetft, and replaces a client that rejects all records.
 
     Attributes:
         counts: number of records received, lost, late, doubled, malformed, dropped by the queue.
     """
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        """Prepare; nothing streams yet.
-
-        Args:
-            name: name of the box, for messages.
-            host: address of the box.
-            port: RDT port.
+        """Prepare a session with the box at a host and RDT port; nothing streams yet. `name` is for messages.
 
         Raises:
             MissingDependencyError: pynetft is not installed.
@@ -90,6 +174,8 @@ class RdtSession:
         Raises:
             InputError: pynetft has stopped.
         """
+        from pynetft import NetFTError
+
         received, renewed, usual = 0, monotonic(), sys.getswitchinterval()
         sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
         self._client.start()
@@ -106,6 +192,8 @@ class RdtSession:
                     self._renew()
                     renewed, received_now = monotonic(), 0
                 received = received_now
+        except NetFTError as error:
+            raise InputError(f"{self._name}: pynetft has stopped: {error}") from None
         finally:
             sys.setswitchinterval(usual)
             self._client.stop()
@@ -156,41 +244,25 @@ class RdtSession:
 
 
 def drain(client: "Client") -> RdtRecords:
-    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`."""
-    read = _reader(client)
+    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`.
+
+    Raises:
+        pynetft.NetFTError: the client has stopped with a fault.
+    """
     rows: list[tuple[int, ...]] = []
-    sample = read(STALE_TIME)
-    while sample is not None:
-        rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
-        sample = read(0.0) if len(rows) < MAX_RECORDS_AT_ONCE else None
+    queued = chain(
+        islice(client.samples(STALE_TIME), 1), islice(client.samples(0.0), MAX_RECORDS_AT_ONCE - 1)
+    )
+    with suppress(TimeoutError):  # the queue is empty
+        for sample in queued:
+            rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
     table = np.array(rows, dtype=np.int64).reshape(-1, 9)
     return RdtRecords(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
 
 
-def _reader(client: "Client") -> Callable[[float], Any]:
-    """Return the function that reads one sample within a timeout [s]; None if there is none.
-
-    `Client.samples` creates an object of enumerations and floats for each sample, which takes three times as long as
-    reading it. pynetft's native reader, where the client has one, is used instead; it is not public API.
-    """
-    native = getattr(getattr(client, "_native", None), "read", None)
-    if native is not None:
-        return lambda timeout: native(timeout).sample
-
-    def read(timeout: float) -> Any:
-        from pynetft import NetFTError
-
-        try:
-            return next(client.samples(timeout), None)
-        except (TimeoutError, NetFTError):  # a fault is reported by the client's health
-            return None
-
-    return read
-
-
 WRAP = 1 << 32
 MAX_LEAD = 10.0
-"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers hold less, and a
+"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers are shorter, and a
 suspended program finds no old records."""
 
 
@@ -213,14 +285,16 @@ def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
 
     As `np.diff`, which takes four times as long for few values.
     """
-    records = np.empty_like(values)
-    records[:1] = values[:1] - before
-    np.subtract(values[1:], values[:-1], out=records[1:])
-    return records
+    differences = np.empty_like(values)
+    differences[:1] = values[:1] - before
+    np.subtract(values[1:], values[:-1], out=differences[1:])
+    return differences
 
 
 class SensorClock:
-    """Time since the first record by `ft_sequence` [s], never decreasing.
+    """Time since the first record by `ft_sequence` [s], a 32-bit counter that overflows, stops or restarts.
+
+    The time never decreases.
 
     Attributes:
         restarts: number of restarts of the counter; the host's clock covers the gaps.
@@ -233,12 +307,7 @@ class SensorClock:
         self._ticks = 0
 
     def times(self, ft_sequence: NDArray[np.int64], received: Array) -> RecordTimes:
-        """Return the times of consecutive records.
-
-        Args:
-            ft_sequence: sequence numbers, (n,).
-            received: arrival by the host's clock [s], (n,).
-        """
+        """Return the times of consecutive records by sequence numbers and arrival by the host's clock [s], (n,)."""
         new = np.ones(len(ft_sequence), dtype=bool)
         new[1:] = np.diff(ft_sequence) != 0
         if self._last is not None and len(new):

@@ -1,13 +1,135 @@
-"""Receives poses by UDP (`udp://HOST:PORT`), one JSON object per datagram."""
+"""Poses from a file of CSV or JSON lines, and by UDP (`udp://HOST:PORT`) with one JSON object per datagram."""
 
+import csv
+import json
+import math
 import socket
 import threading
 from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
 from time import monotonic, sleep
+from typing import Any
 
+from probedesign.core.csv_tables import UNITS
 from probedesign.core.errors import InputError
-from probedesign.live.poses.pose_file import parse_pose_json
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.track import TimedPose, timed_pose
+
+POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+"""Names of the fields of a pose, in CSV, JSON lines and UDP packets."""
+
+
+def parse_pose(values: Mapping[str, Any]) -> TimedPose:
+    """Return the pose with the fields `POSE_COLUMNS`; other fields are ignored.
+
+    Time and position may be in other units, named by the end of the field: `time_ms`, `x_m`.
+
+    Raises:
+        InputError: a field is missing, duplicated, is not a number, or the numbers are not a pose.
+    """
+    fields = [_field(values, name) for name in POSE_COLUMNS]
+    if missing := [name for name, field in zip(POSE_COLUMNS, fields, strict=True) if field is None]:
+        raise InputError(f"has no {', '.join(missing)}; a pose needs {', '.join(POSE_COLUMNS)}")
+    time, *numbers = (factor * _number(name, values[name]) for name, factor in filter(None, fields))
+    return timed_pose(time, numbers[:3], numbers[3:])
+
+
+def _field(values: Mapping[str, Any], name: str) -> tuple[str, float] | None:
+    """Return the field that contains a quantity and its factor to SI units; None if it is missing."""
+    quantity, has_unit, _ = name.partition("_")
+    if not has_unit:
+        return (name, 1.0) if name in values else None
+    units = UNITS["time" if quantity == "time" else "length"]
+    found = [
+        (f"{quantity}_{unit}", factor) for unit, factor in units.items() if f"{quantity}_{unit}" in values
+    ]
+    if len(found) > 1:
+        raise InputError(f"has {found[0][0]} and {found[1][0]}; keep one")
+    return found[0] if found else None
+
+
+def parse_pose_json(text: str | bytes) -> tuple[TimedPose, str]:
+    """Return the pose of a JSON object, and the value of its field `frame`, if any.
+
+    Raises:
+        InputError: the text is not such an object.
+    """
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError("is not JSON") from None
+    if not isinstance(values, dict):
+        raise InputError("is not a JSON object")
+    return parse_pose(values), str(values.get("frame", ""))
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) or value is None else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{name} = {str(value)[:40]!r} is not a finite number")
+    return number
+
+
+def read_pose_file(path: Path) -> list[TimedPose]:
+    """Read all poses of a file.
+
+    Args:
+        path: `NAME.csv` with the columns `POSE_COLUMNS`, or any other file with one JSON object of these fields per
+            line. Lines that begin with # are ignored.
+
+    Raises:
+        InputError: the file cannot be read, has no poses, or a line is wrong; the message names the line.
+    """
+    lines = _lines(path)
+    parsers: Iterable[tuple[int, Callable[[], tuple[TimedPose, str]]]]
+    if path.suffix.lower() == ".csv":
+        rows = csv.reader(line for _, line in lines)
+        header = [name.strip() for name in next(rows, [])]
+        numbered = zip(lines[1:], rows, strict=False)
+        parsers = ((number, partial(_parse_csv_row, header, row)) for (number, _), row in numbered)
+    else:
+        parsers = ((number, partial(parse_pose_json, line)) for number, line in lines)
+    poses: list[TimedPose] = []
+    frames = set()
+    for number, parse in parsers:
+        try:
+            pose, frame = parse()
+            if poses and not pose.time > poses[-1].time:
+                before = f"{poses[-1].time:.9g}"
+                raise InputError(f"time_s = {pose.time:.9g} is not after {before}; sort the lines")
+        except InputError as error:
+            raise InputError(f"{path}:{number}: {error}") from None
+        frames.add(frame)
+        poses.append(pose)
+    if not poses:
+        raise InputError(f"{path}: no poses in the file; a line needs {', '.join(POSE_COLUMNS)}")
+    if len(frames) > 1:
+        named = ", ".join(sorted(frames))[:80]
+        raise InputError(f"{path}: poses are in several frames, {named}; one frame is required")
+    return poses
+
+
+def _parse_csv_row(header: list[str], row: list[str]) -> tuple[TimedPose, str]:
+    if len(row) != len(header):
+        raise InputError(f"has {len(row)} fields, but the header has {len(header)}")
+    return parse_pose(dict(zip(header, row, strict=True))), ""
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # UnicodeDecodeError and a NUL in the path are ValueErrors
+        why = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"{path}: cannot be read as poses: {why}") from None
+    numbered = enumerate(text.splitlines(), 1)
+    return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
+
 
 MAX_DATAGRAM = 4096
 """Maximum size of a datagram with a pose [bytes]; about two hundred are needed."""

@@ -1,0 +1,288 @@
+"""What controls a run: its options, the commands of the user, the tare, and the schedule of estimates."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from time import monotonic
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.estimation.estimator import Estimator, Method
+from probedesign.live import Log
+from probedesign.live.processing.blocks import WrenchReading
+
+MIN_READINGS = 10
+"""Minimum number of readings in a tare window: the mean of ten adds a tenth to the variance of every later reading."""
+MAX_SCATTER = 3.0
+"""Maximum standard deviation of a channel, in units of its noise. Ten readings of pure noise exceed it once in 1e12
+windows."""
+TARE_DURATION = 2.0
+"""Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
+theirs."""
+CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+
+@dataclass(frozen=True)
+class TareWindow:
+    """Time window in which the probe is free: start and exclusive end, counted from the first reading [s]."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Tare:
+    """A sensor bias and the readings it was estimated from.
+
+    Attributes:
+        bias_sensor: bias to subtract from every reading, in the sensor frame [N, N·m], (6,).
+        std_sensor: standard deviation of the readings in the window [N, N·m], (6,).
+        readings: number of readings.
+        window: the window.
+        time: time of the last reading, by the source's clock [s].
+    """
+
+    bias_sensor: Array
+    std_sensor: Array
+    readings: int
+    window: TareWindow
+    time: float
+
+
+class TareCollector:
+    """Collects the readings of a tare window until the first reading after it. A tare is taken only on request.
+
+    Attributes:
+        window: time window in which the probe is free.
+        on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
+    """
+
+    def __init__(self, window: TareWindow, estimator: Estimator, on_request: bool = False) -> None:
+        """Start with no readings."""
+        self.window, self.on_request, self._estimator = window, on_request, estimator
+        self._readings: list[WrenchReading] = []
+
+    def add(self, reading: WrenchReading, since: float) -> bool:
+        """Add a reading, `since` seconds after the first one of the run; return whether it lies after the window."""
+        if since >= self.window.end:
+            return True
+        if since >= self.window.start:
+            self._readings.append(reading)
+        return False
+
+    def tare(self) -> Tare:
+        """Return the tare; see `take_tare`."""
+        return take_tare(self._readings, self.window, self._estimator)
+
+
+def parse_window(text: str) -> TareWindow:
+    """Return the window given as START:END in seconds.
+
+    Raises:
+        InputError: the text is not two numbers with 0 ≤ START < END.
+    """
+    start, _, end = text.partition(":")
+    try:
+        window = TareWindow(float(start), float(end))
+    except ValueError:
+        window = TareWindow(math.nan, math.nan)
+    if not 0.0 <= window.start < window.end < math.inf:
+        raise InputError(f"--tare-s {text} must be START:END in seconds from the first reading, START < END")
+    return window
+
+
+def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Estimator) -> Tare:
+    """Estimate the sensor bias from readings of a window in which nothing touches the probe.
+
+    A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe.
+
+    Raises:
+        InputError: there are too few readings, or they scatter more than those of a free probe.
+    """
+    label = f"tare window {window.start:g}:{window.end:g} s"
+    if len(readings) < MIN_READINGS:
+        raise InputError(f"{label} has {len(readings)} readings; a tare needs {MIN_READINGS}")
+    if fault := next((reading.fault for reading in readings if reading.fault), ""):
+        raise InputError(f"{label} has readings with a fault: {fault}")
+    excess = np.array([reading.wrench_sensor - _free_wrench(reading, estimator) for reading in readings])
+    bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
+    noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    if (std > MAX_SCATTER * noise).any():
+        i = int(np.argmax(std / noise))
+        unit = "mN" if i < 3 else "Nmm"
+        scatter = (
+            f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
+        )
+        raise InputError(f"{label} is not steady: {scatter}; touched, moving or not averaged?")
+    return Tare(bias, std, len(readings), window, readings[-1].time)
+
+
+def _free_wrench(reading: WrenchReading, estimator: Estimator) -> Array:
+    """Return the wrench that an unbiased sensor measures with the free probe, (6,)."""
+    free = estimator.free(reading.gravity_base)
+    if not free.ok:
+        raise InputError(f"the free probe has no equilibrium under gravity {reading.gravity_base} m/s²")
+    return estimator.model.to_sensor(free.wrench_base, reading.gravity_base)
+
+
+def readings_in(window: TareWindow, readings: list[WrenchReading]) -> list[WrenchReading]:
+    """Return the readings inside the window."""
+    return [r for r in readings if window.start <= r.time - readings[0].time < window.end]
+
+
+def without_bias(reading: WrenchReading, tare: Tare | None) -> WrenchReading:
+    """Return the reading minus the bias; the reading itself if there is no tare."""
+    if tare is None:
+        return reading
+    return replace(reading, wrench_sensor=reading.wrench_sensor - tare.bias_sensor)
+
+
+def describe_tare(tare: Tare) -> str:
+    """Return the tare as one line."""
+    bias = ", ".join(
+        f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
+        for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)
+    )
+    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}"
+
+
+@dataclass(frozen=True)
+class ProcessingOptions:
+    """Options for processing the readings of a source.
+
+    Attributes:
+        window: window of the tare, in which the probe is free; None takes no tare.
+        samples: number of readings averaged to one.
+        rate: maximum number of estimates per second of the source's clock [Hz].
+        count: end after this many estimates.
+        seconds: end this long after the first reading [s].
+        filter_hz: cut-off frequency of the low-pass filter before each estimate; None does not filter.
+        method: method by which a single reading is located.
+        estimates: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
+    """
+
+    window: TareWindow | None = None
+    samples: int = 1
+    rate: float = math.inf
+    count: int | None = None
+    seconds: float | None = None
+    filter_hz: float | None = None
+    estimates: bool = True
+    method: Method = "ml"
+
+    def __post_init__(self) -> None:
+        """Check the numbers; raises InputError if one is not positive."""
+        limits = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
+                "filter-hz": self.filter_hz}  # fmt: skip
+        for name, value in limits.items():
+            if value is not None and not value > 0:
+                raise InputError(f"--{name} {value} must be positive")
+
+
+CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
+
+
+class Command(NamedTuple):
+    """One command of the user, with the text of a mark."""
+
+    name: CommandName
+    text: str = ""
+
+
+class CommandQueue:
+    """Passes commands from any thread to the processing thread, which polls between two blocks of readings."""
+
+    def __init__(self) -> None:
+        self._queue: SimpleQueue[Command] = SimpleQueue()
+        self._handlers: dict[CommandName, Callable[[Command], None]] = {}
+
+    def register(self, name: CommandName, handler: Callable[[Command], None]) -> None:
+        """Register the handler of a command; it is called in the processing thread and reports the outcome itself."""
+        self._handlers[name] = handler
+
+    def put(self, name: CommandName, text: str = "") -> None:
+        """Queue a command; the outcome is reported to every sink as an event."""
+        self._queue.put(Command(name, text))
+
+    def pop_all(self) -> list[Command]:
+        """Return all commands since the last call, in order, except those that a handler has executed."""
+        pending: list[Command] = []
+        while True:
+            try:
+                command = self._queue.get_nowait()
+            except Empty:
+                return pending
+            if handler := self._handlers.get(command.name):
+                handler(command)
+            else:
+                pending.append(command)
+
+
+MAX_AGE = 0.012
+"""Maximum age of a reading that is still located [s].
+
+An older reading is skipped because newer ones follow in the queue: readings that no contact explains take longest to
+process and would delay all later ones. It is still recorded, monitored and fused. Such a reading takes about 8 ms, so
+its estimate is available within 20 ms."""
+
+REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
+"""Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once."""
+
+
+class EstimateScheduler:
+    """Limits the rate of estimates by the source's clock and skips readings that are too old.
+
+    Attributes:
+        n_due: number of estimates that were due.
+        n_skipped: number of due estimates that were skipped because their reading was too old.
+    """
+
+    def __init__(self, rate: float, log: Log, max_age: float = MAX_AGE) -> None:
+        """Start with nothing due; `rate` is a maximum [Hz], `max_age` [s] is infinite if no consumer waits."""
+        self._max_age, self._log = max_age, log
+        self._period, self._next = 1.0 / rate, -math.inf
+        self.n_due = self.n_skipped = 0
+        self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
+
+    def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
+        """Return whether the reading is to be located.
+
+        `ready` is the time by `time.monotonic` at which the base pose became available [s], if the reading waited.
+        """
+        # A tolerance of 1 % keeps a source that runs at exactly this rate from losing estimates to rounding.
+        if reading.time < self._next - 0.01 * self._period:
+            return False
+        following = self._next + self._period
+        self._next = following if following > reading.time else reading.time + self._period
+        if reading.time - self._start > REPORT_PERIOD:
+            self._report(reading.time)
+        # The age is NaN, and so never too large, without hardware.
+        skipped = monotonic() - max(reading.received, ready) > self._max_age
+        self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + skipped
+        return not skipped
+
+    def finish(self) -> None:
+        """Report the number of skipped estimates, if any."""
+        if self.n_skipped:
+            self._log(
+                f"{self.n_skipped} of {self.n_due} estimates were skipped: each was more than "
+                f"{1e3 * self._max_age:g} ms late, with newer readings queued"
+            )
+
+    def _report(self, time: float) -> None:
+        """Report when the fraction of skipped estimates exceeds the limit, and when it recovers."""
+        n_due, n_skipped = self.n_due - self._reported[0], self.n_skipped - self._reported[1]
+        self._start, self._reported = time, (self.n_due, self.n_skipped)
+        overloaded = n_skipped > MAX_SKIPPED_SHARE * n_due
+        if overloaded and not self._overloaded:
+            self._log(
+                f"{n_skipped} of {n_due} estimates skipped in {REPORT_PERIOD:g} s: each was more than "
+                f"{1e3 * self._max_age:g} ms late; reduce --rate-hz"
+            )
+        elif self._overloaded and not overloaded:
+            self._log("estimates are on time again")
+        self._overloaded = overloaded

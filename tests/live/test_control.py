@@ -1,0 +1,175 @@
+"""The tare removes a constant bias and is refused where the probe is not free; the schedule skips late estimates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from probedesign.core.errors import InputError
+from probedesign.live.processing import control as due
+from probedesign.live.processing.blocks import WrenchReading, group_readings, iter_readings
+from probedesign.live.processing.control import (
+    MAX_AGE,
+    MAX_SKIPPED_SHARE,
+    REPORT_PERIOD,
+    EstimateScheduler,
+    ProcessingOptions,
+    TareWindow,
+    parse_window,
+    readings_in,
+    take_tare,
+    without_bias,
+)
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import SimulatedSource
+
+BIAS = np.array([0.7, -0.3, 1.1, 0.004, -0.002, 0.001])
+"""[N, N·m]: of the size that a sensor shows after it was screwed down."""
+
+
+@pytest.fixture(scope="module")
+def readings(estimator):
+    """Free for 2 s, pressed from there on."""
+    return list(iter_readings(SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=6")))
+
+
+@pytest.fixture(scope="module")
+def biased(readings):
+    return [replace(reading, wrench_sensor=reading.wrench_sensor + BIAS) for reading in readings]
+
+
+def test_a_constant_bias_is_removed_completely(estimator, readings, biased):
+    """Up to the noise's own mean, which both windows share: 1e-12 allows for the rounding of sums of 20."""
+    window = TareWindow(0.0, 2.0)
+    with_bias = take_tare(readings_in(window, biased), window, estimator)
+    without = take_tare(readings_in(window, readings), window, estimator)
+    assert with_bias.readings == 20
+    assert with_bias.bias_sensor - without.bias_sensor == pytest.approx(BIAS, rel=1e-12)
+    for reading, raw in zip(readings, biased, strict=True):
+        expected = without_bias(reading, without).wrench_sensor
+        assert without_bias(raw, with_bias).wrench_sensor == pytest.approx(expected, abs=1e-14)  # of 1 N
+
+
+def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
+    """The mean of 20 readings is off by σ/√20, by 5 of these at most."""
+    window = TareWindow(0.0, 2.0)
+    tare = take_tare(readings_in(window, biased), window, estimator)
+    std = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    assert (np.abs(tare.bias_sensor - BIAS) < 5.0 * std / np.sqrt(20.0)).all()
+
+
+def test_no_tare_is_taken_without_a_request(estimator, biased):
+    source = Fixed(biased[::10])  # a force of 1 N bends the probe far: few of these, they are slow
+    results = {
+        a.estimate.result for a in estimate_stream(estimator, source, ProcessingOptions(), lambda note: None)
+    }
+    assert "no_contact" not in results and "ok" not in results
+
+
+def test_live_estimates_begin_after_the_window(estimator, biased):
+    log_lines: list[str] = []
+    plan = ProcessingOptions(window=TareWindow(0.5, 2.0))
+    answers = list(estimate_stream(estimator, Fixed(biased), plan, log_lines.append))
+    assert answers[0].reading.time == 2.0
+    assert len(answers) == 40
+    assert "tare from 15 readings in 0.5:2 s: Fx 700 mN, Fy -300 mN" in log_lines[0]
+    last, estimate = answers[-1].reading, answers[-1].estimate
+    assert estimate.ok
+    assert abs(estimate.s_contact - last.truth.s_contact) < 5.0 * estimate.std_s  # bias and reading are noisy
+
+
+@pytest.mark.parametrize(
+    ("window", "log_lines"),
+    [
+        (TareWindow(2.0, 4.0), "tare window 2:4 s is not steady: My scatters by"),
+        (TareWindow(1.0, 2.7), "is not steady"),
+        (TareWindow(3.5, 6.0), "is not steady"),  # the force is constant there, and the contact moves
+        (TareWindow(0.0, 0.5), "has 5 readings; a tare needs 10"),
+        (TareWindow(60.0, 70.0), "has 0 readings"),
+    ],
+)
+def test_a_window_that_is_not_free_is_refused(estimator, readings, window, log_lines):
+    with pytest.raises(InputError) as error:
+        take_tare(readings_in(window, readings), window, estimator)
+    assert log_lines in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "2", "2:", ":2", "2:1", "1:1", "-1:2", "0:nan", "0:inf", "a:b", "0:1:2"]
+)
+def test_what_is_no_window(text):
+    with pytest.raises(InputError, match="must be START:END"):
+        parse_window(text)
+
+
+def test_a_window():
+    assert parse_window("0.5:2") == TareWindow(0.5, 2.0)
+
+
+class Fixed:
+    """A source of known readings."""
+
+    title, notes = "", ()
+
+    def __init__(self, readings) -> None:
+        self.readings = readings
+
+    def __iter__(self):
+        yield from group_readings(self.readings, 3)
+
+
+READING = WrenchReading(0.0, np.zeros(6), np.zeros(3))
+
+
+def wanted(at, times, received, monkeypatch):
+    """Whether each reading is wanted, taken in when the clock shows `received` plus `at`."""
+    log_lines: list[str] = []
+    kept = EstimateScheduler(100.0, log_lines.append)
+    found = []
+    for time, late in zip(times, at, strict=True):
+        monkeypatch.setattr(due, "monotonic", lambda late=late: 7.0 + late)
+        found.append(kept.is_due(replace(READING, time=time, received=received)))
+    kept.finish()
+    return found, log_lines
+
+
+def test_estimates_have_the_requested_rate(monkeypatch):
+    found, log_lines = wanted([0.0] * 100, 1e-3 * np.arange(100), 7.0, monkeypatch)
+    assert sum(found) == 10 and not log_lines
+
+
+def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
+    at = [0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE]
+    found, log_lines = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
+    assert found == [True, False, True, False, True]
+    assert log_lines == [
+        "2 of 5 estimates were skipped: each was more than 12 ms late, with newer readings queued"
+    ]
+
+
+def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatch):
+    """A span with none left out, one with twice as many as are not reported, one with none."""
+    n = round(REPORT_PERIOD * 100.0)
+    at = np.zeros(3 * n + 10)
+    at[n : 2 * n : round(0.5 / MAX_SKIPPED_SHARE)] = 2.0 * MAX_AGE
+    _, log_lines = wanted(at, 0.01 * np.arange(len(at)), 7.0, monkeypatch)
+    assert len(log_lines) == 3 and "reduce --rate-hz" in log_lines[0] and "on time again" in log_lines[1]
+
+
+def test_a_reading_that_waited_for_its_pose_is_as_old_as_that(monkeypatch):
+    kept = EstimateScheduler(100.0, print)
+    monkeypatch.setattr(due, "monotonic", lambda: 8.0)
+    assert kept.is_due(replace(READING, received=7.0), ready=8.0 - 0.5 * MAX_AGE)
+    assert not kept.is_due(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * MAX_AGE)
+
+
+def test_a_replay_is_never_late(monkeypatch):
+    found, log_lines = wanted([0.0, 1e6, 0.0], 0.01 * np.arange(3), float("nan"), monkeypatch)
+    assert found == [True] * 3 and not log_lines
+
+
+def test_without_a_maximum_age_no_reading_is_late(monkeypatch):
+    """`explore` makes points of whole touches, and wants every reading."""
+    kept = EstimateScheduler(100.0, print, np.inf)
+    monkeypatch.setattr(due, "monotonic", lambda: 1e6)
+    assert kept.is_due(replace(READING, received=0.0)) and kept.n_skipped == 0
