@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from probedesign.design import check_design as check_design
     from probedesign.design import load_design as load_design
     from probedesign.design import parse_design as parse_design
-    from probedesign.design.catalog.materials import Resin as Resin
-    from probedesign.design.catalog.sensors import Noise as Noise
-    from probedesign.design.catalog.sensors import SensorModel as Sensor
+    from probedesign.design.catalog import Resin as Resin
+    from probedesign.design.sensors import Noise as Noise
+    from probedesign.design.sensors import SensorModel as Sensor
     from probedesign.estimation.detector import Detector as Detector
     from probedesign.estimation.estimate import Estimate as Estimate
     from probedesign.estimation.estimator import Estimator as Estimator
@@ -64,14 +64,14 @@ _LOCATIONS = {
     "FusedEstimate": "probedesign.estimation.fused:FusedEstimate",
     "Identification": "probedesign.identification.result:Identification",
     "InputError": "probedesign.core.errors:InputError",
-    "Noise": "probedesign.design.catalog.sensors:Noise",
+    "Noise": "probedesign.design.sensors:Noise",
     "Prediction": "probedesign.prediction.predict:Prediction",
     "PressSchedule": "probedesign.prediction.fused:PressSchedule",
     "Priors": "probedesign.estimation.unknowns:Unknowns",
     "Probe": "probedesign.probe:Probe",
-    "Resin": "probedesign.design.catalog.materials:Resin",
+    "Resin": "probedesign.design.catalog:Resin",
     "Rod": "probedesign.rod.rod:Rod",
-    "Sensor": "probedesign.design.catalog.sensors:SensorModel",
+    "Sensor": "probedesign.design.sensors:SensorModel",
     "Tolerances": "probedesign.estimation.tolerances:Tolerances",
     "Tracker": "probedesign.estimation.tracker:Tracker",
     "ValidationReport": "probedesign.validation.validate:ValidationReport",

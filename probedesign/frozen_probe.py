@@ -16,8 +16,8 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array, is_pose
-from probedesign.design.catalog.materials import ELASTIC_FRICTION, Provenance, Quantity
-from probedesign.design.catalog.sensors import Noise
+from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.sensors import NANO17, Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
@@ -94,7 +94,9 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
             "moment_range_Nm": model.wrench_range[3:].tolist(),
             "noise_force_N": model.noise.force,
             "noise_moment_Nm": model.noise.moment,
+            **({} if model.noise.is_isotropic else {"noise_cov": model.noise.cov.tolist()}),
             "averaging_samples": model.averaging_samples,
+            "model": model.sensor,
         },
     }
     return {**data, "checksum": _checksum(data)}
@@ -238,7 +240,8 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
         wrench_range=np.concatenate(
             [_numbers(sensor["force_range_N"], 3), _numbers(sensor["moment_range_Nm"], 3)]
         ),
-        noise=Noise(sensor["noise_force_N"], sensor["noise_moment_Nm"]),
+        noise=_noise(sensor),
+        sensor=str(sensor.get("model", NANO17.name)),
         averaging_samples=int(sensor["averaging_samples"]),
         material=material,
         assumptions=tuple(data["assumptions"]),
@@ -256,13 +259,22 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
         raise InputError("hanging.mass_kg or sensor.averaging_samples is out of range")
     if not is_pose(model.T_sensor_base):
         raise InputError("T_sensor_base is not a rigid pose")
-    if not (
-        0 < model.noise.force < math.inf
-        and 0 < model.noise.moment < math.inf
-        and (model.wrench_range > 0).all()
-    ):
+    if not (model.wrench_range > 0).all():
         raise InputError("sensor: ranges and noise must be positive")
     return model
+
+
+def _noise(sensor: dict[str, Any]) -> Noise:
+    """Return the noise of one reading: one σ for forces and one for moments, unless a covariance is given."""
+    force, moment = sensor["noise_force_N"], sensor["noise_moment_Nm"]
+    if not (0 < force < math.inf and 0 < moment < math.inf):
+        raise InputError("sensor: ranges and noise must be positive")
+    if "noise_cov" not in sensor:
+        return Noise.isotropic(force, moment)
+    cov = _numbers(sensor["noise_cov"], 6, 6)
+    if not (np.array_equal(cov, cov.T) and np.linalg.eigvalsh(cov)[0] > 0.0):
+        raise InputError("sensor.noise_cov must be symmetric and positive definite")
+    return Noise(cov)
 
 
 def _contact(data: dict[str, Any]) -> dict[str, Any]:

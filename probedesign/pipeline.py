@@ -22,7 +22,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design, load_design
 
 if TYPE_CHECKING:
-    from probedesign.design.edit import Change
+    from probedesign.design.io import Change
     from probedesign.identification.result import Identification
     from probedesign.optimization.grid import GridAxis
     from probedesign.optimization.optimum import OptimizationProblem, OptimizeResult
@@ -322,8 +322,7 @@ def write_identified(
     """
     from datetime import date
 
-    from probedesign.design.edit import edit_text
-    from probedesign.design.io import write_design
+    from probedesign.design.io import edit_text, write_design
     from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")

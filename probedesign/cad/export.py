@@ -4,7 +4,10 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable
+import shutil
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +18,19 @@ from probedesign.cad.assembly_docs import Documents, bill_records, build_documen
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
-from probedesign.cad.staging import MANIFEST, check_target, staged
 from probedesign.cad.verify import Findings, verify
-from probedesign.core.errors import CheckFailedError
+from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array
+from probedesign.core.parallel import defer_sigint
 from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount.sensor_adapter import SQUEEZE, exported_root_radii
+from probedesign.mount.adapters import SQUEEZE, exported_root_radii
 from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
 
 SCHEMA = 1
+MANIFEST = "manifest.json"
 
 
 def manifest_of(
@@ -69,7 +73,9 @@ def _also_needed(model: CadModel) -> dict[str, int]:
     """Return the needed items that are neither printed nor screws."""
     pin_d = model.plate.robot.pin_d / MM
     robots = {f"dowel pin of {pin_d:g} mm that the robot's flange takes": 1} if pin_d > 0.0 else {}
-    return {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(model.adapter.p_dowels), **robots}
+    dowels, nuts = model.adapter.dowels, len(model.adapter.p_ring_screws)
+    pin = f"dowel pin {dowels.diameter / MM:g}x{dowels.pin_length / MM:g} mm"
+    return {"M2 nut, ISO 4032": nuts, pin: len(dowels.azimuths_deg), **robots}
 
 
 def _part(part: CadPart) -> dict[str, Any]:
@@ -193,3 +199,86 @@ def _as_json(manifest: dict[str, Any]) -> str:
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
     row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
     return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
+
+
+def check_target(folder: Path) -> None:
+    """Check, before any work, that a folder can be written or created."""
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{folder}: {nearest} is a file; name a folder to export into")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
+
+    What killed processes left behind is removed first.
+    """
+    staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
+    try:
+        staging.mkdir(parents=True)
+        with _claimed(staging):
+            _remove_abandoned(folder)
+            yield staging
+            with defer_sigint():
+                _put_in_place(staging, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextmanager
+def _claimed(staging: Path) -> Iterator[None]:
+    """Lock a folder; the system releases the lock with the process, however it ends.
+
+    Raises:
+        BlockingIOError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: no locks, so no folder counts as abandoned
+        yield
+        return
+    handle = os.open(staging, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove staging folders that no process has locked; those of running exports stay."""
+    if os.name == "nt":
+        return
+    for left in folder.parent.glob(f".{folder.name}.????????.partial"):
+        with suppress(OSError), _claimed(left):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _put_in_place(staging: Path, folder: Path) -> None:
+    """Move the files into place. Files of the folder's last export that this one lacks are removed; all others stay.
+
+    The old manifest is removed first and the new one moved last, so a folder with a manifest is a complete export.
+    """
+    if not folder.exists():
+        staging.rename(folder)
+        return
+    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name in outdated:
+        (folder / name).unlink(missing_ok=True)
+    for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
+        path.replace(folder / path.name)
+
+
+def _made_before(folder: Path) -> set[str]:
+    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
+    try:
+        listed = set(json.loads((folder / MANIFEST).read_text("utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

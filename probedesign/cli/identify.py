@@ -9,7 +9,7 @@ from probedesign.cli.console import plural, print_json, print_table, show_progre
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.design.edit import Change
+    from probedesign.design.io import Change
     from probedesign.identification.result import Identification, Identified
 
 

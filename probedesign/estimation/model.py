@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
-from probedesign.design.catalog.materials import ELASTIC_FRICTION, Provenance, Quantity
-from probedesign.design.catalog.sensors import Noise
+from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.sensors import NANO17, Noise
 from probedesign.geometry import Flange
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import MassProperties
@@ -37,7 +37,7 @@ class ProbeModel:
         payload: mass properties of the rigid parts on the sensor below s = 0 (flange, adapter, screws), in the sensor
             frame.
         wrench_range: largest reading of each channel [N, N·m], (6,).
-        noise: standard deviations of one reading, the mean of averaging_samples samples.
+        noise: covariance of one reading, the mean of averaging_samples samples.
         averaging_samples: how many the noise is counted for.
         material: E, G and density with where they come from.
         assumptions: what of the design is assumed, for every report.
@@ -49,6 +49,7 @@ class ProbeModel:
             t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
         friction_provenance, friction_source: where the friction comes from.
         resin: name of the resin, for the sources of the tolerances; empty if unknown.
+        sensor: name of the sensor, for its shape in the view.
     """
 
     name: str
@@ -71,6 +72,7 @@ class ProbeModel:
     friction_provenance: Provenance = ELASTIC_FRICTION.provenance
     friction_source: str = ELASTIC_FRICTION.source
     resin: str = ""
+    sensor: str = NANO17.name
 
     def __post_init__(self) -> None:
         """Raises InputError where the friction is negative or not a number."""
@@ -134,7 +136,7 @@ class ProbeModel:
     @cached_property
     def _noise_base(self) -> Array:
         X = self._base_from_sensor
-        return np.asarray(X @ self.noise.covariance() @ X.T, dtype=float)
+        return np.asarray(X @ self.noise.cov @ X.T, dtype=float)
 
     @cached_property
     def whiten(self) -> Array:

@@ -21,9 +21,7 @@ the misfit of a sensor that reads zero, and the mean's whitening (6, 6); and the
 
 
 @kernel
-def observe(
-    window, gravity, free, mass, sensor_from_base, payload, limit, whiten, force_noise, moment_noise, row
-):
+def observe(window, gravity, free, mass, sensor_from_base, payload, limit, whiten, std, row):
     """Evaluate a window of readings.
 
     Args:
@@ -34,7 +32,7 @@ def observe(
         sensor_from_base: map of wrenches, (6, 6); payload: its wrench on the sensor, by gravity, (6, 3).
         limit: saturation limit of each channel, (6,).
         whiten: of one reading, lower triangular, (6, 6).
-        force_noise, moment_noise: standard deviations of one reading's channels [N], [N·m].
+        std: standard deviation of each channel of one reading [N, N·m], (6,).
         row: filled, (OBSERVATION_SIZE,).
 
     Returns:
@@ -62,7 +60,7 @@ def observe(
             reading += sensor_from_base[i, j] * row[WRENCH + j]
         for j in range(3):
             reading += payload[i, j] * gravity[j]
-        sensor_chi2 += n * (reading / (force_noise if i < 3 else moment_noise)) ** 2
+        sensor_chi2 += n * (reading / std[i]) ** 2
         off = 0.0
         for j in range(6):
             row[WHITEN + 6 * i + j] = root * whiten[i, j]
@@ -121,8 +119,7 @@ class Observation:
             free,
             model.mass,
             *model.observation_map,
-            model.noise.force,
-            model.noise.moment,
+            model.noise.std,
             row,
         ):
             return None

@@ -8,7 +8,7 @@ from typing import Any
 from probedesign.core.errors import InputError
 from probedesign.core.units import MPA
 from probedesign.design import Design
-from probedesign.design.edit import Change
+from probedesign.design.io import Change
 from probedesign.estimation.unknowns import ASSUMED_STIFFNESS, IDENTIFIED
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified

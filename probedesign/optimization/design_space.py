@@ -146,7 +146,8 @@ class DesignSpace:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
         if self.controls > 2:
-            rules["room for the clamp ring"] = (_max_ring_passage_mm(d[0]) - d) / limits.MIN_THICKNESS
+            flange = flange_for(d[0] * MM, self.start.sensor_model.interface.tool.face_d)
+            rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
         spare = _ROUNDING_MARGIN if "section" in self.free else 0.0
@@ -178,8 +179,3 @@ class DesignSpace:
             InputError: the design is invalid.
         """
         return check_design(self.tables(x, digits))
-
-
-def _max_ring_passage_mm(base_d_mm: float) -> float:
-    """Return the largest diameter that the clamp ring of the flange passes, for a base diameter [mm]."""
-    return max_ring_passage_d(flange_for(base_d_mm * MM)) / MM

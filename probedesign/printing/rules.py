@@ -13,12 +13,11 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.design.catalog.printers import PRINTERS, Printer
+from probedesign.design.catalog import M2, PRINTERS, Printer
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import FlangeAdapter, SensorAdapter
+from probedesign.mount.adapters import PEG_D
 from probedesign.mount.engraving import XY
-from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
-from probedesign.mount.sensor_adapter import PEG_D
 
 Severity = Literal["ok", "warning", "error"]
 Confidence = Literal["high", "medium", "low"]
@@ -218,15 +217,15 @@ def _smallest_printer(width: float, height: float) -> str:
 
 
 def _platform(printer: Printer) -> float:
-    return min(printer.build_volume[:2]) / MM
+    return min(printer.build_volume_mm[:2])
 
 
 def _height(printer: Printer) -> float:
-    return printer.build_volume[2] / MM
+    return printer.build_volume_mm[2]
 
 
 def _volume(printer: Printer) -> float:
-    x, y, z = printer.build_volume
+    x, y, z = printer.build_volume_mm
     return x * y * z
 
 
@@ -335,7 +334,7 @@ def mount_findings(adapter: SensorAdapter, plate: FlangeAdapter) -> list[Finding
     """Return the findings on the rigid parts, as drawn."""
     parts = {
         "sensor_adapter": (_adapter_walls(adapter), _adapter_holes(adapter)),
-        "clamp_ring": (_ring_walls(adapter), {"screw hole": M2_CLEARANCE_D}),
+        "clamp_ring": (_ring_walls(adapter), {"screw hole": M2.clearance_d}),
         "flange_adapter": (_plate_walls(plate), _plate_holes(plate)),
     }
     findings = [_peg(adapter)]
@@ -366,22 +365,24 @@ def _adapter_walls(a: SensorAdapter) -> Iterator[Wall]:
     pocket = a.nut_pocket_af / math.sqrt(3.0)  # to its corners
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
     yield Wall("rim around the recess, at the flat", a.mark_x - recess, free=True)
-    yield Wall("between ring screw and recess", ring - M2_CLEARANCE_D / 2 - recess)
+    yield Wall("between ring screw and recess", ring - M2.clearance_d / 2 - recess)
     yield Wall("between nut pocket and rim", rim - ring - pocket, free=True)
     if ring - pocket < recess:  # the pocket extends below the recess
         yield Wall("between nut pocket and recess", a.floor - a.nut_pocket_top)
-    yield Wall("between sensor screw and edge of the foot", foot - tool - M2_CLEARANCE_D / 2, free=True)
+    yield Wall(
+        "between sensor screw and edge of the foot", foot - tool - a.tool.screw.clearance_d / 2, free=True
+    )
     yield Wall("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, free=True)
     yield Wall("over a dowel hole", a.floor - a.dowel_depth)
-    yield Wall("under the heads of the sensor screws", M2_GRIP)
+    yield Wall("under the heads of the sensor screws", a.tool.grip)
 
 
 def _adapter_holes(a: SensorAdapter) -> dict[str, float]:
-    return {"screw hole": M2_CLEARANCE_D, "dowel hole": a.dowel_d}
+    return {"screw hole": M2.clearance_d, "dowel hole": a.dowel_d}
 
 
 def _ring_walls(a: SensorAdapter) -> Iterator[Wall]:
-    ring, hole = _reach(a.p_ring_screws), M2_CLEARANCE_D / 2
+    ring, hole = _reach(a.p_ring_screws), M2.clearance_d / 2
     yield Wall("thickness", a.ring_thickness, free=True)
     yield Wall("between screw hole and rim", a.body_d / 2 - ring - hole, free=True)
     yield Wall("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, free=True)
@@ -392,19 +393,21 @@ def _plate_walls(p: FlangeAdapter) -> Iterator[Wall]:
     bolts, screws = _reach(p.p_bolts), _reach(p.p_mounting_screws)
     width, length = robot.pin_slot
     yield Wall("thickness", p.plate_top, free=True)
-    yield Wall("between bolt and rim", rim - bolts - robot.bolt_clearance_d / 2, free=True)
+    yield Wall("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, free=True)
     if width > 0.0:
         yield Wall("between pin slot and rim", rim - math.hypot(bolts + length / 2, width / 2), free=True)
-    yield Wall("between sensor screw and edge of the pad", pad - screws - M2_CLEARANCE_D / 2, free=True)
+    yield Wall(
+        "between sensor screw and edge of the pad", pad - screws - p.mounting.screw.clearance_d / 2, free=True
+    )
     if robot.spigot[0] > 0.0:
-        edge = robot.spigot[0] / 2 - screws - M2_COUNTERBORE_D / 2
+        edge = robot.spigot[0] / 2 - screws - p.mounting.screw.counterbore_d / 2
         yield Wall("between a head's room and edge of the spigot", edge)
-    yield Wall("under the heads of the sensor screws", M2_GRIP)
+    yield Wall("under the heads of the sensor screws", p.mounting.grip)
 
 
 def _plate_holes(p: FlangeAdapter) -> dict[str, float]:
     slot = {"pin slot": p.robot.pin_slot[0]} if p.robot.pin_slot[0] > 0.0 else {}
-    return {"sensor screw hole": M2_CLEARANCE_D, "bolt hole": p.robot.bolt_clearance_d, **slot}
+    return {"sensor screw hole": p.mounting.screw.clearance_d, "bolt hole": p.robot.screw.clearance_d, **slot}
 
 
 def _reach(points: Iterable[XY]) -> float:

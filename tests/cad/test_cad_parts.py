@@ -13,8 +13,7 @@ import cadquery as cq
 
 from probedesign.cad.exploded_view import assembly_steps
 from probedesign.cad.mesh import Mesh, tessellate, threemf_packages
-from probedesign.cad.model import IN_SENSOR_FRAME, CadModel, CadPart, build_cad, overlaps
-from probedesign.cad.parts import probe_solid
+from probedesign.cad.model import IN_SENSOR_FRAME, CadModel, CadPart, build_cad, overlaps, probe_solid
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z
@@ -136,7 +135,7 @@ def test_the_peg_fixes_the_turn_of_the_probe(large: CadModel, turn_deg: float) -
 
 
 def test_nothing_wide_reaches_below_the_tool_face(large: CadModel) -> None:
-    foot_r = 1e3 * large.design.sensor_model.body_d / 2
+    foot_r = 1e3 * large.design.sensor_model.interface.body_d / 2
     adapter = large.parts["sensor_adapter"].shape
     assert adapter.BoundingBox().zmin == pytest.approx(0.0, abs=1e-6)  # the kernel pads boxes by 1e-7 mm
     for azimuth in np.arange(0, 360, 15):  # half a millimetre of air beside the body
@@ -270,7 +269,7 @@ def test_a_longer_screw_is_refused(large: CadModel) -> None:
 
 
 def ways(model: CadModel, **moved: CadPart) -> dict[str, float]:
-    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter, model.design.sensor_model)
+    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter)
 
 
 def test_all_assembly_corridors_are_free(large: CadModel) -> None:
@@ -290,7 +289,7 @@ def test_a_covered_screw_is_detected(large: CadModel) -> None:
 
 def test_every_part_is_mounted_onto_a_present_part(large: CadModel) -> None:
     present = {"sensor", "sensor_adapter"}  # the adapter is prepared on the bench
-    for step in assembly_steps(large.screws, 0.0):
+    for step in assembly_steps(large.screws, large.adapter.dowels, 0.0):
         for move in step.moves:
             assert move.onto in present
             present |= set(move.parts)

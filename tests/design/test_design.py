@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
-from probedesign.design.catalog.materials import RESINS
-from probedesign.design.catalog.robot_flanges import ROBOT_FLANGES
-from probedesign.design.catalog.sensors import NANO17
+from probedesign.design.catalog import RESINS, ROBOT_FLANGES
 from probedesign.design.io import (
     default_name,
     default_tip_d_mm,
@@ -20,6 +18,7 @@ from probedesign.design.io import (
     sensor_keys,
     write_design,
 )
+from probedesign.design.sensors import NANO17
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")

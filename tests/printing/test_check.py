@@ -11,7 +11,7 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.design import load_design, parse_design
-from probedesign.design.catalog.printers import PRINTERS
+from probedesign.design.catalog import PRINTERS
 from probedesign.printing.check import check_print
 
 DESIGNS = Path(__file__).parents[2] / "designs"

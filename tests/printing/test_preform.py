@@ -17,7 +17,7 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import load_design
-from probedesign.design.catalog.materials import RESINS
+from probedesign.design.catalog import RESINS
 from probedesign.geometry import build_geometry
 from probedesign.printing.preform import client
 from probedesign.printing.preform.client import (

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from probedesign.core.errors import InputError
-from probedesign.design.catalog.materials import RESINS, RIGID_PREFORM_LABELS
+from probedesign.design.catalog import RESINS, RIGID_PREFORM_LABELS
 from probedesign.design.diagnostics import one_line, quoted
 from probedesign.printing.rules import LAYER
 
