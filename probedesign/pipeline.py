@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction
     from probedesign.prediction.table_one import TableOne
     from probedesign.printing.check import PrintCheck
-    from probedesign.printing.preform.job import PreparedJob, PrintOrder
+    from probedesign.printing.preform_job import PreparedJob, PrintOrder
     from probedesign.probe import Probe
     from probedesign.reports.comparison_page import ComparedDesign
     from probedesign.simulation.campaign_folder import SimulatedCampaign
@@ -111,8 +111,8 @@ def prepare_print(
     on_progress: Progress,
 ) -> "PreparedJob":
     """Prepare the exported parts in PreForm: a form file, and the queue of a printer if one is named."""
-    from probedesign.printing.preform.client import PreForm, connection_to
-    from probedesign.printing.preform.job import check_form_file, load_job, path_mapping, prepare_job
+    from probedesign.printing.preform_client import PreForm, connection_to
+    from probedesign.printing.preform_job import check_form_file, load_job, path_mapping, prepare_job
 
     design = load_design(design_path)
     connection = connection_to(preform)

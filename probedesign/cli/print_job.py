@@ -9,7 +9,7 @@ from probedesign.cli.console import print_json, print_table, show_progress
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.printing.preform.job import PreparedJob
+    from probedesign.printing.preform_job import PreparedJob
 
 
 def print_job(
@@ -47,7 +47,7 @@ def print_job(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.printing.preform.job import PrintOrder
+    from probedesign.printing.preform_job import PrintOrder
 
     if send is not None and not (send.strip() and send.isprintable()):
         raise InputError(f"--send {send!r} is not the name of a printer")

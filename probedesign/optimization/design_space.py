@@ -16,7 +16,7 @@ from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
 from probedesign.optimization.grid import design_dict
-from probedesign.printing import rules as limits
+from probedesign.printing import check as limits
 
 FreeParameter = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5

@@ -27,7 +27,7 @@ from probedesign.frozen_probe import freeze
 from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
-from probedesign.printing.preform.job import load_job
+from probedesign.printing.preform_job import load_job
 from probedesign.probe import build_probe
 
 FILES = {

@@ -19,17 +19,17 @@ from probedesign.core.errors import InputError
 from probedesign.design import load_design
 from probedesign.design.catalog import RESINS
 from probedesign.geometry import build_geometry
-from probedesign.printing.preform import client
-from probedesign.printing.preform.client import (
+from probedesign.printing import preform_client as client
+from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
+from probedesign.printing.preform_client import (
     Connection,
     NoAnswerError,
     PreForm,
     PreFormError,
     connection_to,
 )
-from probedesign.printing.preform.job import PrintOrder, load_job, path_mapping, prepare_job
-from probedesign.printing.preform.settings import MaterialList, select_settings
-from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
+from probedesign.printing.preform_job import PrintOrder, load_job, path_mapping, prepare_job
+from probedesign.printing.preform_settings import MaterialList, select_settings
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
 
 SIZES = {"probe": (19, 19, 83), "sensor_adapter": (30, 30, 8), "clamp_ring": (30, 30, 2.5)}

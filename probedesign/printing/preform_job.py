@@ -23,8 +23,8 @@ from probedesign.design import Design
 from probedesign.design.diagnostics import quoted
 from probedesign.geometry import build_geometry
 from probedesign.printing.check import print_scale
-from probedesign.printing.preform.client import NoAnswerError, PreForm, PreFormError, RefusedError
-from probedesign.printing.preform.settings import (
+from probedesign.printing.preform_client import NoAnswerError, PreForm, PreFormError, RefusedError
+from probedesign.printing.preform_settings import (
     Extent,
     PrintScene,
     PrintSelection,

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS, RIGID_PREFORM_LABELS
 from probedesign.design.diagnostics import one_line, quoted
-from probedesign.printing.rules import LAYER
+from probedesign.printing.check import LAYER
 
 Id = Annotated[str, Field(pattern=r"^\{?[A-Za-z0-9][A-Za-z0-9._-]{0,63}\}?$")]
 """Pattern of an id; it becomes part of an address."""

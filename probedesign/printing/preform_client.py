@@ -1,5 +1,6 @@
-"""Client of PreForm's local API: one method per call, over plain HTTP.
+"""Client of PreForm's local API, which prepares jobs for Formlabs printers: one method per call, over plain HTTP.
 
+Source: Formlabs Local API 0.9, github.com/Formlabs/formlabs-api-python (local-api/formlabs-api-local-openapi.yaml).
 Python's own HTTP client suffices: a dozen calls to one address, without proxies, redirects or kept connections. The
 answering server is not trusted: the time, size and text of its answers are bounded.
 """
@@ -20,7 +21,8 @@ from pydantic import ValidationError
 
 from probedesign.core.errors import InputError
 from probedesign.design.diagnostics import one_line, quoted
-from probedesign.printing.preform.settings import (
+from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
+from probedesign.printing.preform_settings import (
     MaterialList,
     OperationAccepted,
     OperationStatus,
@@ -31,7 +33,6 @@ from probedesign.printing.preform.settings import (
     UploadedJob,
     VersionReply,
 )
-from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 
 PORT = 44388
 CONNECT_S = 5.0
