@@ -33,13 +33,13 @@ COMMENTS = {
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
     "material.stiffness_spread": "standard deviation of a common factor on E and G, for fusing touches",
-    "material.creep_spread": "likewise of how far it relaxes while touches are fused; 0 leaves creep out",
+    "material.creep_spread": "standard deviation of its relaxation while touches are fused; 0 leaves creep out",
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
     "contact.friction": "tangential over normal force, standard deviation of the prior",
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
-    "print.scale_z": "likewise along its axis",
-    "print.rigid_scale_xy": "likewise of the rigid parts",
+    "print.scale_z": "printed over drawn, along its axis",
+    "print.rigid_scale_xy": "rigid parts, printed over drawn",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
 """Comment beside a key, unless the notes of the design replace it."""
@@ -51,7 +51,7 @@ HEADER = """\
 
 
 def default_tip_d_mm(base_d_mm: float) -> float:
-    """Return the default tip diameter [mm] of a cone of that base diameter [mm].
+    """Return the default tip diameter [mm] of a tapered probe of that base diameter [mm].
 
     A sixth of the base, at least 2 mm, rounded to 0.1 mm, never wider than the base.
     """
@@ -151,7 +151,7 @@ def draft_design(
     }
     source = material.friction.source if friction is None else "assumed until measured"
     notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
-    if tip_d_mm is None and shape == "cone":
+    if tip_d_mm is None and shape != "cylinder":
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
     probe = {
