@@ -223,7 +223,7 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:
-    (s0, d0), (s1, d1) = design.probe.blunt_mm
+    (s0, d0), *_, (s1, d1) = design.probe.blunt_mm
     return (s0, d0), ((s0 + s1) / 2, (d0 + d1) / 2), (s1, d1)
 
 
