@@ -70,28 +70,31 @@ class BillItem:
 def bill_of_materials(model: CadModel) -> list[BillItem]:
     """Return the bill of materials: the sensor first, then every part in the order of assembly."""
     order = ["sensor", *(name for move in EXPLOSION for name in move.parts)]
-    uses = {use.name: use for use in model.screws}
-    return [_item(number, model, model.parts[name], uses) for number, name in enumerate(order, 1)]
+    return [_item(number, model, model.parts[name]) for number, name in enumerate(order, 1)]
 
 
-def _item(number: int, model: CadModel, part: CadPart, uses: Mapping[str, ScrewGroup]) -> BillItem:
-    count = len(part.shape.Solids())
-    grams = _digits(1e3 * mass_properties(part.shape, part.density).mass / count) if part.density else None
+def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
+    count, length, material, file, torque = len(part.shape.Solids()), None, STEEL, "", None
+    grams = (
+        float(f"{1e3 * mass_properties(part.shape, part.density).mass / count:.3g}") if part.density else None
+    )
+    use = next((use for use in model.screws if use.name == part.name), None)
     if part.printed:
-        resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
-        return BillItem(number, part.name, count, "printed", None, resin, grams, f"{part.name}.stl")
-    if part.name in uses:
-        use = uses[part.name]
-        torque = hand_torque(use)
+        what, file = "printed", f"{part.name}.stl"
+        material = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+    elif use is not None:
         what, length = f"ISO 4762 {use.screw.thread}x{use.length / MM:g}", round(use.length / MM, 3)
-        return BillItem(number, part.name, count, what, length, STEEL, grams, "", torque)
-    if part.name == "ring_nuts":
-        return BillItem(number, part.name, count, "ISO 4032 M2", None, STEEL, grams)
-    if part.name == "dowel_pins":
+        torque = hand_torque(use)
+    elif part.name == "ring_nuts":
+        what = "ISO 4032 M2"
+    elif part.name == "dowel_pins":
         d, length = model.adapter.dowels.diameter / MM, model.adapter.dowels.pin_length / MM
-        # h8 is a slip fit in the sensor's hole; m6 would be a press fit.
-        return BillItem(number, part.name, count, f"ISO 2338 {d:g} h8x{length:g}", length, STEEL, grams)
-    return BillItem(number, part.name, count, _sensor_text(model))
+        what = (
+            f"ISO 2338 {d:g} h8x{length:g}"  # h8 is a slip fit in the sensor's hole; m6 would be a press fit
+        )
+    else:
+        what, material = _sensor_text(model), ""
+    return BillItem(number, part.name, count, what, length, material, grams, file, torque)
 
 
 def _sensor_text(model: CadModel) -> str:
@@ -118,10 +121,6 @@ def bill_csv(bill: list[BillItem]) -> bytes:
     writer.writeheader()
     writer.writerows(asdict(item) for item in bill)
     return table.getvalue().encode("utf-8")
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 STYLE = """body { max-width: 182mm }
@@ -192,17 +191,16 @@ def _parts(bill: Sequence[BillItem]) -> str:
         "<tr><th></th><th>part</th><th class=n>pieces</th><th>what</th><th>of</th><th class=n>g each</th>"
         "<th class=n>at most N·m</th></tr>"
     )
-    rows = [
-        f"<tr><td class=n>{item.number}</td><td>{escape(item.title)}</td><td class=n>{item.quantity}</td>"
-        f"<td>{escape(f'print {item.file}' if item.file else item.what)}</td><td>{escape(item.material)}</td>"
-        f"<td class=n>{_blank(item.mass_g)}</td><td class=n>{_blank(item.tighten_Nm)}</td></tr>"
-        for item in bill
-    ]
+    rows = []
+    for item in bill:
+        what = f"print {item.file}" if item.file else item.what
+        mass, torque = ("" if value is None else f"{value:g}" for value in (item.mass_g, item.tighten_Nm))
+        rows.append(
+            f"<tr><td class=n>{item.number}</td><td>{escape(item.title)}</td><td class=n>{item.quantity}</td>"
+            f"<td>{escape(what)}</td><td>{escape(item.material)}</td>"
+            f"<td class=n>{mass}</td><td class=n>{torque}</td></tr>"
+        )
     return f"<table>{head}{''.join(rows)}</table>"
-
-
-def _blank(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
 
 
 def _tools(model: CadModel) -> str:
@@ -277,7 +275,11 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     bodies = {name: render_body(part, meshes.get(name)) for name, part in model.parts.items()}
     bill = bill_of_materials(model)
     steps = assembly_steps(model.screws, model.adapter.dowels, model.plate.robot.pin_d)
-    labels = {item.name: PartLabel(item.number, (item.title, _description(item))) for item in bill}
+    labels = {}
+    for item in bill:
+        what = f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what
+        what = f"{item.what}, {item.material}" if item.file else what
+        labels[item.name] = PartLabel(item.number, (item.title, what))
     seat = float(model.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, labels, f"{model.design.name}: exploded view", seat)
     files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
@@ -287,10 +289,3 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     files["bill_of_materials.csv"] = bill_csv(bill)
     files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
     return Documents(files, bill, [step.text for step in steps])
-
-
-def _description(item: BillItem) -> str:
-    """Return a part's description for its label in the exploded view."""
-    if item.file:
-        return f"{item.what}, {item.material}"
-    return f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what

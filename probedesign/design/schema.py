@@ -1,14 +1,14 @@
 """The schema of a design file: its tables with their checks, and the design that they make up.
 
-The tables check types, ranges and their own consistency; `Design` checks the tables against each other and gives the
-quantities in SI units with their provenance.
+The tables check types, ranges and their own consistency; `Design` checks the tables against each other and
+returns the quantities in SI units with their provenance.
 """
 
 import math
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM, MPA
@@ -59,6 +59,16 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def as_tuple(value: Any) -> Any:
+    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
+    if not isinstance(value, list):
+        return value
+    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
+
+
+FromArray = BeforeValidator(as_tuple)
+
+
 class ProbeTable(Table):
     """`[probe]`: the flexible part. Lengths are in millimetres; diameters of an elliptic section are along x."""
 
@@ -66,17 +76,12 @@ class ProbeTable(Table):
     length_mm: Length
     base_d_mm: Diameter
     tip_d_mm: Diameter | None = None
-    profile_mm: tuple[tuple[float, float], ...] | None = None
+    profile_mm: Annotated[tuple[tuple[float, float], ...] | None, FromArray] = None
     tip: TipKind = "blunt"
     section: SectionKind = "round"
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
-    assumed: tuple[str, ...] = ()
-
-    @field_validator("profile_mm", "assumed", mode="before")
-    @classmethod
-    def _tuples(cls, value: Any) -> Any:
-        return as_tuple(value)
+    assumed: Annotated[tuple[str, ...], FromArray] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -210,17 +215,12 @@ class FlangeTable(Table):
 
     bolt: Literal["M4", "M5", "M6", "M8"]
     bolt_circle_d_mm: Millimetres
-    bolt_azimuths_deg: tuple[float, ...]
+    bolt_azimuths_deg: Annotated[tuple[float, ...], FromArray]
     max_bolt_entry_mm: Millimetres
     bolt_length_mm: Millimetres
     face_d_mm: Millimetres
-    pin_slot_mm: tuple[Millimetres, Millimetres] | None = None
-    spigot_mm: tuple[Millimetres, Millimetres] | None = None
-
-    @field_validator("bolt_azimuths_deg", "pin_slot_mm", "spigot_mm", mode="before")
-    @classmethod
-    def _tuples(cls, value: Any) -> Any:
-        return as_tuple(value)
+    pin_slot_mm: Annotated[tuple[Millimetres, Millimetres] | None, FromArray] = None
+    spigot_mm: Annotated[tuple[Millimetres, Millimetres] | None, FromArray] = None
 
     @model_validator(mode="after")
     def _bolted(self) -> Self:
@@ -234,13 +234,8 @@ class MountTable(Table):
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
-    gravity_base_m_s2: tuple[float, float, float] = (9.81, 0.0, 0.0)
+    gravity_base_m_s2: Annotated[tuple[float, float, float], FromArray] = (9.81, 0.0, 0.0)
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
-
-    @field_validator("gravity_base_m_s2", mode="before")
-    @classmethod
-    def _triple(cls, value: Any) -> Any:
-        return as_tuple(value)
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
@@ -311,13 +306,6 @@ class TolerancesTable(Table):
     stiffness_scatter: RelativeStd | None = None
     robot_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tared: bool | None = None
-
-
-def as_tuple(value: Any) -> Any:
-    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
-    if not isinstance(value, list):
-        return value
-    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
 
 
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
