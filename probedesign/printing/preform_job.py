@@ -150,7 +150,7 @@ class PathMapping:
 
     @contextmanager
     def output(self, target: str) -> Iterator[str]:
-        """Yield the path that PreForm writes to; a local file is written aside and moved into place when complete.
+        """Yield the path that PreForm writes to; a local file is written under another name and moved when complete.
 
         Raises:
             PreFormError: PreForm reports the file as written, and it does not exist.
@@ -159,19 +159,19 @@ class PathMapping:
             yield str(self.server_folder / target)
             return
         path = Path(os.path.abspath(self.folder / target))
-        aside = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}{path.suffix}")
+        partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}{path.suffix}")
         try:
-            yield str(aside)
-            if not aside.is_file() or aside.stat().st_size == 0:
+            yield str(partial)
+            if not partial.is_file() or partial.stat().st_size == 0:
                 raise PreFormError(
                     f"{path}: PreForm reports it as written, but it does not exist; if PreForm runs elsewhere, "
                     "--server-folder names the export folder there"
                 )
-            os.replace(aside, path)
+            os.replace(partial, path)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         finally:
-            aside.unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
 
     def display(self, target: str) -> str:
         """Return the path for messages to the user."""

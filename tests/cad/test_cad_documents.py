@@ -66,7 +66,7 @@ def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
         preload = hand_torque(use) / (0.2 * d)
         pressure = preload / (np.pi / 4 * (use.screw.head_d**2 - hole**2))
         assert 0.5 * RESIN_PRESSURE < pressure <= RESIN_PRESSURE  # one digit, rounded down
-    # A tenth of what M2 in steel takes, 0.3 N·m: nobody may look it up in a table for steel.
+    # A tenth of what M2 in steel takes, 0.3 N·m: a table for steel does not apply.
     assert hand_torque(large.screws[0]) < 0.1
 
 

@@ -81,7 +81,7 @@ def test_tool_side_has_no_hole_of_the_mounting_side(large: CadModel, azimuth: fl
 def test_dowel_holes_are_blind(large: CadModel) -> None:
     adapter = large.parts["sensor_adapter"].shape
     for azimuth in (0, 120):
-        assert not filled(adapter, at(azimuth, 6.25, 2.9))  # 3 mm of a 6 mm pin stand out of the sensor
+        assert not filled(adapter, at(azimuth, 6.25, 2.9))  # 3 mm of a 6 mm pin protrude from the sensor
         assert filled(adapter, at(azimuth, 6.25, 3.5))
     assert filled(adapter, at(240, 6.25, 1.0))
 
@@ -100,7 +100,7 @@ def test_clocking_is_at_plus_x_only(large: CadModel) -> None:
 
 @pytest.mark.parametrize("turn_deg", [120.0, 240.0])
 def test_dowels_fix_the_turn_of_the_adapter(large: CadModel, turn_deg: float) -> None:
-    """The tool side's screws repeat every 120°; turned so, a pin would stand on the sensor's face."""
+    """The tool side's screws repeat every 120°; turned so, a pin would press on the sensor's face."""
     turn = pose(rotation_z(np.radians(turn_deg)))
     pins, sensor = large.parts["dowel_pins"], large.parts["sensor"]
     turned = replace(pins, T_sensor_part=turn @ pins.T_sensor_part)
@@ -279,7 +279,7 @@ def test_all_assembly_corridors_are_free(large: CadModel) -> None:
 
 
 def test_a_covered_screw_is_detected(large: CadModel) -> None:
-    """The ring a screw's width aside; a plate held over everything."""
+    """The ring a screw's width aside; a plate above everything."""
     ring, plate = large.parts["clamp_ring"], large.parts["flange_adapter"]
     aside = replace(ring, T_sensor_part=pose(p=[2e-3, 0.0, 0.0]) @ ring.T_sensor_part)
     assert ways(large, clamp_ring=aside)["ring_screws"] > 0.0
@@ -324,7 +324,7 @@ def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], prob
     model = build_cad(make_design(probe))
     findings = verify(model, *meshed(model))
     assert all(f["ok"] for f in findings.values())
-    # The promise is 1e-9; the kernel is known to do far better, so growth of this number is news.
+    # The limit is 1e-9; the kernel is far better, so growth of this number indicates a change.
     assert max(f["measured"] for name, f in findings.items() if name.endswith(("volume", "centre", "inertia"))
                and "mesh" not in name and "3mf" not in name) < 1e-12  # fmt: skip
 

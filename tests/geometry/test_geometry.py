@@ -87,7 +87,7 @@ def test_the_bore_leaves_through_the_flange():
     assert geometry_of(bore_ratio=0.6).bore_radius == pytest.approx(3.6e-3, rel=EXACT)
 
 
-def test_fingerprint_stands_for_the_dimensions_alone():
+def test_fingerprint_depends_on_the_dimensions_alone():
     assert geometry_of().fingerprint == geometry_of().fingerprint
     assert len(geometry_of().fingerprint) == 12
     as_profile = geometry_of("profile", profile=[[0.0, 12.0], [150.0, 2.0]])

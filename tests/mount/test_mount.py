@@ -130,7 +130,7 @@ def test_the_mount_mass_needs_no_cad() -> None:
 
 BASES = np.arange(3.0, 25.01, 0.5)
 LEAST_WALL = 0.4e-3
-"""Of a wall held on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
+"""Of a wall supported on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
 
 
 @pytest.mark.parametrize("base_d", BASES)
@@ -170,5 +170,5 @@ def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
 def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(base_d: float) -> None:
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)
-    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # what is held
+    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # the clamped width
     assert a.peg_x - a.peg_hole_d / 2 > base_d / 2 * 1e-3 + 0.6e-3  # the mark keeps off the flexible part
