@@ -16,7 +16,7 @@ import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
+from probedesign.cad.mesh import read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.errors import CheckFailedError, InputError
@@ -44,7 +44,11 @@ def manifest_of(
         files: sha256 and size by name.
         findings: of `verify`.
     """
-    design = model.design
+    design, a, robot = model.design, model.adapter, model.plate.robot
+    robot_pin = (
+        {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
+    )
+    pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
         "schema": SCHEMA,
         "name": design.name,
@@ -55,27 +59,25 @@ def manifest_of(
         "files": files,
         "parts": {part.name: _part(part) for part in model.printed},
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
-        "T_sensor_base": _pose(model.adapter.T_sensor_base),
+        "T_sensor_base": _pose(a.T_sensor_base),
         "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
         "mass": _mass(model),
         "bill_of_materials": bill_records(documents.bill),
         "screws": [use.as_record() for use in model.screws],
-        "also_needed": _also_needed(model),
-        "engraved": _engraved(model),
+        # neither printed nor screws
+        "also_needed": {"M2 nut, ISO 4032": len(a.p_ring_screws), pin: len(a.p_dowels), **robot_pin},
+        # the fingerprint, then as much of the name as fits
+        "engraved": {
+            "probe": a.on_flange.text,
+            "sensor_adapter": a.on_wall.text,
+            "clamp_ring": a.on_ring.text,
+            "flange_adapter": model.plate.on_plate.text,
+        },
         "assembly_order": documents.steps,
         "base": _base(model),
         "verification": findings,
         "intersections_m3": model.shared_volumes,
     }
-
-
-def _also_needed(model: CadModel) -> dict[str, int]:
-    """Return the needed items that are neither printed nor screws."""
-    pin_d = model.plate.robot.pin_d / MM
-    robots = {f"dowel pin of {pin_d:g} mm that the robot's flange takes": 1} if pin_d > 0.0 else {}
-    dowels, nuts = model.adapter.dowels, len(model.adapter.p_ring_screws)
-    pin = f"dowel pin {dowels.diameter / MM:g}x{dowels.pin_length / MM:g} mm"
-    return {"M2 nut, ISO 4032": nuts, pin: len(dowels.azimuths_deg), **robots}
 
 
 def _part(part: CadPart) -> dict[str, Any]:
@@ -111,17 +113,6 @@ def _body(body: MassProperties) -> dict[str, Any]:
         "mass_kg": body.mass,
         "p_com_m": body.p_com.tolist(),
         "inertia_kg_m2": body.inertia.tolist(),
-    }
-
-
-def _engraved(model: CadModel) -> dict[str, str]:
-    """Return the engraved text of each printed part: the fingerprint, then as much of the name as fits."""
-    a = model.adapter
-    return {
-        "probe": a.on_flange.text,
-        "sensor_adapter": a.on_wall.text,
-        "clamp_ring": a.on_ring.text,
-        "flange_adapter": model.plate.on_plate.text,
     }
 
 
@@ -161,37 +152,30 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         for content in packages.values():
             read_back(content)
     progress("writing")
-    with staged(folder) as staging:
-        for name, content in (_stl_files(model, meshes) | packages | documents.files).items():
-            (staging / name).write_bytes(content)
-        _write_step(model, staging / "assembly.step")
-        manifest = manifest_of(model, documents, _digests(staging), findings)
-        manifest["print_check"] = check_print(design).as_record()
-        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
-        (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
-    return {**manifest, "folder": str(folder)}
-
-
-def _stl_files(model: CadModel, meshes: dict[str, Mesh]) -> dict[str, bytes]:
     # An STL header must not begin with "solid", which marks a text file.
-    title, design = f"probedesign {model.geometry.fingerprint}", model.design
-    return {
+    title = f"probedesign {model.geometry.fingerprint}"
+    stl = {
         f"{name}.stl": stl_bytes(
             mesh.vertices[mesh.triangles], f"{title}{scale_note(design, name)} {design.name} {name}"
         )
         for name, mesh in meshes.items()
     }
-
-
-def _write_step(model: CadModel, path: Path) -> None:
-    assembly_of(model.parts, model.design.name).export(str(path), "STEP")
-    if not path.is_file() or not path.read_bytes().rstrip().endswith(STEP_END):
-        raise CheckFailedError(f"{path.name}: the kernel did not write it to its end")
-
-
-def _digests(folder: Path) -> dict[str, dict[str, Any]]:
-    contents = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-    return {n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()}
+    with staged(folder) as staging:
+        for name, content in (stl | packages | documents.files).items():
+            (staging / name).write_bytes(content)
+        step = staging / "assembly.step"
+        assembly_of(model.parts, design.name).export(str(step), "STEP")
+        if not step.is_file() or not step.read_bytes().rstrip().endswith(STEP_END):
+            raise CheckFailedError(f"{step.name}: the kernel did not write it to its end")
+        contents = {path.name: path.read_bytes() for path in sorted(staging.iterdir())}
+        files = {
+            n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()
+        }
+        manifest = manifest_of(model, documents, files, findings)
+        manifest["print_check"] = check_print(design).as_record()
+        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
+        (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
+    return {**manifest, "folder": str(folder)}
 
 
 def _as_json(manifest: dict[str, Any]) -> str:

@@ -23,11 +23,11 @@ from probedesign.cad.model import (
     shared_volume,
 )
 from probedesign.core.errors import CheckFailedError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import pose
 from probedesign.core.units import MM
 from probedesign.design.catalog import M2_NUT_AF
 from probedesign.geometry import ProbeGeometry
-from probedesign.geometry.mass import MassProperties, combined, flexible_part
+from probedesign.geometry.mass import combined, flexible_part
 from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
 
 CORRIDOR = 60.0 * MM
@@ -123,8 +123,10 @@ def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes])
         **_meshes(model, meshes),
         **_packages(model, meshes, packages),
         **_room(model),
-        **_reach(model),
     }
+    blocked = blocked_tools(model.parts, model.screws, model.adapter)
+    what = "m³ of earlier parts in the corridors of the fastener and its key"
+    findings |= {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
     failed = [
         f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
     ]
@@ -143,20 +145,17 @@ def _solids(model: CadModel) -> Findings:
     formula["flexible"] = flexible_part(geometry, density).moved(adapter.T_sensor_base)
     findings: Findings = {}
     for name, body in drawn.items():
-        findings |= _same_body(name, body, formula[name])
+        wanted = formula[name]
+        extent = float(np.sqrt(np.trace(wanted.inertia) / wanted.mass))
+        volume = abs(body.volume / wanted.volume - 1.0)
+        centre = np.abs(body.p_com - wanted.p_com).max() / extent
+        inertia = np.abs(body.inertia - wanted.inertia).max() / np.abs(wanted.inertia).max()
+        findings |= {
+            f"{name}_volume": _finding(volume, SOLID_LIMIT, "relative"),
+            f"{name}_centre": _finding(centre, SOLID_LIMIT, "relative to the body's extent"),
+            f"{name}_inertia": _finding(inertia, SOLID_LIMIT, "relative, about the centre of mass"),
+        }
     return findings
-
-
-def _same_body(name: str, drawn: MassProperties, formula: MassProperties) -> Findings:
-    extent = float(np.sqrt(np.trace(formula.inertia) / formula.mass))
-    volume = abs(drawn.volume / formula.volume - 1.0)
-    centre = _largest(drawn.p_com - formula.p_com) / extent
-    inertia = _largest(drawn.inertia - formula.inertia) / _largest(formula.inertia)
-    return {
-        f"{name}_volume": _finding(volume, SOLID_LIMIT, "relative"),
-        f"{name}_centre": _finding(centre, SOLID_LIMIT, "relative to the body's extent"),
-        f"{name}_inertia": _finding(inertia, SOLID_LIMIT, "relative, about the centre of mass"),
-    }
 
 
 def _sections(model: CadModel) -> Findings:
@@ -232,19 +231,9 @@ def _room(model: CadModel) -> Findings:
     }
 
 
-def _reach(model: CadModel) -> Findings:
-    blocked = blocked_tools(model.parts, model.screws, model.adapter)
-    what = "m³ of earlier parts in the corridors of the fastener and its key"
-    return {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
-
-
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:
     return {"measured": float(measured), "limit": limit, "ok": bool(measured <= limit), "what": what}
 
 
 def _flag(ok: bool, what: str) -> dict[str, Any]:
     return _finding(0.0 if ok else 1.0, 0.0, f"{what} (0 is yes)")
-
-
-def _largest(values: Array) -> float:
-    return float(np.max(np.abs(values)))

@@ -126,17 +126,10 @@ def draft_design(
 
     Args:
         name: of the design; None for one that contains the parameters.
-        shape: cone or cylinder.
-        length_mm: of the flexible part [mm].
-        base_d_mm: diameter at the base [mm].
-        tip_d_mm: diameter at the tip [mm]; None for the default.
-        tip: blunt or rounded.
-        section: round, hollow or elliptic.
-        bore_ratio: of a hollow section, inner over outer diameter.
-        flatness: of an elliptic section, its diameter along y over that along x.
-        resin: a known resin.
+        shape, length_mm, base_d_mm, tip, section, bore_ratio, flatness: as in `[probe]`.
+        tip_d_mm: None for `default_tip_d_mm`, unless it is a cylinder.
+        resin, robot_flange: names of the catalog.
         sensor: a known sensor or calibration.
-        robot_flange: a known flange pattern.
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
 
     Returns:

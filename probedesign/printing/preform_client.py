@@ -124,7 +124,8 @@ class Connection:
                 response = http.getresponse()
                 return response.status, response.reason, self._read(what, response, late)
         except (OSError, HTTPException) as error:
-            how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({_kind(error)})"
+            kind = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({kind})"
             raise NoAnswerError(one_line(f"{self.url} answers {what} {how}")) from None
         finally:
             http.close()
@@ -211,10 +212,6 @@ def error_message(answer: Any) -> str | None:
     message, code = error.get("message"), error.get("code")
     words = " ".join(str(w) for w in (message, f"({code})" if code else None) if isinstance(w, str) and w)
     return words or None
-
-
-def _kind(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 R = TypeVar("R", bound=Reply)
@@ -342,12 +339,13 @@ class PreForm:
                         f"PreForm fails at {what}: {error_message(state.result) or 'it does not say why'}"
                     )
                 )
+            share = min(max(state.progress, 0.0), 1.0)
             if time.monotonic() > deadline:
                 raise NoAnswerError(
-                    f"PreForm is not done with {what} after {self.operation_s:g} s ({_percent(state.progress)} done); "
+                    f"PreForm is not done with {what} after {self.operation_s:g} s ({share:.0%} done); "
                     "--timeout-s gives it more"
                 )
-            self.on_progress(what, min(max(state.progress, 0.0), 1.0))
+            self.on_progress(what, share)
             time.sleep(min(pause_s, self.poll_s))
             pause_s *= 1.5  # most end soon; supports may take minutes
 
@@ -372,7 +370,3 @@ class PreForm:
 
 def _at(scene: str) -> str:
     return f"/scene/{quote(scene, safe='')}/"
-
-
-def _percent(share: float) -> str:
-    return f"{min(max(share, 0.0), 1.0):.0%}"
