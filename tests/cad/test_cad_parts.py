@@ -1,4 +1,4 @@
-"""The drawn parts, asked by points, slices and overlaps; no drawing code is trusted to check itself."""
+"""The drawn parts, checked by points, slices and overlaps, independently of the drawing code."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,13 +12,29 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import cadquery as cq
 
 from probedesign.cad.exploded_view import assembly_steps
+from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh, tessellate, threemf_packages
-from probedesign.cad.model import IN_SENSOR_FRAME, CadModel, CadPart, build_cad, overlaps, probe_solid
+from probedesign.cad.model import (
+    FASTENERS,
+    IN_SENSOR_FRAME,
+    CadModel,
+    CadPart,
+    build_cad,
+    build_parts,
+    overlaps,
+    probe_solid,
+    screw_groups,
+)
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
+from probedesign.design.catalog import SCREWS
 from probedesign.design.io import render_design
+from probedesign.design.sensors import NANO17, ScrewPattern
+from probedesign.geometry import flange_for
+from probedesign.geometry.mass import combined
+from probedesign.mount import flange_adapter_for, mount_part_masses, sensor_adapter_for
 from probedesign.mount.engraving import Engraving
 
 Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
@@ -76,6 +92,32 @@ def test_tool_side_holes(large: CadModel, azimuth: float) -> None:
 @pytest.mark.parametrize("azimuth", [95, 215, 335])
 def test_tool_side_has_no_hole_of_the_mounting_side(large: CadModel, azimuth: float) -> None:
     assert filled(large.parts["sensor_adapter"].shape, at(azimuth, 6.25, 1.5))
+
+
+def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -> None:
+    """A wider tool face, larger screws and another dowel circle: solids, screws and pins follow the interface."""
+    nano, screw = NANO17.interface, SCREWS["M4"]
+    tool = ScrewPattern(30e-3, 20e-3, (60.0, 180.0, 300.0), screw, min_entry=4e-3, max_entry=6e-3)
+    dowels = replace(nano.dowels, circle_d=20e-3, diameter=3e-3, pin_length=8e-3)
+    interface = replace(nano, body_d=40e-3, tool=tool, mounting=replace(tool, face_d=40e-3), dowels=dowels)
+    geometry = replace(large.geometry, flange=flange_for(12e-3, tool.face_d))
+    a = sensor_adapter_for(geometry, replace(NANO17, interface=interface))
+    assert (tool.length, tool.grip) == (pytest.approx(8e-3), pytest.approx(3e-3))
+    assert a.floor == pytest.approx(tool.grip + screw.head_height + 0.2e-3)
+    plate = flange_adapter_for(
+        replace(NANO17, interface=interface), replace(large.plate.robot, bolt_circle_d=70e-3)
+    )
+    parts = build_parts(geometry, 1010.0, interface, a, plate, screw_groups(a, plate))
+    assert max(overlaps(parts).values()) == 0.0
+    bodies = mount_part_masses(geometry, a, 1010.0)
+    for name, drawn in {
+        "sensor_adapter": [parts["sensor_adapter"]],
+        "clamp_ring": [parts["clamp_ring"]],
+        "fasteners": [parts[name] for name in FASTENERS],
+    }.items():
+        whole = combined(mass_properties(part.placed, part.density) for part in drawn)
+        assert whole.mass == pytest.approx(bodies[name].mass, rel=1e-9)
+        assert whole.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
 
 
 def test_dowel_holes_are_blind(large: CadModel) -> None:
