@@ -84,9 +84,9 @@ def load_job(design: Design, folder: Path, parts: Parts) -> PrintJob:
             f"{folder}: its manifest lists no STL files for --parts {parts}; export the design again"
         )
     sizes = {name[:-4]: _size(folder / name, manifest["files"][name]) for name in names}
-    fingerprint = build_geometry(design).fingerprint
     resin = design.resin.name if parts == "probe" else "rigid"
-    return PrintJob(f"{design.name}-{fingerprint}-{parts}", design.printer.product, resin, folder, sizes)
+    name = f"{design.name}-{build_geometry(design).fingerprint}-{parts}"
+    return PrintJob(name, design.printer.product, resin, folder, sizes)
 
 
 def _manifest(path: Path) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def _manifest(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError):
-        raise InputError(f"{path}: is no manifest of an export; export the design again") from None
+        manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files"), dict):
         raise InputError(f"{path}: is no manifest of an export; export the design again")
     return manifest
