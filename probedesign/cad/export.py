@@ -163,10 +163,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     with staged(folder) as staging:
         for name, content in (stl | packages | documents.files).items():
             (staging / name).write_bytes(content)
-        step = staging / "assembly.step"
-        assembly_of(model.parts, design.name).export(str(step), "STEP")
-        if not step.is_file() or not step.read_bytes().rstrip().endswith(STEP_END):
-            raise CheckFailedError(f"{step.name}: the kernel did not write it to its end")
+        _write_step(model, staging / "assembly.step")
         contents = {path.name: path.read_bytes() for path in sorted(staging.iterdir())}
         files = {
             n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()
@@ -176,6 +173,12 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
+
+
+def _write_step(model: CadModel, path: Path) -> None:
+    assembly_of(model.parts, model.design.name).export(str(path), "STEP")
+    if not path.is_file() or not path.read_bytes().rstrip().endswith(STEP_END):
+        raise CheckFailedError(f"{path.name}: the kernel did not write it to its end")
 
 
 def _as_json(manifest: dict[str, Any]) -> str:
