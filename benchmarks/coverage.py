@@ -441,7 +441,7 @@ def _wrong_readings(case: Case, model: ProbeModel, wrenches: Array, places: Arra
         # A base that is reported elsewhere is an object that has moved the other way.
         return wrenches, places + after * MOVED * way / np.linalg.norm(way, axis=2, keepdims=True)
     if case.wrong == "bias":
-        step = np.sqrt(np.diag(model.noise.covariance()) * model.averaging_samples)
+        step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
         jump = BIAS_STEPS * signs * step
         return wrenches + after * (jump @ wrench_map(inverse(model.T_sensor_base)).T), places
     return wrenches, places

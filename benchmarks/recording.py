@@ -47,7 +47,7 @@ def report() -> None:
 def _blocks(model: ProbeModel, count: int) -> list[Block]:
     """Noise; digits of noise are the hardest to squeeze."""
     noise = np.random.default_rng(1)
-    std = np.sqrt(np.diag(model.noise.covariance()))
+    std = model.noise.std
     times = np.arange(RATE * SECONDS).reshape(-1, count) / RATE
     return [Block(time, std * noise.standard_normal((count, 6)), model.gravity_base, time) for time in times]
 

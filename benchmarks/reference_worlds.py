@@ -190,7 +190,7 @@ class Sources:
 
     def _drift(self, z: Array) -> Array:
         """Bias since the tare at the sensor's origin, walking from touch to touch, (n, k, 6)."""
-        noise = np.sqrt(np.diag(self.model.noise.covariance()) * self.model.averaging_samples)
+        noise = np.sqrt(np.diag(self.model.noise.cov) * self.model.averaging_samples)
         steps = self.value(z, "drift", "drift_steps", 6 * self.touches).reshape(len(z), self.touches, 6)
         return np.cumsum(steps, axis=1) * noise
 

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from probedesign.campaigns import Campaign, read_campaign
     from probedesign.core.errors import InputError
     from probedesign.design import Design, check_design, load_design, parse_design
-    from probedesign.design.catalog.materials import Resin
-    from probedesign.design.catalog.sensors import Noise
-    from probedesign.design.catalog.sensors import SensorModel as Sensor
+    from probedesign.design.catalog import Resin
+    from probedesign.design.sensors import Noise
+    from probedesign.design.sensors import SensorModel as Sensor
     from probedesign.estimation.detector import Detector
     from probedesign.estimation.estimate import Estimate
     from probedesign.estimation.estimator import Estimator
@@ -48,8 +48,8 @@ _MODULES = {
     "campaigns": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),
     "design": ("Design", "check_design", "load_design", "parse_design"),
-    "design.catalog.materials": ("Resin",),
-    "design.catalog.sensors": ("Noise", "SensorModel"),
+    "design.catalog": ("Resin",),
+    "design.sensors": ("Noise", "SensorModel"),
     "estimation.detector": ("Detector",),
     "estimation.estimate": ("Estimate",),
     "estimation.estimator": ("Estimator",),

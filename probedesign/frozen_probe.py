@@ -19,8 +19,8 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array, is_pose
-from probedesign.design.catalog.materials import ELASTIC_FRICTION, Provenance, Quantity
-from probedesign.design.catalog.sensors import Noise
+from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.sensors import NANO17, Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
@@ -106,6 +106,13 @@ def _read_pose(values: Any) -> Array:
     return T
 
 
+def _read_cov(values: Any) -> Array:
+    cov = _array(6, 6)(values)
+    if not (np.array_equal(cov, cov.T) and np.linalg.eigvalsh(cov)[0] > 0.0):
+        raise InputError("must be symmetric and positive definite")
+    return cov
+
+
 def _read_flag(value: Any) -> bool:
     if not isinstance(value, bool):
         raise InputError("must be true or false")
@@ -167,7 +174,9 @@ FIELDS = (
     Field("sensor.moment_range_Nm", "moment_range", _array(3)),
     Field("sensor.noise_force_N", "noise.force", POSITIVE),
     Field("sensor.noise_moment_Nm", "noise.moment", POSITIVE),
+    Field("sensor.noise_cov", "noise_cov", _read_cov, OPTIONAL),
     Field("sensor.averaging_samples", "averaging_samples", int),
+    Field("sensor.model", "sensor", str, OPTIONAL, NANO17.name),
 )
 """Values of the file, in its order."""
 
@@ -188,6 +197,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "frame": "sensor",
         "force_range": model.wrench_range[:3],
         "moment_range": model.wrench_range[3:],
+        "noise_cov": None if model.noise.is_isotropic else model.noise.cov,
     }
     data: dict[str, Any] = {"kind": KIND, "schema": SCHEMA, "written_by": f"probedesign {_version()}"}
     for field in FIELDS:
@@ -309,6 +319,7 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
     stiffness: dict[str, Any] = {name: quantity.value for name, quantity in material.items()}
     top = {name: value for name, value in values.items() if "." not in name}
     wrench_range = np.concatenate([top.pop("force_range"), top.pop("moment_range")])
+    noise_cov = top.pop("noise_cov")
     frozen_tolerances = data["schema"] == SCHEMA or data.get("tolerances") is not None
     added = [field.key for field in FIELDS if field.assumed and field.since > data["schema"]]
     model = ProbeModel(
@@ -317,7 +328,7 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
         rod=Rod(**part("rod"), **stiffness, factors=section.factors),
         payload=MassProperties(**part("payload")),
         wrench_range=wrench_range,
-        noise=Noise(**part("noise")),
+        noise=Noise.isotropic(**part("noise")) if noise_cov is None else Noise(noise_cov),
         material=material,
         cross_section=section,
         tolerances=Tolerances(**part("tolerances")) if frozen_tolerances else None,

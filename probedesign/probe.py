@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.design import Design
-from probedesign.design.catalog.sensors import averaged_noise
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.geometry.mass import MassProperties, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
@@ -102,8 +101,8 @@ class Probe:
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,
             payload=mount_mass_properties(self.geometry, adapter, d.density.value),
-            wrench_range=np.array([*calibration.force_range, *calibration.moment_range]),
-            noise=averaged_noise(calibration, d.sensor.averaging_samples),
+            wrench_range=np.array(calibration.wrench_range),
+            noise=calibration.noise(d.sensor.averaging_samples),
             averaging_samples=d.sensor.averaging_samples,
             material={
                 "youngs_modulus": d.youngs_modulus,
@@ -115,6 +114,7 @@ class Probe:
             friction_provenance=d.friction.provenance,
             friction_source=d.friction.source,
             resin=d.resin.name,
+            sensor=d.sensor.model,
             stiffness_spread=d.material.stiffness_spread,
             creep_spread=d.material.creep_spread,
         )

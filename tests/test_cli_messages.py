@@ -87,7 +87,7 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     from probedesign.campaigns import photographs
     from probedesign.cli import doctor
     from probedesign.optimization import sweep
-    from probedesign.printing.preform import job
+    from probedesign.printing import preform_job as job
 
     records = [{"point": 0, "probe.length_mm": 100.0, "result": "ok", "reason": "", "error_mm": 14.4,
                 "detectable_mN": 0.28, "sag_mm": 2.6, "print_errors": 0},

@@ -16,6 +16,7 @@ from probedesign import frozen_probe
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design, parse_design
 from probedesign.design.io import draft_design
+from probedesign.design.sensors import Noise
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frozen_probe import check_manifest, freeze, load_estimator, load_model, write_frozen
 from probedesign.probe import build_probe
@@ -404,6 +405,21 @@ def test_contradicting_values_are_refused_under_a_valid_checksum(frozen, path):
         data = with_changed(frozen, at, change)
         del data["checksum"]
         refused(path, json.dumps({**data, "checksum": frozen_probe._checksum(data)}), message)
+
+
+def test_noise_of_unequal_channels_and_the_sensor_read_back(model, path):
+    cov = np.diag([1.0, 1.0, 4.0, 1e-4, 1e-4, 1e-4]) * 1e-6
+    cov[0, 4] = cov[4, 0] = 2e-9
+    write_frozen(replace(model, noise=Noise(cov), sensor="another"), path)
+    data, read = json.loads(path.read_text()), load_model(path)
+    assert read.noise == Noise(cov) and read.sensor == "another"
+    assert data["sensor"]["noise_force_N"] == read.noise.force == 2e-3  # the largest of its channels
+    assert "noise_cov" not in freeze(model)["sensor"]
+    for wrong in (-cov, cov + np.eye(6, k=1), cov[:5]):
+        del data["checksum"]
+        data["sensor"]["noise_cov"] = wrong.tolist()
+        data["checksum"] = frozen_probe._checksum(data)
+        refused(path, json.dumps(data), "noise_cov|shape")
 
 
 def alter_by_tenth(parent, key):

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from probedesign.cad.staging import defer_sigint
 from probedesign.core.errors import MissingDependencyError
+from probedesign.core.parallel import defer_sigint
 from probedesign.design import Design
 
 

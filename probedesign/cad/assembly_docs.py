@@ -20,16 +20,12 @@ from probedesign.cad.exploded_view import (
 )
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh
-from probedesign.cad.model import CadModel, CadPart
+from probedesign.cad.model import CadModel, CadPart, ScrewGroup
 from probedesign.cad.part_drawings import part_drawings
-from probedesign.cad.parts import ScrewGroup
 from probedesign.cad.render import render_body, render_png
-from probedesign.cad.svg import Svg
+from probedesign.cad.sheet import Svg
 from probedesign.core.units import MM, MPA
-from probedesign.design.catalog.materials import RIGID_RESIN
-from probedesign.design.catalog.robot_flanges import RobotFlange
-from probedesign.mount.fasteners import M2, M2_CLEARANCE_D, SCREWS
-from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
+from probedesign.design.catalog import M2, RIGID_RESIN
 from probedesign.reports.html_page import html_document
 
 STEEL = "stainless steel A2"
@@ -74,39 +70,41 @@ class BillItem:
 def bill_of_materials(model: CadModel) -> list[BillItem]:
     """Return the bill of materials: the sensor first, then every part in the order of assembly."""
     order = ["sensor", *(name for move in EXPLOSION for name in move.parts)]
-    uses = {use.name: use for use in model.screws}
-    return [_item(number, model, model.parts[name], uses) for number, name in enumerate(order, 1)]
+    return [_item(number, model, model.parts[name]) for number, name in enumerate(order, 1)]
 
 
-def _item(number: int, model: CadModel, part: CadPart, uses: Mapping[str, ScrewGroup]) -> BillItem:
-    count = len(part.shape.Solids())
-    grams = _digits(1e3 * mass_properties(part.shape, part.density).mass / count) if part.density else None
-    if part.printed:
-        resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
-        return BillItem(number, part.name, count, "printed", None, resin, grams, f"{part.name}.stl")
-    if part.name in uses:
-        use = uses[part.name]
-        torque = hand_torque(use, model.plate.robot)
-        what, length = f"ISO 4762 {use.screw.thread}x{use.length / MM:g}", round(use.length / MM, 3)
-        return BillItem(number, part.name, count, what, length, STEEL, grams, "", torque)
-    if part.name == "ring_nuts":
-        return BillItem(number, part.name, count, "ISO 4032 M2", None, STEEL, grams)
-    if part.name == "dowel_pins":
-        d, length = model.design.sensor_model.dowel_d / MM, DOWEL_PIN_LENGTH / MM
-        # h8 is a slip fit in the sensor's hole; m6 would be a press fit.
-        return BillItem(number, part.name, count, f"ISO 2338 {d:g} h8x{length:g}", length, STEEL, grams)
-    sensor = model.design.sensor
-    return BillItem(
-        number, part.name, count, f"ATI {sensor.model.capitalize()}, {sensor.calibration.upper()}"
+def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
+    count, length, material, file, torque = len(part.shape.Solids()), None, STEEL, "", None
+    grams = (
+        float(f"{1e3 * mass_properties(part.shape, part.density).mass / count:.3g}") if part.density else None
     )
+    use = next((use for use in model.screws if use.name == part.name), None)
+    if part.printed:
+        what, file = "printed", f"{part.name}.stl"
+        material = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+    elif use is not None:
+        what, length = f"ISO 4762 {use.screw.thread}x{use.length / MM:g}", round(use.length / MM, 3)
+        torque = hand_torque(use)
+    elif part.name == "ring_nuts":
+        what = "ISO 4032 M2"
+    elif part.name == "dowel_pins":
+        d, length = model.adapter.dowels.diameter / MM, model.adapter.dowels.pin_length / MM
+        what = (
+            f"ISO 2338 {d:g} h8x{length:g}"  # h8 is a slip fit in the sensor's hole; m6 would be a press fit
+        )
+    else:
+        what, material = _sensor_text(model), ""
+    return BillItem(number, part.name, count, what, length, material, grams, file, torque)
 
 
-def hand_torque(use: ScrewGroup, robot: RobotFlange) -> float:
+def _sensor_text(model: CadModel) -> str:
+    return f"{model.design.sensor_model.product}, {model.design.sensor.calibration.upper()}"
+
+
+def hand_torque(use: ScrewGroup) -> float:
     """Return the torque [N·m] that presses a head on its seat with `RESIN_PRESSURE`, rounded down to one digit."""
-    d = float(use.screw.thread[1:]) * MM
-    hole = M2_CLEARANCE_D if use.screw is M2 else robot.bolt_clearance_d
-    preload = RESIN_PRESSURE * np.pi / 4 * (use.screw.head_d**2 - hole**2)
-    torque = NUT_FACTOR * preload * d
+    preload = RESIN_PRESSURE * np.pi / 4 * (use.screw.head_d**2 - use.screw.clearance_d**2)
+    torque = NUT_FACTOR * preload * use.screw.nominal_d
     digit = 10.0 ** np.floor(np.log10(torque))
     return float(f"{np.floor(torque / digit) * digit:.1g}")
 
@@ -123,10 +121,6 @@ def bill_csv(bill: list[BillItem]) -> bytes:
     writer.writeheader()
     writer.writerows(asdict(item) for item in bill)
     return table.getvalue().encode("utf-8")
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 STYLE = """body { max-width: 182mm }
@@ -171,17 +165,14 @@ def assembly_page(
 
 
 def _about(model: CadModel) -> str:
-    design = model.design
-    sensor = f"ATI {escape(design.sensor.model.capitalize())}, {escape(design.sensor.calibration.upper())}"
     return (
-        f"geometry {model.geometry.fingerprint} · {sensor} · {escape(model.plate.robot.source)}"
+        f"geometry {model.geometry.fingerprint} · {escape(_sensor_text(model))} · {escape(model.plate.robot.source)}"
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
     )
 
 
 def _warning(model: CadModel) -> str:
-    tool, mounting = model.design.sensor_model.tool, model.design.sensor_model.mounting
-    deepest = min(tool.max_entry, mounting.max_entry) / MM
+    deepest = min(model.adapter.tool.max_entry, model.plate.mounting.max_entry) / MM
     into_sensor = [use for use in model.screws if use.name in ("sensor_adapter_screws", "mounting_screws")]
     rows = "".join(
         f"<li>{len(use.points)} × ISO 4762 {use.screw.thread}×{use.length / MM:g} into the {use.into}: enters "
@@ -200,24 +191,24 @@ def _parts(bill: Sequence[BillItem]) -> str:
         "<tr><th></th><th>part</th><th class=n>pieces</th><th>what</th><th>of</th><th class=n>g each</th>"
         "<th class=n>at most N·m</th></tr>"
     )
-    rows = [
-        f"<tr><td class=n>{item.number}</td><td>{escape(item.title)}</td><td class=n>{item.quantity}</td>"
-        f"<td>{escape(f'print {item.file}' if item.file else item.what)}</td><td>{escape(item.material)}</td>"
-        f"<td class=n>{_blank(item.mass_g)}</td><td class=n>{_blank(item.tighten_Nm)}</td></tr>"
-        for item in bill
-    ]
+    rows = []
+    for item in bill:
+        what = f"print {item.file}" if item.file else item.what
+        mass, torque = ("" if value is None else f"{value:g}" for value in (item.mass_g, item.tighten_Nm))
+        rows.append(
+            f"<tr><td class=n>{item.number}</td><td>{escape(item.title)}</td><td class=n>{item.quantity}</td>"
+            f"<td>{escape(what)}</td><td>{escape(item.material)}</td>"
+            f"<td class=n>{mass}</td><td class=n>{torque}</td></tr>"
+        )
     return f"<table>{head}{''.join(rows)}</table>"
 
 
-def _blank(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
-
-
 def _tools(model: CadModel) -> str:
-    bolt = SCREWS[model.plate.robot.bolt]
+    keys = dict.fromkeys((use.screw for use in model.screws), "") | {
+        M2: " with a long arm, to reach past the probe"
+    }
     tools = [
-        f"hexagon key {M2.socket_af / MM:g} mm (M2) with a long arm, to reach past the probe",
-        f"hexagon key {bolt.socket_af / MM:g} mm ({bolt.thread})",
+        *(f"hexagon key {screw.socket_af / MM:g} mm ({screw.thread}){note}" for screw, note in keys.items()),
         "calipers, for the screws' lengths and the probe's diameters",
         "tweezers, for nuts and pins",
     ]
@@ -282,8 +273,13 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
         meshes: of the printed parts, by name.
     """
     bodies = {name: render_body(part, meshes.get(name)) for name, part in model.parts.items()}
-    bill, steps = bill_of_materials(model), assembly_steps(model.screws, model.plate.robot.pin_d)
-    labels = {item.name: PartLabel(item.number, (item.title, _description(item))) for item in bill}
+    bill = bill_of_materials(model)
+    steps = assembly_steps(model.screws, model.adapter.dowels, model.plate.robot.pin_d)
+    labels = {}
+    for item in bill:
+        what = f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what
+        what = f"{item.what}, {item.material}" if item.file else what
+        labels[item.name] = PartLabel(item.number, (item.title, what))
     seat = float(model.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, labels, f"{model.design.name}: exploded view", seat)
     files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
@@ -293,10 +289,3 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     files["bill_of_materials.csv"] = bill_csv(bill)
     files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
     return Documents(files, bill, [step.text for step in steps])
-
-
-def _description(item: BillItem) -> str:
-    """Return a part's description for its label in the exploded view."""
-    if item.file:
-        return f"{item.what}, {item.material}"
-    return f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what

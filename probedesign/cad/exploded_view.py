@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.cad.parts import ScrewGroup
+from probedesign.cad.model import ScrewGroup
 from probedesign.cad.render import (
     OrthographicCamera,
     RenderBody,
@@ -16,8 +16,9 @@ from probedesign.cad.render import (
     render_bodies,
     render_png,
 )
-from probedesign.cad.svg import Svg
+from probedesign.cad.sheet import Svg
 from probedesign.core.units import MM
+from probedesign.design.sensors import DowelPattern
 
 UP, DOWN = 1, -1
 
@@ -74,8 +75,14 @@ EXPLOSION = (
 """All parts moved away from the sensor, in the order of assembly."""
 
 
-def assembly_steps(screws: list[ScrewGroup], pin_d: float) -> list[AssemblyStep]:
-    """Return the steps with their screws; pin_d is the diameter of the robot's dowel pin [m], 0 if there is none."""
+def assembly_steps(screws: list[ScrewGroup], dowels: DowelPattern, pin_d: float) -> list[AssemblyStep]:
+    """Return the steps of the assembly.
+
+    Args:
+        screws: of the assembly.
+        dowels: of the sensor's tool face.
+        pin_d: diameter of the robot's dowel pin [m], 0 if there is none.
+    """
     of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
     pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
     return [
@@ -84,8 +91,8 @@ def assembly_steps(screws: list[ScrewGroup], pin_d: float) -> list[AssemblyStep]
              (EXPLOSION[0], EXPLOSION[1])),
         AssemblyStep(f"bolt the flange adapter to the robot: {of['robot_bolts']} from above{pin}",
              (EXPLOSION[2],)),
-        AssemblyStep("press M2 nuts into the four pockets of the sensor adapter and the 2 mm dowel pins into its "
-             "underside",
+        AssemblyStep("press M2 nuts into the four pockets of the sensor adapter and the "
+             f"{dowels.diameter / MM:g} mm dowel pins into its underside",
              (Move(("ring_nuts",), "sensor_adapter", DOWN), Move(("dowel_pins",), "sensor_adapter", DOWN)),
              on_bench=True, seen_from_below=True),
         AssemblyStep("screw the sensor adapter to the tool side from above through its recess: "

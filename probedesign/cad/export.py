@@ -4,7 +4,10 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable
+import shutil
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +16,21 @@ import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
+from probedesign.cad.mesh import read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
-from probedesign.cad.staging import MANIFEST, check_target, staged
 from probedesign.cad.verify import Findings, verify
-from probedesign.core.errors import CheckFailedError
+from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array
+from probedesign.core.parallel import defer_sigint
 from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount.sensor_adapter import SQUEEZE, exported_root_radii
+from probedesign.mount.adapters import SQUEEZE, exported_root_radii
 from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
 
 SCHEMA = 1
+MANIFEST = "manifest.json"
 
 
 def manifest_of(
@@ -40,7 +44,11 @@ def manifest_of(
         files: sha256 and size by name.
         findings: of `verify`.
     """
-    design = model.design
+    design, a, robot = model.design, model.adapter, model.plate.robot
+    robot_pin = (
+        {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
+    )
+    pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
         "schema": SCHEMA,
         "name": design.name,
@@ -51,25 +59,25 @@ def manifest_of(
         "files": files,
         "parts": {part.name: _part(part) for part in model.printed},
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
-        "T_sensor_base": _pose(model.adapter.T_sensor_base),
+        "T_sensor_base": _pose(a.T_sensor_base),
         "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
         "mass": _mass(model),
         "bill_of_materials": bill_records(documents.bill),
         "screws": [use.as_record() for use in model.screws],
-        "also_needed": _also_needed(model),
-        "engraved": _engraved(model),
+        # neither printed nor screws
+        "also_needed": {"M2 nut, ISO 4032": len(a.p_ring_screws), pin: len(a.p_dowels), **robot_pin},
+        # the fingerprint, then as much of the name as fits
+        "engraved": {
+            "probe": a.on_flange.text,
+            "sensor_adapter": a.on_wall.text,
+            "clamp_ring": a.on_ring.text,
+            "flange_adapter": model.plate.on_plate.text,
+        },
         "assembly_order": documents.steps,
         "base": _base(model),
         "verification": findings,
         "intersections_m3": model.shared_volumes,
     }
-
-
-def _also_needed(model: CadModel) -> dict[str, int]:
-    """Return the needed items that are neither printed nor screws."""
-    pin_d = model.plate.robot.pin_d / MM
-    robots = {f"dowel pin of {pin_d:g} mm that the robot's flange takes": 1} if pin_d > 0.0 else {}
-    return {"M2 nut, ISO 4032": 4, "dowel pin 2x6 mm": len(model.adapter.p_dowels), **robots}
 
 
 def _part(part: CadPart) -> dict[str, Any]:
@@ -105,17 +113,6 @@ def _body(body: MassProperties) -> dict[str, Any]:
         "mass_kg": body.mass,
         "p_com_m": body.p_com.tolist(),
         "inertia_kg_m2": body.inertia.tolist(),
-    }
-
-
-def _engraved(model: CadModel) -> dict[str, str]:
-    """Return the engraved text of each printed part: the fingerprint, then as much of the name as fits."""
-    a = model.adapter
-    return {
-        "probe": a.on_flange.text,
-        "sensor_adapter": a.on_wall.text,
-        "clamp_ring": a.on_ring.text,
-        "flange_adapter": model.plate.on_plate.text,
     }
 
 
@@ -155,26 +152,27 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         for content in packages.values():
             read_back(content)
     progress("writing")
-    with staged(folder) as staging:
-        for name, content in (_stl_files(model, meshes) | packages | documents.files).items():
-            (staging / name).write_bytes(content)
-        _write_step(model, staging / "assembly.step")
-        manifest = manifest_of(model, documents, _digests(staging), findings)
-        manifest["print_check"] = check_print(design).as_record()
-        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
-        (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
-    return {**manifest, "folder": str(folder)}
-
-
-def _stl_files(model: CadModel, meshes: dict[str, Mesh]) -> dict[str, bytes]:
     # An STL header must not begin with "solid", which marks a text file.
-    title, design = f"probedesign {model.geometry.fingerprint}", model.design
-    return {
+    title = f"probedesign {model.geometry.fingerprint}"
+    stl = {
         f"{name}.stl": stl_bytes(
             mesh.vertices[mesh.triangles], f"{title}{scale_note(design, name)} {design.name} {name}"
         )
         for name, mesh in meshes.items()
     }
+    with staged(folder) as staging:
+        for name, content in (stl | packages | documents.files).items():
+            (staging / name).write_bytes(content)
+        _write_step(model, staging / "assembly.step")
+        contents = {path.name: path.read_bytes() for path in sorted(staging.iterdir())}
+        files = {
+            n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()
+        }
+        manifest = manifest_of(model, documents, files, findings)
+        manifest["print_check"] = check_print(design).as_record()
+        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
+        (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
+    return {**manifest, "folder": str(folder)}
 
 
 def _write_step(model: CadModel, path: Path) -> None:
@@ -183,13 +181,91 @@ def _write_step(model: CadModel, path: Path) -> None:
         raise CheckFailedError(f"{path.name}: the kernel did not write it to its end")
 
 
-def _digests(folder: Path) -> dict[str, dict[str, Any]]:
-    contents = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
-    return {n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()}
-
-
 def _as_json(manifest: dict[str, Any]) -> str:
     """Return readable JSON: each row of numbers on one line."""
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
     row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
     return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
+
+
+def check_target(folder: Path) -> None:
+    """Check, before any work, that a folder can be written or created."""
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{folder}: {nearest} is a file; name a folder to export into")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
+
+    What killed processes left behind is removed first.
+    """
+    staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
+    try:
+        staging.mkdir(parents=True)
+        with _claimed(staging):
+            _remove_abandoned(folder)
+            yield staging
+            with defer_sigint():
+                _put_in_place(staging, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextmanager
+def _claimed(staging: Path) -> Iterator[None]:
+    """Lock a folder; the system releases the lock with the process, however it ends.
+
+    Raises:
+        BlockingIOError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: no locks, so no folder counts as abandoned
+        yield
+        return
+    handle = os.open(staging, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove staging folders that no process has locked; those of running exports stay."""
+    if os.name == "nt":
+        return
+    for left in folder.parent.glob(f".{folder.name}.????????.partial"):
+        with suppress(OSError), _claimed(left):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _put_in_place(staging: Path, folder: Path) -> None:
+    """Move the files into place. Files of the folder's last export that this one lacks are removed; all others stay.
+
+    The old manifest is removed first and the new one moved last, so a folder with a manifest is a complete export.
+    """
+    if not folder.exists():
+        staging.rename(folder)
+        return
+    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name in outdated:
+        (folder / name).unlink(missing_ok=True)
+    for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
+        path.replace(folder / path.name)
+
+
+def _made_before(folder: Path) -> set[str]:
+    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
+    try:
+        listed = set(json.loads((folder / MANIFEST).read_text("utf-8"))["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

@@ -19,7 +19,7 @@ from probedesign.cad.model import CadModel
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.design.catalog.materials import RIGID_RESIN
+from probedesign.design.catalog import RIGID_RESIN
 from probedesign.printing.check import scale_note
 
 LINEAR_TOLERANCE_MM = 0.01

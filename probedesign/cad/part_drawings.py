@@ -28,10 +28,9 @@ from probedesign.cad.sheet import (
     seen,
 )
 from probedesign.core.units import MM
-from probedesign.design.catalog.materials import RIGID_RESIN
+from probedesign.design.catalog import M2, RIGID_RESIN
+from probedesign.mount.adapters import PEG_D
 from probedesign.mount.engraving import XY
-from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP
-from probedesign.mount.sensor_adapter import PEG_D
 
 TOLERANCE = "±0.5 %, at least ±0.15 (assumed)"
 """Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""
@@ -157,10 +156,11 @@ def part_drawings(model: CadModel) -> dict[str, bytes]:
 
 
 def _sensor_adapter(model: CadModel, part: CadPart) -> Sheet:
-    a, hole = model.adapter, f"⌀{_mm(M2_CLEARANCE_D)} through"
+    a = model.adapter
+    bore, room = a.tool.screw.clearance_d, a.tool.screw.counterbore_d
     above = [
-        Holes(a.p_tool_screws, M2_COUNTERBORE_D, f"{hole}, ⌀{_mm(M2_COUNTERBORE_D)} from z = {_mm(M2_GRIP)} up"),
-        Holes(a.p_ring_screws, M2_CLEARANCE_D, hole),
+        Holes(a.p_tool_screws, room, f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"),
+        Holes(a.p_ring_screws, M2.clearance_d, f"⌀{_mm(M2.clearance_d)} through"),
         Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
     ]  # fmt: skip
     pocket = f"nut pocket {_mm(a.nut_pocket_af)} across flats, up to z = {_mm(a.nut_pocket_top)}"
@@ -176,24 +176,24 @@ def _sensor_adapter(model: CadModel, part: CadPart) -> Sheet:
 def _clamp_ring(model: CadModel, part: CadPart) -> Sheet:
     a = model.adapter
     top = a.ring_thickness
-    above = [Holes(a.p_ring_screws, M2_CLEARANCE_D, f"⌀{_mm(M2_CLEARANCE_D)} through")]
+    above = [Holes(a.p_ring_screws, M2.clearance_d, f"⌀{_mm(M2.clearance_d)} through")]
     tops, bottoms = [a.ring_bore_top_d, a.body_d], [a.ring_bore_d]
     notes = ["the wide end of the bore faces the tip"]
     return _disc(model, part, (0.0, top), [top], tops, bottoms, (above, []), notes)
 
 
 def _flange_adapter(model: CadModel, part: CadPart) -> Sheet:
-    p = model.plate
+    p, bolt, screw = model.plate, model.plate.robot.screw, model.plate.mounting.screw
     spigot_d, spigot = p.robot.spigot
     width, length = p.robot.pin_slot
     reach = p.robot.bolt_circle_d / 2
     above = [
-        Holes(p.p_bolts, p.robot.bolt_clearance_d, f"⌀{_mm(p.robot.bolt_clearance_d)} through"),
-        Holes(p.p_mounting_screws, M2_CLEARANCE_D, f"⌀{_mm(M2_CLEARANCE_D)} through"),
+        Holes(p.p_bolts, bolt.clearance_d, f"⌀{_mm(bolt.clearance_d)} through"),
+        Holes(p.p_mounting_screws, screw.clearance_d, f"⌀{_mm(screw.clearance_d)} through"),
     ]
     slot = f"slot {_mm(width)} × {_mm(length)} through, middle at x = {_mm(reach)}: the robot's dowel pin"
-    bore = f"counterbore ⌀{_mm(M2_COUNTERBORE_D)} up to z = {_mm(p.counterbore_top)}"
-    below = [Holes(p.p_mounting_screws, M2_COUNTERBORE_D, bore)]
+    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} up to z = {_mm(p.counterbore_top)}"
+    below = [Holes(p.p_mounting_screws, screw.counterbore_d, bore)]
     below += [Holes([(reach, 0.0)], 0.0, slot, False)] if width > 0.0 else []
     heights, bottoms = [-spigot, p.plate_top, p.pad_top], [spigot_d, p.plate_d]
     notes = [f"z = 0 rests on the robot: {p.robot.source}; the sensor sits on the pad ⌀{_mm(p.pad_d)}"]

@@ -1,10 +1,11 @@
-"""Technical drawings on A4 sheets: projected edges and sections, views to scale, dimensions and notes.
+"""Technical drawings on A4 sheets: SVG canvas, projected edges and sections, views to scale, dimensions and notes.
 
-Paper in millimetres, y down.
+Paper in millimetres, y down. Numbers are rounded, so equal drawings are equal bytes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from xml.etree import ElementTree as ET
 
 import cadquery as cq
 import numpy as np
@@ -13,8 +14,107 @@ from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt
 from OCP.HLRAlgo import HLRAlgo_Projector
 from OCP.HLRBRep import HLRBRep_Algo, HLRBRep_HLRToShape
 
-from probedesign.cad.svg import XY, Svg
 from probedesign.core.frames import Array
+
+XY = tuple[float, float]
+FONT = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
+
+
+class Svg:
+    """An SVG picture to which elements are added; x to the right, y down.
+
+    Args:
+        width, height: in `unit`, which is also the unit of every coordinate.
+        unit: CSS unit, "mm" or "px".
+        title: text alternative.
+    """
+
+    def __init__(self, width: float, height: float, unit: str, title: str) -> None:
+        self.root = ET.Element(
+            "svg",
+            {
+                "xmlns": "http://www.w3.org/2000/svg",
+                "width": f"{_n(width)}{unit}",
+                "height": f"{_n(height)}{unit}",
+                "viewBox": f"0 0 {_n(width)} {_n(height)}",
+                "font-family": FONT,
+            },
+        )
+        ET.SubElement(self.root, "title").text = title
+        self._add("rect", width=_n(width), height=_n(height), fill="#fff")
+
+    def line(self, a: XY, b: XY, width: float, colour: str = "#000", dash: str = "") -> None:
+        """Draw a straight line from a to b."""
+        self.polylines([[a, b]], width, colour, dash)
+
+    def polylines(
+        self, lines: Iterable[Iterable[XY]], width: float, colour: str = "#000", dash: str = ""
+    ) -> None:
+        """Draw lines of one style as one element."""
+        path = "".join("M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in line) for line in lines)
+        dashes = {"stroke-dasharray": dash} if dash else {}
+        self._add("path", {"stroke-width": _n(width), "stroke-linecap": "round", **dashes},
+                  d=path, fill="none", stroke=colour)  # fmt: skip
+
+    def area(self, loops: Iterable[Iterable[XY]], fill: str) -> None:
+        """Fill closed outlines; an outline inside another is a hole."""
+        path = "".join("M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in loop) + "Z" for loop in loops)
+        self._add("path", {"fill-rule": "evenodd"}, d=path, fill=fill)
+
+    def hatched(self, loops: Iterable[Iterable[XY]]) -> None:
+        """Hatch closed outlines as cut material."""
+        if self.root.find("defs") is None:
+            pattern = ET.SubElement(ET.SubElement(self.root, "defs"), "pattern", {
+                "id": "hatch", "width": "1.6", "height": "1.6",
+                "patternUnits": "userSpaceOnUse", "patternTransform": "rotate(-45)",
+            })  # fmt: skip
+            ET.SubElement(pattern, "rect", {"width": "1.6", "height": "1.6", "fill": "#f3f5f7"})
+            ET.SubElement(pattern, "path", {"d": "M0 0H1.6", "stroke": "#667", "stroke-width": "0.18"})
+        self.area(loops, "url(#hatch)")
+
+    def circle(
+        self, centre: XY, r: float, fill: str = "none", colour: str = "none", width: float = 0.0
+    ) -> None:
+        """Draw a circle."""
+        self._add("circle", {"stroke-width": _n(width)}, cx=_n(centre[0]), cy=_n(centre[1]), r=_n(r),
+                  fill=fill, stroke=colour)  # fmt: skip
+
+    def text(
+        self,
+        at: XY,
+        words: str,
+        size: float,
+        anchor: str = "middle",
+        turned: bool = False,
+        bold: bool = False,
+    ) -> None:
+        """Write text on a baseline at a point; `turned` reads from the right."""
+        x, y = _n(at[0]), _n(at[1])
+        how = {"font-size": _n(size), "text-anchor": anchor}
+        how |= {"transform": f"rotate(-90 {x} {y})"} if turned else {}
+        how |= {"font-weight": "bold"} if bold else {}
+        self._add("text", how, x=x, y=y).text = words
+
+    def image(self, x: float, y: float, width: float, height: float, png_base64: str) -> None:
+        """Embed a PNG."""
+        self._add("image", x=_n(x), y=_n(y), width=_n(width), height=_n(height),
+                  href=f"data:image/png;base64,{png_base64}")  # fmt: skip
+
+    def _add(self, tag: str, how: dict[str, str] | None = None, **more: str) -> ET.Element:
+        return ET.SubElement(self.root, tag, {**(how or {}), **more})
+
+    def __str__(self) -> str:
+        """Return the element as text for an HTML page."""
+        return ET.tostring(self.root, encoding="unicode")
+
+    def __bytes__(self) -> bytes:
+        """Return the content of an SVG file."""
+        return b"<?xml version='1.0' encoding='utf-8'?>\n" + str(self).encode() + b"\n"
+
+
+def _n(value: float) -> str:
+    return f"{round(value, 3) + 0.0:g}"
+
 
 CURVE_POINTS = 48
 """Points of a curved edge: a full circle Ø60 mm is drawn within 0.07 mm, less than its line width."""
@@ -57,20 +157,20 @@ def seen(shape: cq.Shape, side: ViewDirection) -> Lines:
 
 
 def cut(shape: cq.Shape) -> tuple[Lines, list[Lines]]:
-    """Return the half behind the plane y = 0, seen from the front, and the faces in that plane.
+    """Return the half at y > 0, seen from the front, and the faces in the plane y = 0.
 
     Returns:
         Visible edges, and the closed outlines of each section face.
     """
     box = shape.BoundingBox()
     reach = 2.0 * box.DiagonalLength
-    behind = cq.Solid.makeBox(2 * reach, reach, 2 * reach, cq.Vector(-reach, 0.0, box.center.z - reach))
+    half = cq.Solid.makeBox(2 * reach, reach, 2 * reach, cq.Vector(-reach, 0.0, box.center.z - reach))
     plane = cq.Face.makePlane(
         2 * reach, 2 * reach, cq.Vector(0.0, 0.0, box.center.z), cq.Vector(0.0, -1.0, 0.0)
     )
     faces = shape.intersect(plane).Faces()
     loops = [[_loop(wire) for wire in face.Wires()] for face in faces]
-    return seen(shape.intersect(behind), FRONT), loops
+    return seen(shape.intersect(half), FRONT), loops
 
 
 def _flat(wrapped: object) -> Lines:
@@ -131,16 +231,14 @@ class Sheet:
         self.svg = Svg(WIDTH, HEIGHT, unit="mm", title=title)
         left, right, bottom = EDGE, WIDTH - EDGE, HEIGHT - EDGE
         top = bottom - TITLE_HEIGHT
-        self._rectangle(left, EDGE, right, bottom, THICK)
-        self._rectangle(left, top, right, bottom, THICK)
+        for y in (EDGE, top):
+            frame = [(left, y), (right, y), (right, bottom), (left, bottom), (left, y)]
+            self.svg.polylines([frame], THICK)
         self.svg.text((left + 4, top + 9), title, 5.0, anchor="start", bold=True)
         for i, (name, value) in enumerate(rows):
             x, y = left + COLUMNS[i // 3], top + 16.5 + 6.2 * (i % 3)
             self.svg.text((x, y), name, SMALL, anchor="start")
             self.svg.text((x + 17, y), value, TEXT, anchor="start")
-
-    def _rectangle(self, x0: float, y0: float, x1: float, y1: float, width: float) -> None:
-        self.svg.polylines([[(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]], width)
 
     def note(self, at: XY, lines: Sequence[str], size: float = TEXT) -> None:
         """Write lines of text, the first baseline at a point."""
@@ -232,11 +330,7 @@ class SheetView:
         level, direction = y - offset, np.sign(offset)
         for x in (x0, x1):
             self.sheet.svg.line((x, y - EXTENSION_GAP * direction), (x, level - 1.5 * direction), THIN)
-        if x1 - x0 >= 3 * ARROW:
-            self._arrow_line((x0, level), (x1, level))
-        else:
-            self._arrows_outside((x0, level), (x1, level), (1.0, 0.0))
-        self._words(((x0 + x1) / 2, level - 1.0), x1 - x0, words, turned=False)
+        self._dimension((x0, level), (x1, level), words)
 
     def dimension_v(
         self, v0: float, v1: float, from_u: float, offset: float, words: str, top_u: float | None = None
@@ -250,11 +344,33 @@ class SheetView:
         level, direction = foot + offset, np.sign(offset)
         for x, y in ((foot, y0), (head, y1)):
             self.sheet.svg.line((x + EXTENSION_GAP * direction, y), (level + 1.5 * direction, y), THIN)
-        if y0 - y1 >= 3 * ARROW:
-            self._arrow_line((level, y1), (level, y0))
+        self._dimension((level, y1), (level, y0), words)
+
+    def _dimension(self, a: XY, b: XY, words: str) -> None:
+        """Draw a dimension line from a to b, to the right or down, with its text.
+
+        The arrows are outside of a short line; the text is beyond its end where it does not fit between the arrows.
+        """
+        svg, length, upright = self.sheet.svg, b[0] - a[0] + b[1] - a[1], a[0] == b[0]
+        along = (0.0, 1.0) if upright else (1.0, 0.0)
+        if length >= 3 * ARROW:
+            svg.line(a, b, THIN)
+            self._arrow(b, along)
+            self._arrow(a, (-along[0], -along[1]))
         else:
-            self._arrows_outside((level, y1), (level, y0), (0.0, 1.0))
-        self._words((level - 1.0, (y0 + y1) / 2), y0 - y1, words, turned=True)
+            for tip, sign in ((a, 1.0), (b, -1.0)):
+                tail = (tip[0] - sign * 2 * ARROW * along[0], tip[1] - sign * 2 * ARROW * along[1])
+                svg.line(tail, tip, THIN)
+                self._arrow(tip, (sign * along[0], sign * along[1]))
+            svg.line(a, b, THIN)
+        x, y = (a[0] + b[0]) / 2 - along[1], (a[1] + b[1]) / 2 - along[0]
+        beyond = length / 2 + 2 * ARROW + 0.8
+        if 0.58 * TEXT * len(words) <= length - 1.0:  # mean width of a sans-serif font
+            svg.text((x, y), words, TEXT, turned=upright)
+        elif upright:
+            svg.text((x, y - beyond), words, TEXT, anchor="start", turned=True)
+        else:
+            svg.text((x + beyond, y + 2.1), words, TEXT, anchor="start")
 
     def leader(self, p: XY, to: XY, words: str) -> None:
         """Draw a note with an arrow to a point; `to` is the offset of the text from that point [mm of paper, y up]."""
@@ -266,37 +382,9 @@ class SheetView:
         anchor, gap = ("start", 1.0) if to[0] >= 0 else ("end", -1.0)
         self.sheet.svg.text((elbow[0] + gap, elbow[1] + 1.1), words, TEXT, anchor=anchor)
 
-    def _arrow_line(self, a: XY, b: XY) -> None:
-        self.sheet.svg.line(a, b, THIN)
-        length = float(np.hypot(b[0] - a[0], b[1] - a[1]))
-        direction = ((b[0] - a[0]) / length, (b[1] - a[1]) / length)
-        self._arrow(b, direction)
-        self._arrow(a, (-direction[0], -direction[1]))
-
-    def _arrows_outside(self, a: XY, b: XY, direction: XY) -> None:
-        for tip, sign in ((a, 1.0), (b, -1.0)):
-            tail = (tip[0] - sign * 2 * ARROW * direction[0], tip[1] - sign * 2 * ARROW * direction[1])
-            self.sheet.svg.line(tail, tip, THIN)
-            self._arrow(tip, (sign * direction[0], sign * direction[1]))
-        self.sheet.svg.line(a, b, THIN)
-
     def _arrow(self, tip: XY, direction: XY) -> None:
         back = (tip[0] - ARROW * direction[0], tip[1] - ARROW * direction[1])
         side = (-direction[1] * ARROW / 6, direction[0] * ARROW / 6)
         self.sheet.svg.area(
             [[tip, (back[0] + side[0], back[1] + side[1]), (back[0] - side[0], back[1] - side[1])]], "#000"
         )
-
-    def _words(self, at: XY, room: float, words: str, turned: bool) -> None:
-        """Write a dimension on its line, or beyond its end where it does not fit between the arrows."""
-        wide = 0.58 * TEXT * len(words)  # mean width of a sans-serif font
-        if wide <= room - 1.0:
-            self.sheet.svg.text(at, words, TEXT, turned=turned)
-        elif turned:
-            self.sheet.svg.text(
-                (at[0], at[1] - room / 2 - 2 * ARROW - 0.8), words, TEXT, anchor="start", turned=True
-            )
-        else:
-            self.sheet.svg.text(
-                (at[0] + room / 2 + 2 * ARROW + 0.8, at[1] + 2.1), words, TEXT, anchor="start"
-            )

@@ -15,46 +15,44 @@ from probedesign.cad.mesh import Mesh, package_objects, read_back
 from probedesign.cad.model import (
     CadModel,
     CadPart,
+    ScrewGroup,
     box_of,
     boxes_meet,
     cable_sector,
     clearance_volumes,
     shared_volume,
 )
-from probedesign.cad.parts import ScrewGroup
 from probedesign.core.errors import CheckFailedError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import pose
 from probedesign.core.units import MM
-from probedesign.design.catalog.sensors import SensorModel
+from probedesign.design.catalog import M2_NUT_AF
 from probedesign.geometry import ProbeGeometry
-from probedesign.geometry.mass import MassProperties, combined, flexible_part
+from probedesign.geometry.mass import combined, flexible_part
 from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
-from probedesign.mount.fasteners import M2_NUT_AF
-from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH
 
 CORRIDOR = 60.0 * MM
 """Length of the corridors of nuts and pins below the adapter, which lies free on the bench."""
 
 
 def blocked_tools(
-    parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter, sensor: SensorModel
+    parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter
 ) -> dict[str, float]:
     """Return the obstruction of each group of screws, nuts and pins, and of the ring.
 
     Args:
         parts: of the assembly.
         screws: with their seats and directions.
-        adapter, sensor: that they connect.
+        adapter: on the sensor's tool side.
 
     Returns:
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
-    corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter, sensor)
+    corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
     shapes = {name: part.placed for name, part in parts.items()}
     boxes = {name: box_of(shape) for name, shape in shapes.items()}
     found: dict[str, float] = {}
     present = ["sensor"]
-    for step in assembly_steps(screws, pin_d=0.0):
+    for step in assembly_steps(screws, adapter.dowels, pin_d=0.0):
         there = [move.onto for move in step.moves] if step.on_bench else present
         for name in step.parts:
             if name in corridors and name not in found:
@@ -78,16 +76,15 @@ def screw_corridors(use: ScrewGroup) -> list[cq.Solid]:
     return [placed(corridor, pose(p=[*p, 0.0])) for p in use.points]
 
 
-def _part_corridors(
-    parts: dict[str, CadPart], a: SensorAdapter, sensor: SensorModel
-) -> dict[str, list[cq.Solid]]:
+def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, list[cq.Solid]]:
     """Return the corridors of nuts and pins from below the adapter, and that of the ring from above the tip."""
     tip = float(parts["probe"].placed.BoundingBox().zmax) * MM
     ring = cylinder(a.body_d, a.ring_top, tip).cut(cylinder(a.ring_bore_d, a.ring_top, tip))
     return {
         "ring_nuts": [hexagon(M2_NUT_AF, -CORRIDOR, a.nut_pocket_top, p) for p in a.p_ring_screws],
         "dowel_pins": [
-            cylinder(sensor.dowel_d, -CORRIDOR, DOWEL_PIN_LENGTH - sensor.dowel_depth, p) for p in a.p_dowels
+            cylinder(a.dowels.diameter, -CORRIDOR, a.dowels.pin_length - a.dowels.depth, p)
+            for p in a.p_dowels
         ],
         "clamp_ring": [ring],
     }
@@ -126,8 +123,10 @@ def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes])
         **_meshes(model, meshes),
         **_packages(model, meshes, packages),
         **_room(model),
-        **_reach(model),
     }
+    blocked = blocked_tools(model.parts, model.screws, model.adapter)
+    what = "m³ of earlier parts in the corridors of the fastener and its key"
+    findings |= {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
     failed = [
         f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
     ]
@@ -146,20 +145,17 @@ def _solids(model: CadModel) -> Findings:
     formula["flexible"] = flexible_part(geometry, density).moved(adapter.T_sensor_base)
     findings: Findings = {}
     for name, body in drawn.items():
-        findings |= _same_body(name, body, formula[name])
+        wanted = formula[name]
+        extent = float(np.sqrt(np.trace(wanted.inertia) / wanted.mass))
+        volume = abs(body.volume / wanted.volume - 1.0)
+        centre = np.abs(body.p_com - wanted.p_com).max() / extent
+        inertia = np.abs(body.inertia - wanted.inertia).max() / np.abs(wanted.inertia).max()
+        findings |= {
+            f"{name}_volume": _finding(volume, SOLID_LIMIT, "relative"),
+            f"{name}_centre": _finding(centre, SOLID_LIMIT, "relative to the body's extent"),
+            f"{name}_inertia": _finding(inertia, SOLID_LIMIT, "relative, about the centre of mass"),
+        }
     return findings
-
-
-def _same_body(name: str, drawn: MassProperties, formula: MassProperties) -> Findings:
-    extent = float(np.sqrt(np.trace(formula.inertia) / formula.mass))
-    volume = abs(drawn.volume / formula.volume - 1.0)
-    centre = _largest(drawn.p_com - formula.p_com) / extent
-    inertia = _largest(drawn.inertia - formula.inertia) / _largest(formula.inertia)
-    return {
-        f"{name}_volume": _finding(volume, SOLID_LIMIT, "relative"),
-        f"{name}_centre": _finding(centre, SOLID_LIMIT, "relative to the body's extent"),
-        f"{name}_inertia": _finding(inertia, SOLID_LIMIT, "relative, about the centre of mass"),
-    }
 
 
 def _sections(model: CadModel) -> Findings:
@@ -218,13 +214,10 @@ def _packages(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, byte
 
 def _room(model: CadModel) -> Findings:
     mount = [part for part in model.parts.values() if part.name != "sensor"]
-    sector = cable_sector(model.design.sensor_model)
+    sensor = model.design.sensor_model.interface
+    sector = cable_sector(sensor)
     in_sector = sum(shared_volume(sector, part.placed) for part in mount)
-    in_air = sum(
-        shared_volume(air, part.placed)
-        for air in clearance_volumes(model.design.sensor_model)
-        for part in mount
-    )
+    in_air = sum(shared_volume(air, part.placed) for air in clearance_volumes(sensor) for part in mount)
     wide = ("probe", "sensor_adapter", "clamp_ring", "ring_screws", "ring_nuts")
     lowest = min(model.parts[name].placed.BoundingBox().zmin for name in wide) * MM
     return {
@@ -238,19 +231,9 @@ def _room(model: CadModel) -> Findings:
     }
 
 
-def _reach(model: CadModel) -> Findings:
-    blocked = blocked_tools(model.parts, model.screws, model.adapter, model.design.sensor_model)
-    what = "m³ of earlier parts in the corridors of the fastener and its key"
-    return {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
-
-
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:
     return {"measured": float(measured), "limit": limit, "ok": bool(measured <= limit), "what": what}
 
 
 def _flag(ok: bool, what: str) -> dict[str, Any]:
     return _finding(0.0 if ok else 1.0, 0.0, f"{what} (0 is yes)")
-
-
-def _largest(values: Array) -> float:
-    return float(np.max(np.abs(values)))

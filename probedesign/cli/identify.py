@@ -11,7 +11,7 @@ from probedesign.cli.options import EXPORTS
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
-    from probedesign.design.edit import Change
+    from probedesign.design.io import Change
     from probedesign.identification.result import Identification, Identified
 
 
@@ -107,8 +107,7 @@ def _write_design(
 
     from probedesign.core.files import backup
     from probedesign.design import load_design
-    from probedesign.design.edit import edit_text
-    from probedesign.design.io import write_design
+    from probedesign.design.io import edit_text, write_design
     from probedesign.identification.identify import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")

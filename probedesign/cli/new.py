@@ -63,8 +63,8 @@ def new(
         bore_ratio: inner over outer diameter of a hollow section, 0.05 ... 0.9.
         flatness: diameter along y over diameter along x of an elliptic section, 0.2 ... 1. --base-d and --tip-d are
             along x.
-        resin: elastic-50a, flexible-80a or silicone-40a.
-        sensor: nano17, or one of its calibrations, such as si-12-0.12.
+        resin: a known resin, such as elastic-50a; an unknown name lists all.
+        sensor: a known sensor, such as nano17, or one of its calibrations, such as si-12-0.12.
         robot_flange: bolt pattern of the robot.
         friction: standard deviation of the prior of tangential over normal contact force, 0 ... inf. Default: the
             resin's.

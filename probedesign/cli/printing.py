@@ -12,7 +12,7 @@ from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.printing.check import PrintCheck
-    from probedesign.printing.preform.job import PreparedJob
+    from probedesign.printing.preform_job import PreparedJob
 
 
 def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
@@ -89,8 +89,8 @@ def print_job(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.printing.preform import job
-    from probedesign.printing.preform.client import PreForm, connection_to
+    from probedesign.printing import preform_job as job
+    from probedesign.printing.preform_client import PreForm, connection_to
 
     if send is not None and not (send.strip() and send.isprintable()):
         raise InputError(f"--send {send!r} is not the name of a printer")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from io import BufferedRandom
 from multiprocessing import forkserver
 from pathlib import Path
+from types import FrameType
 from typing import Any, TypeVar
 
 from probedesign.core.errors import InputError
@@ -69,6 +70,26 @@ def ignore_sigint() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def defer_sigint() -> Iterator[None]:
+    """Defer Ctrl-C until the block has ended."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread receives it
+        yield
+        return
+    asked: list[int] = []
+
+    def remember(number: int, _: FrameType | None) -> None:
+        asked.append(number)
+
+    previous = signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if asked:
+        raise KeyboardInterrupt
 
 
 def process_map(

@@ -1,17 +1,20 @@
-"""Reading, drafting, rendering and writing of design files: checked designs as commented TOML."""
+"""Read, draft, render, write and edit design files: checked designs as commented TOML."""
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MPA
-from probedesign.design.catalog.materials import Quantity, Resin, resin_named
-from probedesign.design.catalog.sensors import SENSORS
+from probedesign.design.catalog import RESINS, Quantity, Resin, find
 from probedesign.design.diagnostics import check_toml, one_line, parse_toml
 from probedesign.design.schema import Design
+from probedesign.design.sensors import SENSORS
 
 COMMENT_COLUMN = 36
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
@@ -30,13 +33,13 @@ COMMENTS = {
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
     "material.stiffness_spread": "standard deviation of a common factor on E and G, for fusing touches",
-    "material.creep_spread": "likewise of how far it relaxes while touches are fused; 0 leaves creep out",
+    "material.creep_spread": "standard deviation of its relaxation while touches are fused; 0 leaves creep out",
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
     "contact.friction": "tangential over normal force, standard deviation of the prior",
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
-    "print.scale_z": "likewise along its axis",
-    "print.rigid_scale_xy": "likewise of the rigid parts",
+    "print.scale_z": "printed over drawn, along its axis",
+    "print.rigid_scale_xy": "rigid parts, printed over drawn",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
 """Comment beside a key, unless the notes of the design replace it."""
@@ -48,7 +51,7 @@ HEADER = """\
 
 
 def default_tip_d_mm(base_d_mm: float) -> float:
-    """Return the default tip diameter [mm] of a cone of that base diameter [mm].
+    """Return the default tip diameter [mm] of a tapered probe of that base diameter [mm].
 
     A sixth of the base, at least 2 mm, rounded to 0.1 mm, never wider than the base.
     """
@@ -123,17 +126,10 @@ def draft_design(
 
     Args:
         name: of the design; None for one that contains the parameters.
-        shape: cone or cylinder.
-        length_mm: of the flexible part [mm].
-        base_d_mm: diameter at the base [mm].
-        tip_d_mm: diameter at the tip [mm]; None for the default.
-        tip: blunt or rounded.
-        section: round, hollow or elliptic.
-        bore_ratio: of a hollow section, inner over outer diameter.
-        flatness: of an elliptic section, its diameter along y over that along x.
-        resin: a known resin.
+        shape, length_mm, base_d_mm, tip, section, bore_ratio, flatness: as in `[probe]`.
+        tip_d_mm: None for `default_tip_d_mm`, unless it is a cylinder.
+        resin, robot_flange: names of the catalog.
         sensor: a known sensor or calibration.
-        robot_flange: a known flange pattern.
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
 
     Returns:
@@ -142,13 +138,13 @@ def draft_design(
     Raises:
         InputError: a value is out of range or contradicts another.
     """
-    material = resin_named(resin)
+    material = find(RESINS, resin, "material.resin")
     notes = {
         f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()
     }
     source = material.friction.source if friction is None else "assumed until measured"
     notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
-    if tip_d_mm is None and shape == "cone":
+    if tip_d_mm is None and shape != "cylinder":
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
     probe = {
@@ -220,7 +216,7 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:
-    (s0, d0), (s1, d1) = design.probe.blunt_mm
+    (s0, d0), *_, (s1, d1) = design.probe.blunt_mm
     return (s0, d0), ((s0 + s1) / 2, (d0 + d1) / 2), (s1, d1)
 
 
@@ -311,3 +307,94 @@ def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Desig
         InputError: one line naming the key, the value and the remedy.
     """
     return check_toml(data, Design, text, where)
+
+
+_HEADER = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
+
+
+@dataclass(frozen=True)
+class Change:
+    """A new value of one key.
+
+    Attributes:
+        table: such as `material`.
+        key: in the table.
+        text: the value as TOML.
+        note: comment beside the value.
+    """
+
+    table: str
+    key: str
+    text: str
+    note: str = ""
+
+    @property
+    def line(self) -> str:
+        """Return the line of the file."""
+        line = f"{self.key} = {self.text}"
+        return f"{line:<{COMMENT_COLUMN - 1}} # {self.note}" if self.note else line
+
+
+def edit_text(text: str, changes: Sequence[Change], when: str, where: str) -> str:
+    """Return the text of a design file with some values changed, its comments and layout kept.
+
+    A replaced value remains above the new one as a comment with the day; a missing table is added after its parent, or
+    at the end.
+
+    Args:
+        text: of the file.
+        changes: at most one for each key.
+        when: the day, for the comment.
+        where: names the file in errors.
+
+    Raises:
+        InputError: the file has inline tables or the like, which cannot be changed line by line.
+    """
+    ending = "\r\n" if "\r\n" in text else "\n"
+    lines = text.splitlines()
+    for change in changes:
+        lines = _changed(lines, change, when)
+    result = ending.join(lines) + ending
+    data = tomllib.loads(text)
+    for change in changes:
+        table = data
+        for part in change.table.split("."):
+            table = table.setdefault(part, {})
+        table[change.key] = tomllib.loads(f"v = {change.text}")["v"]
+    expected = check_design(data, text, where)
+    try:
+        if parse_design(result, where) == expected:
+            return result
+    except InputError:
+        pass
+    keys = ", ".join(f"{one.table}.{one.key} = {one.text}" for one in changes)
+    raise InputError(f"{where}: its tables are not written line by line; set by hand: {keys}")
+
+
+def _changed(lines: list[str], change: Change, when: str) -> list[str]:
+    """Return the lines with the value of a key replaced or added, in a new table if necessary."""
+    parent = change.table.rpartition(".")[0]
+    headers = {table: i for i, line in reversed(list(enumerate(lines))) if (table := _table_of(line))}
+    start = headers.get(change.table)
+    after = headers.get(parent) if start is None and parent else start
+    end = len(lines)
+    if after is not None:
+        end = next((i for i in range(after + 1, len(lines)) if _table_of(lines[i])), len(lines))
+    if start is not None:
+        assignment = re.compile(rf"""\s*["']?{re.escape(change.key)}["']?\s*=""")
+        for i in range(start + 1, end):
+            if assignment.match(lines[i]):
+                same = lines[i].split("#")[0].split() == change.line.split("#")[0].split()
+                if lines[i] == change.line or (same and not change.note):
+                    return lines
+                return [*lines[:i], f"# until {when}: {lines[i].strip()}", change.line, *lines[i + 1 :]]
+    while end > (0 if start is None else start + 1) and not lines[end - 1].strip():
+        end -= 1
+    header = ["", f"[{change.table}]"] if start is None else []
+    return [*lines[:end], *header, change.line, *lines[end:]]
+
+
+def _table_of(line: str) -> str:
+    """Return the table whose header a line is; empty if it is none."""
+    found = _HEADER.match(line)
+    return "" if found is None else ".".join(part.strip().strip("\"'") for part in found.group(1).split("."))

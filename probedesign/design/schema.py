@@ -1,22 +1,31 @@
 """The schema of a design file: its tables with their checks, and the design that they make up.
 
-The tables check types, ranges and their own consistency; `Design` checks the tables against each other and gives the
-quantities in SI units with their provenance.
+The tables check types, ranges and their own consistency; `Design` checks the tables against each other and
+returns the quantities in SI units with their provenance.
 """
 
 import math
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM, MPA
-from probedesign.design.catalog.materials import Provenance, Quantity, Resin, resin_named
-from probedesign.design.catalog.printers import Printer, printer_named
-from probedesign.design.catalog.robot_flanges import CUSTOM, RobotFlange, custom_flange, robot_flange_named
-from probedesign.design.catalog.sensors import Calibration, SensorModel, sensor_named
+from probedesign.design.catalog import (
+    CUSTOM,
+    PRINTERS,
+    RESINS,
+    ROBOT_FLANGES,
+    Printer,
+    Provenance,
+    Quantity,
+    Resin,
+    RobotFlange,
+    find,
+)
 from probedesign.design.diagnostics import Inconsistent, quoted
+from probedesign.design.sensors import SENSORS, Calibration, SensorModel
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.probe_geometry import rounded, rounding_height_mm
 
@@ -50,6 +59,16 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def as_tuple(value: Any) -> Any:
+    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
+    if not isinstance(value, list):
+        return value
+    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
+
+
+FromArray = BeforeValidator(as_tuple)
+
+
 class ProbeTable(Table):
     """`[probe]`: the flexible part. Lengths are in millimetres; diameters of an elliptic section are along x."""
 
@@ -57,54 +76,39 @@ class ProbeTable(Table):
     length_mm: Length
     base_d_mm: Diameter
     tip_d_mm: Diameter | None = None
-    profile_mm: tuple[tuple[float, float], ...] | None = None
+    profile_mm: Annotated[tuple[tuple[float, float], ...] | None, FromArray] = None
     tip: TipKind = "blunt"
     section: SectionKind = "round"
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
-    assumed: tuple[str, ...] = ()
-
-    @field_validator("profile_mm", "assumed", mode="before")
-    @classmethod
-    def _tuples(cls, value: Any) -> Any:
-        return as_tuple(value)
+    assumed: Annotated[tuple[str, ...], FromArray] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         for name in self.assumed:
             if name not in ("length_mm", "base_d_mm", "tip_d_mm", "profile_mm", *SECTION_KEYS):
                 raise Inconsistent("assumed", f"'{name}' is not a dimension of [probe]")
-        match self.shape:
-            case "cone":
-                self._check_cone()
-            case "cylinder":
-                self._check_cylinder()
-            case "profile":
-                self._check_profile()
+        if self.shape == "profile":
+            self._check_profile()
+        elif self.profile_mm is not None:
+            raise Inconsistent("profile_mm", 'is only for shape = "profile"; remove it or change the shape')
+        elif self.shape == "cylinder":
+            if self.tip_d_mm not in (None, self.base_d_mm):
+                raise Inconsistent(
+                    "tip_d_mm",
+                    f"= {self.tip_d_mm!r} differs from base_d_mm = {self.base_d_mm!r}; "
+                    "a cylinder has one diameter: leave it out",
+                )
+        elif self.tip_d_mm is None:
+            raise Inconsistent("tip_d_mm", f"is missing; a {self.shape} needs its tip diameter")
+        elif self.tip_d_mm > self.base_d_mm:
+            raise Inconsistent(
+                "tip_d_mm",
+                f"= {self.tip_d_mm!r} is wider than base_d_mm = {self.base_d_mm!r}; a {self.shape} tapers to its tip",
+            )
         self._check_section()
         self._check_tip()
         return self
-
-    def _check_cone(self) -> None:
-        if self.profile_mm is not None:
-            raise Inconsistent("profile_mm", 'is only for shape = "profile"; remove it or change the shape')
-        if self.tip_d_mm is None:
-            raise Inconsistent("tip_d_mm", "is missing; a cone needs its tip diameter")
-        if self.tip_d_mm > self.base_d_mm:
-            raise Inconsistent(
-                "tip_d_mm",
-                f"= {self.tip_d_mm!r} is wider than base_d_mm = {self.base_d_mm!r}; a cone tapers to its tip",
-            )
-
-    def _check_cylinder(self) -> None:
-        if self.profile_mm is not None:
-            raise Inconsistent("profile_mm", 'is only for shape = "profile"; remove it or change the shape')
-        if self.tip_d_mm is not None and self.tip_d_mm != self.base_d_mm:
-            raise Inconsistent(
-                "tip_d_mm",
-                f"= {self.tip_d_mm!r} differs from base_d_mm = {self.base_d_mm!r}; "
-                "a cylinder has one diameter: leave it out",
-            )
 
     def _check_profile(self) -> None:
         points = self.profile_mm
@@ -118,12 +122,15 @@ class ProbeTable(Table):
                 raise Inconsistent(
                     "profile_mm", f"pair {i + 1}: s = {s!r} does not increase after {points[i - 1][0]!r}"
                 )
-        first, last = points[0], points[-1]
-        self._check_equal("s of the first pair", first[0], "0", 0.0)
-        self._check_equal("s of the last pair", last[0], "length_mm", self.length_mm)
-        self._check_equal("the first diameter", first[1], "base_d_mm", self.base_d_mm)
-        if self.tip_d_mm is not None:
-            self._check_equal("the last diameter", last[1], "tip_d_mm", self.tip_d_mm)
+        (s0, d0), (s1, d1) = points[0], points[-1]
+        for what, value, key, wanted in (
+            ("s of the first pair", s0, "0", 0.0),
+            ("s of the last pair", s1, "length_mm", self.length_mm),
+            ("the first diameter", d0, "base_d_mm", self.base_d_mm),
+            ("the last diameter", d1, "tip_d_mm", d1 if self.tip_d_mm is None else self.tip_d_mm),
+        ):
+            if value != wanted:
+                raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {key} = {wanted!r}")
 
     def _check_section(self) -> None:
         for key, (section, needed) in SECTION_KEYS.items():
@@ -146,10 +153,6 @@ class ProbeTable(Table):
                 f'= "rounded" takes the last {height:g} mm and only {straight:g} mm are straight; '
                 f'at most {last[1] * straight / height:g} mm wide there, or tip = "blunt"',
             )
-
-    def _check_equal(self, what: str, value: float, name: str, wanted: float) -> None:
-        if value != wanted:
-            raise Inconsistent("profile_mm", f"{what} is {value!r}, it must equal {name} = {wanted!r}")
 
     @property
     def knots_mm(self) -> tuple[tuple[float, float], ...]:
@@ -212,17 +215,12 @@ class FlangeTable(Table):
 
     bolt: Literal["M4", "M5", "M6", "M8"]
     bolt_circle_d_mm: Millimetres
-    bolt_azimuths_deg: tuple[float, ...]
+    bolt_azimuths_deg: Annotated[tuple[float, ...], FromArray]
     max_bolt_entry_mm: Millimetres
     bolt_length_mm: Millimetres
     face_d_mm: Millimetres
-    pin_slot_mm: tuple[Millimetres, Millimetres] | None = None
-    spigot_mm: tuple[Millimetres, Millimetres] | None = None
-
-    @field_validator("bolt_azimuths_deg", "pin_slot_mm", "spigot_mm", mode="before")
-    @classmethod
-    def _tuples(cls, value: Any) -> Any:
-        return as_tuple(value)
+    pin_slot_mm: Annotated[tuple[Millimetres, Millimetres] | None, FromArray] = None
+    spigot_mm: Annotated[tuple[Millimetres, Millimetres] | None, FromArray] = None
 
     @model_validator(mode="after")
     def _bolted(self) -> Self:
@@ -236,13 +234,8 @@ class MountTable(Table):
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
-    gravity_base_m_s2: tuple[float, float, float] = (9.81, 0.0, 0.0)
+    gravity_base_m_s2: Annotated[tuple[float, float, float], FromArray] = (9.81, 0.0, 0.0)
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
-
-    @field_validator("gravity_base_m_s2", mode="before")
-    @classmethod
-    def _triple(cls, value: Any) -> Any:
-        return as_tuple(value)
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
@@ -315,13 +308,6 @@ class TolerancesTable(Table):
     tared: bool | None = None
 
 
-def as_tuple(value: Any) -> Any:
-    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
-    if not isinstance(value, list):
-        return value
-    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
-
-
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
@@ -368,12 +354,12 @@ class Design(Table):
     @property
     def resin(self) -> Resin:
         """Return the resin of `[material]`."""
-        return resin_named(self.material.resin)
+        return find(RESINS, self.material.resin, "material.resin")
 
     @property
     def sensor_model(self) -> SensorModel:
         """Return the sensor of `[sensor]`."""
-        return sensor_named(self.sensor.model)
+        return find(SENSORS, self.sensor.model, "sensor.model")
 
     @property
     def calibration(self) -> Calibration:
@@ -385,20 +371,20 @@ class Design(Table):
         """Return the robot flange of the catalog, or that of `[mount.flange]`."""
         custom = self.mount.flange
         if custom is None:
-            return robot_flange_named(self.mount.robot_flange)
+            return find(ROBOT_FLANGES, self.mount.robot_flange, "mount.robot_flange", CUSTOM)
         slot, spigot = (
-            None if pair is None else (pair[0] * MM, pair[1] * MM)
-            for pair in (custom.pin_slot_mm, custom.spigot_mm)
+            (pair[0] * MM, pair[1] * MM)
+            for pair in (custom.pin_slot_mm or (0, 0), custom.spigot_mm or (0, 0))
         )
-        return custom_flange(
-            custom.bolt, custom.bolt_circle_d_mm * MM, custom.bolt_azimuths_deg, custom.max_bolt_entry_mm * MM,
-            custom.bolt_length_mm * MM, custom.face_d_mm * MM, slot, spigot,
+        return RobotFlange(
+            CUSTOM, custom.bolt_circle_d_mm * MM, custom.bolt_azimuths_deg, custom.bolt, custom.max_bolt_entry_mm * MM,
+            custom.bolt_length_mm * MM, slot, spigot, custom.face_d_mm * MM, "design file, mount.flange",
         )  # fmt: skip
 
     @property
     def printer(self) -> Printer:
         """Return the printer of `[print]`."""
-        return printer_named(self.print_.printer)
+        return find(PRINTERS, self.print_.printer, "print.printer")
 
     @property
     def youngs_modulus(self) -> Quantity:
@@ -433,19 +419,19 @@ class Design(Table):
     def assumptions(self) -> tuple[str, ...]:
         """Return the keys whose values are assumed, each as `table.key`, for all reports."""
         dimensions = [f"probe.{key}" for key in self.probe.assumed]
-        quantities = {
-            "material.youngs_modulus_mpa": self.youngs_modulus,
-            "material.shear_modulus_mpa": self.shear_modulus,
-            "material.density_kg_m3": self.density,
+        material = {
+            "youngs_modulus_mpa": self.youngs_modulus,
+            "shear_modulus_mpa": self.shear_modulus,
+            "density_kg_m3": self.density,
         }
-        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/sensor_adapter.py).
+        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/adapters.py).
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)
         contact = ("contact.friction",) if friction.provenance == "assumed" and not free else ()
         return (
             *dimensions,
-            *(k for k, q in quantities.items() if q.provenance == "assumed"),
+            *(f"material.{key}" for key, q in material.items() if q.provenance == "assumed"),
             *root,
             *contact,
         )

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, max_chi2
-from probedesign.design.catalog.sensors import Noise
+from probedesign.design.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, Result
@@ -74,7 +74,9 @@ class Estimator:
         for name, value in (("force_N", force_N), ("moment_Nm", moment_Nm)):
             if not 0.0 < value < np.inf:
                 raise InputError(f"{name} = {value} must be positive and finite")
-        return Estimator(self.model.with_noise(Noise(float(force_N), float(moment_Nm))), self.tolerances)
+        return Estimator(
+            self.model.with_noise(Noise.isotropic(float(force_N), float(moment_Nm))), self.tolerances
+        )
 
     def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
         """Return the estimator with other tolerances.

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
-from probedesign.design.catalog.materials import ELASTIC_FRICTION, Provenance, Quantity
-from probedesign.design.catalog.sensors import Noise
+from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.sensors import NANO17, Noise
 from probedesign.geometry import Flange
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import MassProperties
@@ -40,7 +40,7 @@ class ProbeModel:
         payload: mass properties of the rigid parts on the sensor below s = 0 (flange, adapter, screws), in the sensor
             frame.
         wrench_range: largest reading of each channel [N, N·m], (6,).
-        noise: standard deviations of one reading, the mean of averaging_samples samples.
+        noise: covariance of one reading, the mean of averaging_samples samples.
         averaging_samples: how many the noise is counted for.
         material: E, G and density with where they come from.
         assumptions: what of the design is assumed, for every report.
@@ -52,6 +52,7 @@ class ProbeModel:
             t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
         friction_provenance, friction_source: where the friction comes from.
         resin: name of the resin, for the sources of the tolerances; empty if unknown.
+        sensor: name of the sensor, for its shape in the view.
     """
 
     name: str
@@ -74,6 +75,7 @@ class ProbeModel:
     friction_provenance: Provenance = ELASTIC_FRICTION.provenance
     friction_source: str = ELASTIC_FRICTION.source
     resin: str = ""
+    sensor: str = NANO17.name
 
     def __post_init__(self) -> None:
         """Raises InputError where the friction is negative or not a number."""
@@ -137,7 +139,7 @@ class ProbeModel:
     @cached_property
     def _noise_base(self) -> Array:
         X = self._base_from_sensor
-        return np.asarray(X @ self.noise.covariance() @ X.T, dtype=float)
+        return np.asarray(X @ self.noise.cov @ X.T, dtype=float)
 
     @cached_property
     def whiten(self) -> Array:
@@ -174,7 +176,7 @@ moment, the misfit of a sensor that reads zero, and the mean's whitening."""
 @kernel
 def observe(
     window: Array, gravity: Array, free: Array, mass: float, sensor_from_base: Array, payload: Array, limit: Array,
-    whiten: Array, force_noise: float, moment_noise: float, found: Any,
+    whiten: Array, std: Array, found: Any,
 ) -> bool:  # fmt: skip
     """Evaluate a window of readings.
 
@@ -186,7 +188,7 @@ def observe(
         sensor_from_base: map of wrenches, (6, 6); payload: its wrench on the sensor, by gravity, (6, 3).
         limit: saturation limit of each channel, (6,).
         whiten: of one reading, lower triangular, (6, 6).
-        force_noise, moment_noise: standard deviations of one reading's channels [N], [N·m].
+        std: standard deviation of each channel of one reading [N, N·m], (6,).
         found: filled, OBSERVATION, (1,).
 
     Returns:
@@ -214,7 +216,7 @@ def observe(
             reading += sensor_from_base[i, j] * row.wrench[j]
         for j in range(3):
             reading += payload[i, j] * gravity[j]
-        sensor_chi2 += n * (reading / (force_noise if i < 3 else moment_noise)) ** 2
+        sensor_chi2 += n * (reading / std[i]) ** 2
         off = 0.0
         for j in range(6):
             row.whiten[i, j] = root * whiten[i, j]
@@ -268,7 +270,7 @@ class Observation:
         """
         found = np.empty(1, dtype=OBSERVATION)
         if not observe(
-            window, gravity, free, model.mass, *model.observation_map, model.noise.force, model.noise.moment, found
+            window, gravity, free, model.mass, *model.observation_map, model.noise.std, found
         ):  # fmt: skip
             return None
         row, readings = found[0], len(window)

@@ -7,7 +7,7 @@ from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
-from probedesign.design.catalog.materials import RESINS
+from probedesign.design.catalog import RESINS
 from probedesign.estimation.model import ProbeModel
 
 IDENTIFIED = 0.005

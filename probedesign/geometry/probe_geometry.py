@@ -121,13 +121,17 @@ FLANGE_THICKNESS = 3.0 * MM
 """Thickness of the flange [m]: twice the 1.5 mm that Elastic 50A requires of a feature, to be clamped (assumed)."""
 FLANGE_LIP = 3.5 * MM
 """Radial width under the clamp ring [m] (assumed)."""
-FLANGE_MIN_D = 17.0 * MM
-"""Smallest diameter of the flange [m]: the body of the Nano17, so that one adapter serves all thin probes."""
 
 
-def flange_for(base_d: float) -> Flange:
-    """Return the flange of a probe of that base diameter [m]."""
-    return Flange(max(base_d + 2 * FLANGE_LIP, FLANGE_MIN_D), FLANGE_THICKNESS)
+def flange_for(base_d: float, min_d: float) -> Flange:
+    """Return the flange of a probe of that base diameter [m].
+
+    Args:
+        base_d: of the probe.
+        min_d: of the flange: the sensor's tool face, so that one adapter serves all thin probes and the flange covers
+            the screws into the sensor.
+    """
+    return Flange(max(base_d + 2 * FLANGE_LIP, min_d), FLANGE_THICKNESS)
 
 
 def build_geometry(design: "Design") -> ProbeGeometry:
@@ -137,7 +141,7 @@ def build_geometry(design: "Design") -> ProbeGeometry:
     return ProbeGeometry(
         knots[:, 0],
         radius,
-        flange_for(2.0 * float(radius[0])),
+        flange_for(2.0 * float(radius[0]), design.sensor_model.interface.tool.face_d),
         design.probe.cross_section,
         None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
     )

@@ -17,7 +17,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MPA
 from probedesign.design import Design
-from probedesign.design.edit import Change
+from probedesign.design.io import Change
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import ASSUMED_STIFFNESS, IDENTIFIED, Tolerances
 from probedesign.identification import result

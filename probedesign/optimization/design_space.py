@@ -19,7 +19,7 @@ from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
 from probedesign.optimization.objective import Task, predict_task, side_of
 from probedesign.prediction.predict import tip_sag
-from probedesign.printing import rules as limits
+from probedesign.printing import check as limits
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
@@ -156,8 +156,8 @@ class DesignSpace:
             rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
             rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
         if self.controls > 2:
-            passage = max_ring_passage_d(flange_for(d[0] * MM))
-            rules["room for the clamp ring"] = (passage / MM - d) / limits.MIN_THICKNESS
+            flange = flange_for(d[0] * MM, self.start.sensor_model.interface.tool.face_d)
+            rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
         spare = _ROUNDING_MARGIN if "section" in self.free else 0.0

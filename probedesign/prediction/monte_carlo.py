@@ -261,8 +261,8 @@ class MonteCarloPlan:
         """Return the hash of the plan, twelve hex digits."""
         model, rod = self.model, self.model.rod
         numbers = [*rod.body, rod.rigid_length, model.gravity_base, model.T_sensor_base, model.wrench_range,
-                   model.noise.force, model.noise.moment, model.averaging_samples, model.payload.mass,
-                   model.payload.p_com]  # fmt: skip
+                   *((model.noise.force, model.noise.moment) if model.noise.is_isotropic else model.noise.cov),
+                   model.averaging_samples, model.payload.mass, model.payload.p_com]  # fmt: skip
         text = json.dumps([[np.asarray(n, dtype=float).ravel().tolist() for n in numbers], rod.rounded_from,
                            rod.factors, asdict(self.tolerances), self.draws, self.seed,
                            asdict(self.pressing), model.friction, 3])  # fmt: skip

@@ -19,7 +19,7 @@ from scipy.stats import spearmanr
 
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.catalog.materials import ELASTIC_50A
+from probedesign.design.catalog import ELASTIC_50A
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances

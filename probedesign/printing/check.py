@@ -1,29 +1,334 @@
-"""Check that a design can be printed, and scale its parts for the print.
+"""Print check: rules with the sources of their limits, their findings on all parts, and scale compensation.
 
-The check applies every rule to every part before anything is drawn. Scale compensation enlarges printed parts by their
-shrinkage. It changes only the files to print: not the mechanics, the fingerprint, the STEP file or the check of the
-drawn parts.
+The check applies every rule to every part before anything is drawn. Lengths [mm], angles from the horizontal [deg].
+Formlabs' published limits were measured on a Form 2 with rigid resin. Nothing is published for soft resin: twice the
+rigid resin's figure is taken as good, the figure itself as the minimum.
+
+Scale compensation enlarges printed parts by their shrinkage. It changes only the files to print: not the mechanics, the
+fingerprint, the STEP file or the check of the drawn parts.
 """
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
+from probedesign.design.catalog import M2, PRINTERS, Printer
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
-from probedesign.printing.rules import (
-    BUILD_VOLUME,
-    LAYER,
-    MOUNT,
-    Finding,
-    flange_findings,
-    mount_findings,
-    part_fits,
-    probe_findings,
-    probe_fits,
+from probedesign.mount.adapters import PEG_D
+from probedesign.mount.engraving import XY
+
+Severity = Literal["ok", "warning", "error"]
+Confidence = Literal["high", "medium", "low"]
+Bound = Literal["at least", "at most"]
+ROUNDING = 1e-9
+"""Relative tolerance: sums such as 1.75 - 1.05 are off in the sixteenth digit."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The result of one rule on one part.
+
+    Attributes:
+        rule: name of the rule.
+        part: of the export.
+        severity: `error` is not expected to print; `warning` may fail or print badly.
+        what: the measured feature.
+        measured: its value in `unit`; None where the part could not be laid out.
+        limit: the value it is compared with.
+        bound: the side of the limit on which it must lie.
+        unit: mm, deg or 1.
+        remedy: the nearest change that meets the limit; empty if the finding is ok.
+        source: of the limit.
+        confidence: in the limit.
+    """
+
+    rule: str
+    part: str
+    severity: Severity
+    what: str
+    measured: float | None
+    limit: float | None
+    bound: Bound
+    unit: str
+    remedy: str
+    source: str
+    confidence: Confidence
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the finding as a dictionary for JSON and the manifest; numbers to a nanometre."""
+        record = {key: value for key, value in vars(self).items() if value != ""}
+        numbers = {key: record[key] for key in ("measured", "limit")}
+        rounded = {key: None if value is None else round(value, 6) for key, value in numbers.items()}
+        return record | rounded | {"message": self.message}
+
+    @property
+    def message(self) -> str:
+        """Return one line: part, value, limit, remedy."""
+        if self.measured is None or self.limit is None:
+            return f"{self.part}: {self.what}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        numbers = f"{self.measured:.4g}{unit}, required {self.bound} {self.limit:.4g}{unit}"
+        return f"{self.part}: {self.what}: {numbers}{f'; {self.remedy}' if self.remedy else ''}"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule with the source of its limits and the confidence in them."""
+
+    name: str
+    unit: str
+    source: str
+    confidence: Confidence
+
+    def at_least(
+        self, part: str, what: str, measured: float, good: float, bad: float | None = None, remedy: str = ""
+    ) -> Finding:
+        """Return a warning below `good` and an error below `bad`; without `bad` an error below `good`."""
+        worst = good if bad is None else bad
+        room = ROUNDING * max(abs(good), abs(worst))
+        severity: Severity = "ok" if measured >= good - room else "warning"
+        if measured < worst - room:
+            return self._finding(part, what, measured, worst, "at least", "error", remedy)
+        return self._finding(part, what, measured, good, "at least", severity, remedy)
+
+    def at_most(self, part: str, what: str, measured: float, bad: float, remedy: str = "") -> Finding:
+        """Return an error above `bad`."""
+        severity: Severity = "error" if measured > bad + ROUNDING * abs(bad) else "ok"
+        return self._finding(part, what, measured, bad, "at most", severity, remedy)
+
+    def impossible(self, part: str, what: str) -> Finding:
+        """Return an error without a number; `what` is the whole message."""
+        return self._finding(part, what, None, None, "at most", "error", "")
+
+    def _finding(
+        self, part: str, what: str, measured: float | None, limit: float | None, bound: Bound, severity: Severity,
+        remedy: str,
+    ) -> Finding:  # fmt: skip
+        remedy = "" if severity == "ok" else remedy
+        return Finding(
+            self.name, part, severity, what, measured, limit, bound, self.unit, remedy, self.source, self.confidence
+        )  # fmt: skip
+
+
+GUIDE = "Formlabs' design guide, Form 2, rigid resin"
+DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
+
+LAYER = 0.1
+"""Elastic 50A has no other layer height. Source: PreForm's list of materials."""
+
+RAFT_THICKNESS = 2.0
+HEIGHT_ABOVE_RAFT = 5.0
+RAFT_MARGIN = 5.0
+SUPPORT_HEIGHT = RAFT_THICKNESS + HEIGHT_ABOVE_RAFT
+"""Raft and supports below the base and around it (assumed); `print` requests the first two from PreForm."""
+PLATFORM_SETUP = (
+    f"raft {RAFT_THICKNESS:g} mm, supports {HEIGHT_ABOVE_RAFT:g} mm, margin {RAFT_MARGIN:g} mm (assumed)"
 )
+
+SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
+"""Formlabs' limits for rigid resin: wall supported on two or more sides, wall supported on one side, open hole."""
+SOFT_FACTOR = 2.0
+"""Factor on these three for soft resin (assumed)."""
+MIN_THICKNESS = 1.5
+"""Minimum thickness of an unsupported part of soft resin (assumed)."""
+GOOD_SLENDERNESS, MIN_SLENDERNESS = 0.05, 0.025
+"""Diameter over the height above it: vertical wires print from Ø0.3 (7 mm tall) to Ø1.5 (30 mm tall)."""
+MIN_OVERHANG, MIN_SOFT_OVERHANG = 19.0, 45.0
+MIN_DRAIN_D = 3.5
+
+BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
+SLENDERNESS = Rule(
+    "slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low"
+)
+SMALLEST_FEATURE = Rule("smallest_feature", "mm", "assumed: nothing is published for soft resin", "low")
+WALL = Rule("wall", "mm", GUIDE, "medium")
+SOFT_WALL = Rule("wall", "mm", DOUBLED, "low")
+OPEN_HOLE = Rule("hole", "mm", GUIDE, "medium")
+SOFT_HOLE = Rule("hole", "mm", DOUBLED, "low")
+NO_OVERHANG = Rule(
+    "overhang", "deg", f"{GUIDE}; a warning below {MIN_SOFT_OVERHANG:g} for soft resin (assumed)", "low"
+)
+TRAPPED_VOLUME = Rule("trapped_volume", "mm", f"drain hole of {GUIDE}", "medium")
+MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
+
+
+def size_findings(
+    part: str, printer: Printer, width: float, height: float, remedy: str = ""
+) -> list[Finding]:
+    """Return the findings on width and height [mm] of a part, as printed.
+
+    Args:
+        part: of the export.
+        printer: of the design.
+        width, height: of the part without raft and supports.
+        remedy: against the height, besides a larger printer.
+    """
+    width, height = width + 2 * RAFT_MARGIN, height + SUPPORT_HEIGHT
+    larger = "it fits no known printer"
+    for other in sorted(PRINTERS.values(), key=lambda one: math.prod(one.build_volume_mm)):
+        x, y, z = other.build_volume_mm
+        if width <= min(x, y) and height <= z:
+            larger = f"it fits a {other.name}"
+            break
+    x, y, z = printer.build_volume_mm
+    remedies = "; ".join(filter(None, (remedy, larger)))
+    return [
+        BUILD_VOLUME.at_most(part, "width with its raft", width, min(x, y), larger),
+        BUILD_VOLUME.at_most(part, "height with its supports", height, z, remedies),
+    ]
+
+
+def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
+    """Return the findings on the flexible part above the flange, as drawn."""
+    section, part = geometry.cross_section, "probe"
+    s, d = geometry.s / MM, 2.0 * geometry.radius / MM
+    thin, bore_ratio = section.flatness * d, section.bore_ratio
+    flank = s <= geometry.flank_end / MM  # a rounded tip is not a wire
+    i = int(np.argmin(thin[flank]))
+    findings = [
+        SMALLEST_FEATURE.at_least(
+            part, f"minimum thickness, at s = {s[i]:g} mm", float(thin[i]), MIN_THICKNESS,
+            remedy=f"make it {MIN_THICKNESS:g} mm there",
+        )
+    ]  # fmt: skip
+    # Each knot's diameter over the height above it; between knots the ratio has no minimum.
+    height = s[-1] - s[:-1]
+    ratio = thin[:-1] / height
+    i = int(np.argmin(ratio))
+    wanted = math.ceil(10 * GOOD_SLENDERNESS * height[i]) / 10
+    findings.append(SLENDERNESS.at_least(
+        part, f"diameter at s = {s[i]:g} mm over the {height[i]:g} mm above it", float(ratio[i]),
+        GOOD_SLENDERNESS, MIN_SLENDERNESS,
+        f"make it {wanted:g} mm there, or {thin[i] / GOOD_SLENDERNESS:.3g} mm of length above it",
+    ))  # fmt: skip
+    # The flattest downward surface: outside where the body widens, inside a bore where it narrows.
+    rise, out = np.diff(s), np.diff(d) / 2.0
+    angle = np.degrees(np.arctan2(rise, np.maximum(out, -bore_ratio * out).clip(0.0)))
+    i = int(np.argmin(angle))
+    limit = 2.0 * rise[i] / (1.0 if out[i] >= 0.0 else bore_ratio or 1.0)  # 45 degrees
+    findings.append(NO_OVERHANG.at_least(
+        part, f"surface from s = {s[i]:g} to {s[i + 1]:g} mm that faces down, angle to the horizontal",
+        float(angle[i]), MIN_SOFT_OVERHANG, MIN_OVERHANG,
+        f"change the diameter by at most {limit:.3g} mm there, or supports must be placed on it",
+    ))  # fmt: skip
+    if not section.hollow:
+        return findings
+    i = int(np.argmin(d))
+    wall, bore, at = (1.0 - bore_ratio) * float(d[i]) / 2.0, bore_ratio * float(d[i]), f"at s = {s[i]:g} mm"
+    return [
+        *findings,
+        SOFT_WALL.at_least(part, f"wall {at}", wall, SOFT_FACTOR * SUPPORTED_WALL, SUPPORTED_WALL,
+                           "take a smaller bore_ratio or a wider tip"),
+        SOFT_HOLE.at_least(part, f"bore {at}", bore, SOFT_FACTOR * MIN_HOLE_D, MIN_HOLE_D,
+                           "take a larger bore_ratio or a wider tip"),
+        TRAPPED_VOLUME.at_least(part, f"bore {at}, as a drain hole", bore, MIN_DRAIN_D, 0.0,
+                                "flush it with a syringe before curing"),
+    ]  # fmt: skip
+
+
+def flange_findings(adapter: SensorAdapter) -> list[Finding]:
+    """Return the findings on the flange with its clocking hole."""
+    flange, hole, part = adapter.flange, adapter.peg_hole_d, "probe"
+    web = (flange.diameter / 2 - adapter.peg_x - hole / 2) / MM
+    return [
+        SOFT_WALL.at_least(part, "flange thickness", flange.thickness / MM, SOFT_FACTOR * UNSUPPORTED_WALL,
+                           UNSUPPORTED_WALL, "make it thicker"),
+        SOFT_WALL.at_least(part, "flange between the clocking hole and its rim", web, SOFT_FACTOR * SUPPORTED_WALL,
+                           SUPPORTED_WALL, "inspect it after washing: it may tear or close"),
+        SOFT_HOLE.at_least(part, "clocking hole in the flange", hole / MM, SOFT_FACTOR * MIN_HOLE_D, MIN_HOLE_D,
+                           "open it with a hand drill"),
+    ]  # fmt: skip
+
+
+def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
+    """Return the findings on the rigid parts, as drawn."""
+    screw, slot = plate.mounting.screw, plate.robot.pin_slot[0]
+    bolt_hole = {"bolt hole": plate.robot.screw.clearance_d} | ({"pin slot": slot} if slot > 0.0 else {})
+    parts = {
+        "sensor_adapter": (_adapter_walls(a), {"screw hole": M2.clearance_d, "dowel hole": a.dowel_d}),
+        "clamp_ring": (_ring_walls(a), {"screw hole": M2.clearance_d}),
+        "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d} | bolt_hole),
+    }
+    findings = [SLENDERNESS.at_least(
+        "sensor_adapter", "clocking peg, diameter over height", PEG_D / (a.peg_top - a.floor), GOOD_SLENDERNESS,
+        remedy="make it thicker",
+    )]  # fmt: skip
+    for part, (walls, holes) in parts.items():
+        for what, thickness, limit in walls:
+            findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
+        for what, d in holes.items():
+            findings.append(OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider"))
+    return findings
+
+
+Walls = list[tuple[str, float, float]]
+"""Thin features: name, thickness [m] and its limit [mm]."""
+
+
+def _adapter_walls(a: SensorAdapter) -> Walls:
+    ring, rim, recess = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2
+    pocket = a.nut_pocket_af / math.sqrt(3.0)  # to its corners
+    tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
+    walls = [
+        ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
+        ("between ring screw and recess", ring - M2.clearance_d / 2 - recess, SUPPORTED_WALL),
+        ("between nut pocket and rim", rim - ring - pocket, UNSUPPORTED_WALL),
+    ]
+    if ring - pocket < recess:  # the pocket extends below the recess
+        walls.append(("between nut pocket and recess", a.floor - a.nut_pocket_top, SUPPORTED_WALL))
+    return [
+        *walls,
+        (
+            "between sensor screw and edge of the foot",
+            foot - tool - a.tool.screw.clearance_d / 2,
+            UNSUPPORTED_WALL,
+        ),
+        ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, UNSUPPORTED_WALL),
+        ("over a dowel hole", a.floor - a.dowel_depth, SUPPORTED_WALL),
+        ("under the heads of the sensor screws", a.tool.grip, SUPPORTED_WALL),
+    ]
+
+
+def _ring_walls(a: SensorAdapter) -> Walls:
+    ring, hole = _reach(a.p_ring_screws), M2.clearance_d / 2
+    return [
+        ("thickness", a.ring_thickness, UNSUPPORTED_WALL),
+        ("between screw hole and rim", a.body_d / 2 - ring - hole, UNSUPPORTED_WALL),
+        ("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, UNSUPPORTED_WALL),
+    ]
+
+
+def _plate_walls(p: FlangeAdapter) -> Walls:
+    robot, rim, pad, screw = p.robot, p.plate_d / 2, p.pad_d / 2, p.mounting.screw
+    bolts, screws = _reach(p.p_bolts), _reach(p.p_mounting_screws)
+    width, length = robot.pin_slot
+    slot = rim - math.hypot(bolts + length / 2, width / 2)
+    spigot = robot.spigot[0] / 2 - screws - screw.counterbore_d / 2
+    return [
+        ("thickness", p.plate_top, UNSUPPORTED_WALL),
+        ("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, UNSUPPORTED_WALL),
+        *([("between pin slot and rim", slot, UNSUPPORTED_WALL)] if width > 0.0 else []),
+        ("between sensor screw and edge of the pad", pad - screws - screw.clearance_d / 2, UNSUPPORTED_WALL),
+        *(
+            [("between a head's room and edge of the spigot", spigot, SUPPORTED_WALL)]
+            if robot.spigot[0] > 0.0
+            else []
+        ),
+        ("under the heads of the sensor screws", p.mounting.grip, SUPPORTED_WALL),
+    ]
+
+
+def _reach(points: Iterable[XY]) -> float:
+    """Return the distance of equal features from the axis [m]; 0 without any."""
+    return max((math.hypot(*p) for p in points), default=0.0)
+
 
 AS_DRAWN = (1.0, 1.0, 1.0)
 
@@ -63,20 +368,23 @@ class PrintCheck:
     findings: tuple[Finding, ...]
     advice: tuple[str, ...]
 
+    def _of(self, severity: Severity) -> list[Finding]:
+        return [finding for finding in self.findings if finding.severity == severity]
+
     @property
     def errors(self) -> list[Finding]:
         """Return the findings that are not expected to print."""
-        return [f for f in self.findings if f.severity == "error"]
+        return self._of("error")
 
     @property
     def warnings(self) -> list[Finding]:
         """Return the findings that may fail or print badly."""
-        return [f for f in self.findings if f.severity == "warning"]
+        return self._of("warning")
 
     @property
     def passed(self) -> list[Finding]:
         """Return the findings that meet their limit."""
-        return [f for f in self.findings if f.severity == "ok"]
+        return self._of("ok")
 
     @property
     def fits(self) -> bool:
@@ -99,45 +407,37 @@ class PrintCheck:
 
 def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
-    geometry = build_geometry(design)
+    geometry, printer = build_geometry(design), design.printer
     findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
     plate = flange_adapter_for(design.sensor_model, design.robot_flange)
     try:
-        adapter = sensor_adapter_for(geometry, design.sensor_model)
+        a = sensor_adapter_for(geometry, design.sensor_model)
     except InputError as error:
         findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:
-        findings += [*flange_findings(adapter), *mount_findings(adapter, plate)]
-        findings += _rigid_sizes(design, adapter, plate)
-    return PrintCheck(
-        design.name, geometry.fingerprint, design.printer.name, design.resin.name, tuple(findings), _advice(design)
-    )  # fmt: skip
-
-
-def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
-    sx, _, sz = print_scale(design, "probe")
-    width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max()))
-    below, length = geometry.flange.thickness / MM, geometry.length / MM
-    return probe_fits(design.printer, sx * width / MM, below, length, sz)
-
-
-def _rigid_sizes(design: Design, a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
-    sx, _, sz = print_scale(design, "rigid parts")
-    sizes = {
-        "sensor_adapter": (a.body_d, a.body_top),
-        "clamp_ring": (a.body_d, a.ring_thickness),
-        "flange_adapter": (plate.plate_d, plate.pad_top + plate.robot.spigot[1]),
-    }
-    findings = []
-    for part, (width, height) in sizes.items():
-        findings += part_fits(part, design.printer, sx * width / MM, sz * height / MM)
-    return findings
-
-
-def _advice(design: Design) -> tuple[str, ...]:
-    return (
+        findings += [*flange_findings(a), *mount_findings(a, plate)]
+        sx, _, sz = print_scale(design, "rigid parts")
+        for part, width, height in (
+            ("sensor_adapter", a.body_d, a.body_top),
+            ("clamp_ring", a.body_d, a.ring_thickness),
+            ("flange_adapter", plate.plate_d, plate.pad_top + plate.robot.spigot[1]),
+        ):
+            findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
+    advice = (
         f"print it upright on its flange, {LAYER:g} mm layers, supports below the flange only",
         design.resin.cure,
         "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
         "measure its diameters after curing: they determine its stiffness",
     )
+    return PrintCheck(
+        design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice
+    )  # fmt: skip
+
+
+def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
+    (sx, _, sz), printer = print_scale(design, "probe"), design.printer
+    width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
+    below = geometry.flange.thickness / MM
+    longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / sz - below
+    remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 else ""
+    return size_findings("probe", printer, sx * width, sz * (below + geometry.length / MM), remedy)

@@ -98,7 +98,7 @@ def safe_force(rod: Rod) -> float:
 
 def reading_std(model: ProbeModel) -> Array:
     """Return the standard deviations of one reading, the mean of `averaging_samples` samples [N, N·m], (6,)."""
-    return np.asarray(np.sqrt(np.diag(model.noise.covariance())))
+    return model.noise.std
 
 
 def sample_std(model: ProbeModel) -> Array:

@@ -23,12 +23,10 @@ from PIL import Image
 from probedesign.cad.assembly_docs import RESIN_PRESSURE, assembly_page, bill_of_materials, hand_torque
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.mesh import platform_positions, read_back
-from probedesign.cad.model import CadModel, build_cad, overlaps
+from probedesign.cad.model import CadModel, build_cad, clamp_ring_solid, overlaps
 from probedesign.cad.part_drawings import part_drawings
-from probedesign.cad.parts import clamp_ring_solid
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
-from probedesign.cad.sheet import FRONT, HEIGHT, WIDTH, cut, seen
-from probedesign.cad.svg import Svg
+from probedesign.cad.sheet import FRONT, HEIGHT, WIDTH, Svg, cut, seen
 from probedesign.core.frames import pose
 from probedesign.design import Design
 from probedesign.mount.engraving import Engraving
@@ -63,14 +61,13 @@ def test_the_bill_lists_every_part(exported: Exported, large: CadModel) -> None:
 
 def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
     """Torque over diameter and nut factor is the preload; it presses the ring under the head."""
-    robot = large.plate.robot
     for use in large.screws:
-        d, hole = (2e-3, 2.4e-3) if use.screw.thread == "M2" else (6e-3, robot.bolt_clearance_d)
-        preload = hand_torque(use, robot) / (0.2 * d)
+        d, hole = (2e-3, 2.4e-3) if use.screw.thread == "M2" else (6e-3, 6.6e-3)
+        preload = hand_torque(use) / (0.2 * d)
         pressure = preload / (np.pi / 4 * (use.screw.head_d**2 - hole**2))
         assert 0.5 * RESIN_PRESSURE < pressure <= RESIN_PRESSURE  # one digit, rounded down
-    # A tenth of what M2 in steel takes, 0.3 N·m: nobody may look it up in a table for steel.
-    assert hand_torque(large.screws[0], robot) < 0.1
+    # A tenth of what M2 in steel takes, 0.3 N·m: a table for steel does not apply.
+    assert hand_torque(large.screws[0]) < 0.1
 
 
 # ---- order of assembly
@@ -80,7 +77,9 @@ def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None
     exploded = [name for move in EXPLOSION for name in move.parts]
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
     assert {
-        name for step in assembly_steps(large.screws, large.plate.robot.pin_d) for name in step.parts
+        name
+        for step in assembly_steps(large.screws, large.adapter.dowels, large.plate.robot.pin_d)
+        for name in step.parts
     } == set(exploded)
 
 

@@ -27,7 +27,7 @@ from probedesign.frozen_probe import freeze
 from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
-from probedesign.printing.preform.job import load_job
+from probedesign.printing.preform_job import load_job
 from probedesign.probe import build_probe
 
 FILES = {
@@ -218,7 +218,7 @@ def test_print_accepts_the_export(exported: Exported, make_design: Callable[...,
 def test_exports_are_reproducible(exported: Exported, tmp_path: Path) -> None:
     """In another process, with another seed of Python's hashes; STEP and 3MF alone carry the time.
 
-    And it says nothing on stdout, which `--json` owns: the kernel likes to chat.
+    Nothing else is printed on stdout, which is reserved for `--json`: the kernel would print there.
     """
     code = (
         "from pathlib import Path; from tests.cad.conftest import design_of;"

@@ -1,4 +1,4 @@
-"""The drawn parts, asked by points, slices and overlaps; no drawing code is trusted to check itself."""
+"""The drawn parts, checked by points, slices and overlaps, independently of the drawing code."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,14 +12,29 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import cadquery as cq
 
 from probedesign.cad.exploded_view import assembly_steps
+from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh, tessellate, threemf_packages
-from probedesign.cad.model import IN_SENSOR_FRAME, CadModel, CadPart, build_cad, overlaps
-from probedesign.cad.parts import probe_solid
+from probedesign.cad.model import (
+    FASTENERS,
+    IN_SENSOR_FRAME,
+    CadModel,
+    CadPart,
+    build_cad,
+    build_parts,
+    overlaps,
+    probe_solid,
+    screw_groups,
+)
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
+from probedesign.design.catalog import SCREWS
 from probedesign.design.io import render_design
+from probedesign.design.sensors import NANO17, ScrewPattern
+from probedesign.geometry import flange_for
+from probedesign.geometry.mass import combined
+from probedesign.mount import flange_adapter_for, mount_part_masses, sensor_adapter_for
 from probedesign.mount.engraving import Engraving
 
 Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
@@ -79,10 +94,36 @@ def test_tool_side_has_no_hole_of_the_mounting_side(large: CadModel, azimuth: fl
     assert filled(large.parts["sensor_adapter"].shape, at(azimuth, 6.25, 1.5))
 
 
+def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -> None:
+    """A wider tool face, larger screws and another dowel circle: solids, screws and pins follow the interface."""
+    nano, screw = NANO17.interface, SCREWS["M4"]
+    tool = ScrewPattern(30e-3, 20e-3, (60.0, 180.0, 300.0), screw, min_entry=4e-3, max_entry=6e-3)
+    dowels = replace(nano.dowels, circle_d=20e-3, diameter=3e-3, pin_length=8e-3)
+    interface = replace(nano, body_d=40e-3, tool=tool, mounting=replace(tool, face_d=40e-3), dowels=dowels)
+    geometry = replace(large.geometry, flange=flange_for(12e-3, tool.face_d))
+    a = sensor_adapter_for(geometry, replace(NANO17, interface=interface))
+    assert (tool.length, tool.grip) == (pytest.approx(8e-3), pytest.approx(3e-3))
+    assert a.floor == pytest.approx(tool.grip + screw.head_height + 0.2e-3)
+    plate = flange_adapter_for(
+        replace(NANO17, interface=interface), replace(large.plate.robot, bolt_circle_d=70e-3)
+    )
+    parts = build_parts(geometry, 1010.0, interface, a, plate, screw_groups(a, plate))
+    assert max(overlaps(parts).values()) == 0.0
+    bodies = mount_part_masses(geometry, a, 1010.0)
+    for name, drawn in {
+        "sensor_adapter": [parts["sensor_adapter"]],
+        "clamp_ring": [parts["clamp_ring"]],
+        "fasteners": [parts[name] for name in FASTENERS],
+    }.items():
+        whole = combined(mass_properties(part.placed, part.density) for part in drawn)
+        assert whole.mass == pytest.approx(bodies[name].mass, rel=1e-9)
+        assert whole.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
+
+
 def test_dowel_holes_are_blind(large: CadModel) -> None:
     adapter = large.parts["sensor_adapter"].shape
     for azimuth in (0, 120):
-        assert not filled(adapter, at(azimuth, 6.25, 2.9))  # 3 mm of a 6 mm pin stand out of the sensor
+        assert not filled(adapter, at(azimuth, 6.25, 2.9))  # 3 mm of a 6 mm pin protrude from the sensor
         assert filled(adapter, at(azimuth, 6.25, 3.5))
     assert filled(adapter, at(240, 6.25, 1.0))
 
@@ -101,7 +142,7 @@ def test_clocking_is_at_plus_x_only(large: CadModel) -> None:
 
 @pytest.mark.parametrize("turn_deg", [120.0, 240.0])
 def test_dowels_fix_the_turn_of_the_adapter(large: CadModel, turn_deg: float) -> None:
-    """The tool side's screws repeat every 120°; turned so, a pin would stand on the sensor's face."""
+    """The tool side's screws repeat every 120°; turned so, a pin would press on the sensor's face."""
     turn = pose(rotation_z(np.radians(turn_deg)))
     pins, sensor = large.parts["dowel_pins"], large.parts["sensor"]
     turned = replace(pins, T_sensor_part=turn @ pins.T_sensor_part)
@@ -136,7 +177,7 @@ def test_the_peg_fixes_the_turn_of_the_probe(large: CadModel, turn_deg: float) -
 
 
 def test_nothing_wide_reaches_below_the_tool_face(large: CadModel) -> None:
-    foot_r = 1e3 * large.design.sensor_model.body_d / 2
+    foot_r = 1e3 * large.design.sensor_model.interface.body_d / 2
     adapter = large.parts["sensor_adapter"].shape
     assert adapter.BoundingBox().zmin == pytest.approx(0.0, abs=1e-6)  # the kernel pads boxes by 1e-7 mm
     for azimuth in np.arange(0, 360, 15):  # half a millimetre of air beside the body
@@ -270,7 +311,7 @@ def test_a_longer_screw_is_refused(large: CadModel) -> None:
 
 
 def ways(model: CadModel, **moved: CadPart) -> dict[str, float]:
-    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter, model.design.sensor_model)
+    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter)
 
 
 def test_all_assembly_corridors_are_free(large: CadModel) -> None:
@@ -280,7 +321,7 @@ def test_all_assembly_corridors_are_free(large: CadModel) -> None:
 
 
 def test_a_covered_screw_is_detected(large: CadModel) -> None:
-    """The ring a screw's width aside; a plate held over everything."""
+    """The ring a screw's width aside; a plate above everything."""
     ring, plate = large.parts["clamp_ring"], large.parts["flange_adapter"]
     aside = replace(ring, T_sensor_part=pose(p=[2e-3, 0.0, 0.0]) @ ring.T_sensor_part)
     assert ways(large, clamp_ring=aside)["ring_screws"] > 0.0
@@ -290,7 +331,7 @@ def test_a_covered_screw_is_detected(large: CadModel) -> None:
 
 def test_every_part_is_mounted_onto_a_present_part(large: CadModel) -> None:
     present = {"sensor", "sensor_adapter"}  # the adapter is prepared on the bench
-    for step in assembly_steps(large.screws, 0.0):
+    for step in assembly_steps(large.screws, large.adapter.dowels, 0.0):
         for move in step.moves:
             assert move.onto in present
             present |= set(move.parts)
@@ -325,7 +366,7 @@ def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], prob
     model = build_cad(make_design(probe))
     findings = verify(model, *meshed(model))
     assert all(f["ok"] for f in findings.values())
-    # The promise is 1e-9; the kernel is known to do far better, so growth of this number is news.
+    # The limit is 1e-9; the kernel is far better, so growth of this number indicates a change.
     assert max(f["measured"] for name, f in findings.items() if name.endswith(("volume", "centre", "inertia"))
                and "mesh" not in name and "3mf" not in name) < 1e-12  # fmt: skip
 

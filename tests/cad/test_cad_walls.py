@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
 from probedesign.core.units import MM
-from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D
+from probedesign.design.catalog import M2
 from probedesign.printing.check import check_print
 
 
@@ -36,19 +36,19 @@ def test_walls_of_the_rigid_parts_equal_the_check(large: Any) -> None:
     slot = [face for face in planes if abs(face.normalAt().z) < 1e-6]
     drawn = {
         ("sensor_adapter", "between ring screw and recess"): (
-            round_faces(adapter, M2_CLEARANCE_D), round_faces(adapter, a.recess_d)),
+            round_faces(adapter, M2.clearance_d), round_faces(adapter, a.recess_d)),
         ("sensor_adapter", "between dowel hole and edge of the foot"): (
             round_faces(adapter, a.dowel_d), round_faces(adapter, a.foot_d)),
         ("clamp_ring", "between screw hole and rim"): (
-            round_faces(ring, M2_CLEARANCE_D), round_faces(ring, a.body_d)),
-        ("clamp_ring", "between screw hole and bore"): (round_faces(ring, M2_CLEARANCE_D), cone),
+            round_faces(ring, M2.clearance_d), round_faces(ring, a.body_d)),
+        ("clamp_ring", "between screw hole and bore"): (round_faces(ring, M2.clearance_d), cone),
         ("flange_adapter", "between bolt and rim"): (
-            round_faces(flange, plate.robot.bolt_clearance_d), round_faces(flange, plate.plate_d)),
+            round_faces(flange, plate.robot.screw.clearance_d), round_faces(flange, plate.plate_d)),
         ("flange_adapter", "between pin slot and rim"): (slot, round_faces(flange, plate.plate_d)),
         ("flange_adapter", "between sensor screw and edge of the pad"): (
-            round_faces(flange, M2_CLEARANCE_D), round_faces(flange, plate.pad_d)),
+            round_faces(flange, M2.clearance_d), round_faces(flange, plate.pad_d)),
         ("flange_adapter", "between a head's room and edge of the spigot"): (
-            round_faces(flange, M2_COUNTERBORE_D), round_faces(flange, plate.robot.spigot[0])),
+            round_faces(flange, M2.counterbore_d), round_faces(flange, plate.robot.spigot[0])),
     }  # fmt: skip
     for key, (some, others) in drawn.items():
         assert apart(some, others) == pytest.approx(message[key], abs=1e-6), (

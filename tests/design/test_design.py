@@ -1,4 +1,4 @@
-"""Design files: what is written reads back, and what is wrong is told in one line."""
+"""Design files: what is written reads back, and an error is one line."""
 
 import tomllib
 from pathlib import Path
@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
-from probedesign.design.catalog.materials import RESINS
-from probedesign.design.catalog.robot_flanges import ROBOT_FLANGES
-from probedesign.design.catalog.sensors import NANO17
+from probedesign.design.catalog import RESINS, ROBOT_FLANGES
 from probedesign.design.io import (
     default_name,
     default_tip_d_mm,
@@ -20,6 +18,7 @@ from probedesign.design.io import (
     sensor_keys,
     write_design,
 )
+from probedesign.design.sensors import NANO17
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")
@@ -94,7 +93,7 @@ WITHOUT_CONTACT = PLAIN[: PLAIN.index("[contact]")] + PLAIN[PLAIN.index("[print]
 
 
 @pytest.mark.parametrize("resin", sorted(RESINS))
-def test_a_design_without_contact_takes_the_resins_friction_and_says_so(resin):
+def test_a_design_without_contact_has_the_friction_of_its_resin_and_its_provenance(resin):
     design = parse_design(WITHOUT_CONTACT.replace('"elastic-50a"', f'"{resin}"'))
     assert design.contact.friction is None
     assert design.friction == RESINS[resin].friction
@@ -125,15 +124,15 @@ def test_a_given_friction_goes_before_the_resins(friction, provenance, assumed):
 @pytest.mark.parametrize("value", ["nan", "-nan", "-inf", "-0.1", "true", '"0.6"', "[0.6]"])
 def test_a_friction_that_is_none_names_key_and_line(value):
     line = PLAIN[: PLAIN.index("friction = 0.6")].count("\n") + 1
-    told = problem("friction = 0.6", f"friction = {value}")
-    assert told.startswith(f"large.toml:{line}: contact.friction = ")
-    assert '"' in value or "[" in value or value == "true" or "allowed is 0 ... inf" in told
+    message = problem("friction = 0.6", f"friction = {value}")
+    assert message.startswith(f"large.toml:{line}: contact.friction = ")
+    assert '"' in value or "[" in value or value == "true" or "allowed is 0 ... inf" in message
 
 
 def test_a_misspelt_friction_names_its_line_and_the_nearest_key():
     line = PLAIN[: PLAIN.index("friction = 0.6")].count("\n") + 1
-    told = f"large.toml:{line}: unknown key 'contact.fricton'; did you mean 'contact.friction'?"
-    assert problem("friction = 0.6", "fricton = 0.6") == told
+    message = f"large.toml:{line}: unknown key 'contact.fricton'; did you mean 'contact.friction'?"
+    assert problem("friction = 0.6", "fricton = 0.6") == message
 
 
 @pytest.mark.parametrize(
@@ -158,7 +157,7 @@ def test_a_given_number_goes_before_the_resins():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("tip_d_mm = 2.0", "tip_mm = 2.0", "did you mean 'probe.tip_d_mm'"),
         ("length_mm", "lenght_mm", "did you mean 'probe.length_mm'"),
@@ -169,8 +168,8 @@ def test_a_given_number_goes_before_the_resins():
         ("[print]", "[tolerances]\nroot_radius = 0.1\n[print]", "did you mean 'tolerances.root_radii'"),
     ],
 )
-def test_unknown_and_misspelt_keys_suggest_the_nearest(old, new, told):
-    assert told in problem(old, new)
+def test_unknown_and_misspelt_keys_suggest_the_nearest(old, new, message):
+    assert message in problem(old, new)
 
 
 @pytest.mark.parametrize(
@@ -187,8 +186,8 @@ def test_a_bad_number_names_key_and_line(key, value):
 
 
 def test_a_value_out_of_range_names_the_range():
-    told = problem("length_mm = 150.0", "length_mm = 1500.0")
-    assert "probe.length_mm = 1500.0 is out of range; allowed is 5 ... 400" in told
+    message = problem("length_mm = 150.0", "length_mm = 1500.0")
+    assert "probe.length_mm = 1500.0 is out of range; allowed is 5 ... 400" in message
 
 
 @pytest.mark.parametrize("digits", [400, 5000])
@@ -198,7 +197,7 @@ def test_an_endless_integer(digits):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("tip_d_mm = 2.0", "tip_d_mm = 14.0", "tip_d_mm = 14.0 is wider than base_d_mm = 12.0"),
         ("tip_d_mm = 2.0", "", "probe.tip_d_mm is missing; a cone needs its tip diameter"),
@@ -243,12 +242,12 @@ def test_an_endless_integer(digits):
         ("[print]", f"[{'.'.join('a' * 3000)}]\n[print]", "unknown key 'a'"),
     ],
 )
-def test_what_does_not_hold_together(old, new, told):
-    assert told in problem(old, new)
+def test_inconsistent_tables_are_refused(old, new, message):
+    assert message in problem(old, new)
 
 
 @pytest.mark.parametrize(
-    ("profile", "told"),
+    ("profile", "message"),
     [
         ("[[0, 12], [50, 6], [50, 5], [150, 2]]", "pair 3: s = 50.0 does not increase"),
         ("[[0, 12], [90, 6], [60, 5], [150, 2]]", "pair 3: s = 60.0 does not increase"),
@@ -263,8 +262,8 @@ def test_what_does_not_hold_together(old, new, told):
         ("[0, 12]", "expected a list"),
     ],
 )
-def test_a_profile_that_is_none(profile, told):
-    assert told in problem('shape = "cone"', f'shape = "profile"\nprofile_mm = {profile}')
+def test_invalid_profiles_are_refused(profile, message):
+    assert message in problem('shape = "cone"', f'shape = "profile"\nprofile_mm = {profile}')
 
 
 @pytest.mark.parametrize(
@@ -277,13 +276,13 @@ def test_a_name_that_is_no_plain_file_name(name):
 def test_what_cannot_be_read(tmp_path):
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00schema")
-    for path, told in [
+    for path, message in [
         (tmp_path / "none.toml", "no such design file"),
         (tmp_path, "cannot be read"),
         (binary, "UTF-8"),
         ("a\0b.toml", "cannot be read"),
     ]:
-        with pytest.raises(InputError, match=told) as error:
+        with pytest.raises(InputError, match=message) as error:
             load_design(path)
         one_line(error)
 
@@ -294,7 +293,7 @@ def test_a_byte_order_mark_is_no_error(tmp_path):
     assert load_design(path) == parse_design(LARGE)
 
 
-# Whatever stands in the file: a design or one line
+# Any content of the file gives a design or one line
 
 
 def design_or_one_line(text: str) -> None:
@@ -471,7 +470,7 @@ def test_any_profile_reads_back(inner):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ('"form-3"', '"Form 3"', "print.printer: unknown 'Form 3'; did you mean 'form-3'?"),
         ('"form-3"', '"form_4l"', "did you mean 'form-4l'?"),
@@ -480,8 +479,8 @@ def test_any_profile_reads_back(inner):
         ('"form-3"', '"\\u001b[2Jprusa"', "unknown '\\x1b[2Jprusa'; known: form-2"),
     ],
 )
-def test_an_unknown_name_suggests_the_nearest(old, new, told):
-    assert told in problem(old, new)
+def test_an_unknown_name_suggests_the_nearest(old, new, message):
+    assert message in problem(old, new)
 
 
 @pytest.mark.parametrize("name", ["large", "medium", "small"])
@@ -490,7 +489,7 @@ def test_the_shipped_designs_read_back(name):
     assert parse_design(render_design(design)) == design
 
 
-def test_a_new_design_says_where_its_numbers_come_from(tmp_path):
+def test_a_new_design_has_the_sources_of_its_numbers(tmp_path):
     design = write_new(tmp_path / "new.toml")
     text = (tmp_path / "new.toml").read_text(encoding="utf-8")
     assert design.assumptions == (
@@ -573,13 +572,13 @@ def test_a_sensor_by_model_or_calibration():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("# only words\n", "x.toml: is empty; it needs schema, name, probe"),
         ("schema = 1\n", "x.toml: name is missing (also wrong: probe)"),
     ],
 )
-def test_a_file_that_says_too_little_is_told_what_it_lacks(text, told):
+def test_a_file_without_required_keys_is_refused_with_their_names(text, message):
     with pytest.raises(InputError) as error:
         parse_design(text, "x.toml")
-    assert str(error.value) == told
+    assert str(error.value) == message

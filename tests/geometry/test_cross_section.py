@@ -64,7 +64,7 @@ def test_torsion_of_a_round_section_is_its_polar_moment(section):
     assert polar == pytest.approx(section.factors.torsion * math.pi / 2, rel=QUADRATURE)
 
 
-def test_an_ellipse_twists_more_easily_than_its_polar_moment_says():
+def test_an_ellipse_twists_more_easily_than_by_its_polar_moment():
     of = CrossSection(flatness=0.6).factors
     assert of.torsion < (of.xx + of.yy) / 2
     assert of.xx / of.yy == pytest.approx(0.6**2, rel=EXACT)  # bending knows direction

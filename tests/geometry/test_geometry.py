@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from probedesign.design import check_design
-from probedesign.geometry import FLANGE_MIN_D, ProbeGeometry, build_geometry, flange_for
+from probedesign.design.sensors import NANO17
+from probedesign.geometry import ProbeGeometry, build_geometry, flange_for
 
 EXACT = 1e-12
 """Relative: a handful of roundings of double precision."""
@@ -86,7 +87,7 @@ def test_the_bore_leaves_through_the_flange():
     assert geometry_of(bore_ratio=0.6).bore_radius == pytest.approx(3.6e-3, rel=EXACT)
 
 
-def test_fingerprint_stands_for_the_dimensions_alone():
+def test_fingerprint_depends_on_the_dimensions_alone():
     assert geometry_of().fingerprint == geometry_of().fingerprint
     assert len(geometry_of().fingerprint) == 12
     as_profile = geometry_of("profile", profile=[[0.0, 12.0], [150.0, 2.0]])
@@ -112,6 +113,6 @@ def test_fingerprint_sees_the_section():
 
 
 def test_flange_carries_the_probe_and_covers_the_sensor():
-    assert flange_for(0.012).diameter > 0.012
-    assert flange_for(0.003).diameter == FLANGE_MIN_D
-    assert geometry_of().flange == flange_for(geometry_of().base_radius * 2.0)
+    assert flange_for(0.012, 0.017).diameter > 0.017
+    assert flange_for(0.003, 0.017).diameter == 0.017
+    assert geometry_of().flange == flange_for(geometry_of().base_radius * 2.0, NANO17.interface.tool.face_d)

@@ -81,7 +81,7 @@ def test_a_cylinder_as_in_the_textbook():
     assert_same(frustum(R, R, h, z, DENSITY), wanted, EXACT)
 
 
-def test_the_large_probe_weighs_what_its_volume_says():
+def test_the_mass_of_the_large_probe_is_density_times_volume():
     """π h (R² + R r + r²)/3 for 12 → 2 mm over 150 mm: 6754.4 mm³, 6.822 g at 1010 kg/m³."""
     large = flexible_part(body((0.0, 6.0), (150.0, 1.0)), DENSITY)
     assert large.volume == pytest.approx(math.pi * 0.15 * 43e-6 / 3, rel=EXACT)
@@ -230,7 +230,7 @@ def test_the_flange_hangs_below_the_base():
 
 
 def test_the_flange_has_the_bore_of_a_hollow_probe():
-    """As wide as at s = 0 down to the underside; a flattened probe stands on a whole round flange."""
+    """As wide as at s = 0 down to the underside; a flattened probe has a whole round flange."""
     knots = ((0.0, 6.0), (150.0, 1.0))
     whole = flange_part(body(*knots), DENSITY)
     holed = flange_part(body(*knots, section=CrossSection(bore_ratio=0.5)), DENSITY)

@@ -39,7 +39,7 @@ def sphere(body: dict[str, object]) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("body", BODIES, ids=IDS)
-def test_every_facet_touches_the_sphere_and_none_stands_far_off(body) -> None:
+def test_every_facet_touches_the_sphere_and_none_deviates_far(body) -> None:
     design, blunt = design_of(**body), design_of("blunt", **body)
     centre, R = sphere(body)
     knots = np.array(design.probe.knots_mm) * [1.0, 0.5]
@@ -48,8 +48,8 @@ def test_every_facet_touches_the_sphere_and_none_stands_far_off(body) -> None:
     way = np.diff(corners, axis=0)
     off = np.abs(way[:, 0] * (0.0 - corners[:-1, 1]) - way[:, 1] * (centre - corners[:-1, 0]))
     assert off / np.linalg.norm(way, axis=1) == pytest.approx(R, rel=1e-9)  # tangent: rounding errors alone
-    stand = np.hypot(knots[start:, 0] - centre, knots[start:, 1]) - R
-    assert 0.0 < stand.max() <= DEVIATION_MM * (1 + 1e-9)
+    off = np.hypot(knots[start:, 0] - centre, knots[start:, 1]) - R
+    assert 0.0 < off.max() <= DEVIATION_MM * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("body", BODIES, ids=IDS)
@@ -120,7 +120,7 @@ def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
         assert eq.ok
     found = probe.estimator().estimate(eq.wrench_base)
     end = [c for c in found.candidates if abs(c.s_contact - s) < 1e-9]
-    if end:  # a bent probe may be touched elsewhere to the same effect; then it says so
+    if end:  # a bent probe may be touched elsewhere to the same effect; then its result is not ok
         assert found.result in ("ok", "ambiguous")
         assert end[0].force_base == pytest.approx(force_N * push, abs=1e-4 * force_N)
         assert end[0].p_contact_base == pytest.approx(eq.p_contact_base, abs=2e-6)

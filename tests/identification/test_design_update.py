@@ -6,7 +6,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
-from probedesign.design.edit import Change, edit_text
+from probedesign.design.io import Change, edit_text
 from probedesign.identification.identify import check_overwritable
 from tests.identification.conftest import LARGE
 

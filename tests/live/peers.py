@@ -105,4 +105,4 @@ def mean_of(readings):
 def close(estimator, count):
     """Six standard deviations of the mean of so many raw samples."""
     model = estimator.model
-    return 6.0 * np.sqrt(np.diag(model.noise.covariance()) * model.averaging_samples / count)
+    return 6.0 * np.sqrt(np.diag(model.noise.cov) * model.averaging_samples / count)

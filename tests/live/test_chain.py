@@ -45,7 +45,7 @@ def motion(estimator):
 
 def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):
     """Blocks of single samples with their noise, of (n, 6) at (n,); `walk` of their bias in a second, over it."""
-    rng, std = np.random.default_rng(seed), np.sqrt(np.diag(model.noise.covariance()) * SAMPLES)
+    rng, std = np.random.default_rng(seed), np.sqrt(np.diag(model.noise.cov) * SAMPLES)
     read = wrench_sensor + std * rng.standard_normal((len(time), 6))
     read += walk * std * np.cumsum(rng.standard_normal((len(time), 6)), axis=0) / np.sqrt(RATE)
     for i in range(0, len(time), size):
@@ -240,7 +240,7 @@ def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimat
         f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")
     }
     assert len(stated) == 5
-    noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    noise = estimator.model.noise.std
     assert (np.abs(chain.tare.bias_sensor - BIAS) < 5.0 * noise / np.sqrt(200.0)).all()
 
 

@@ -54,7 +54,7 @@ def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
     """The mean of 20 readings is off by σ/√20, by 5 of these at most."""
     window = TareWindow(0.0, 2.0)
     tare = take_tare(readings_in(window, biased), window, estimator)
-    std = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    std = estimator.model.noise.std
     assert (np.abs(tare.bias_sensor - BIAS) < 5.0 * std / np.sqrt(20.0)).all()
 
 

@@ -31,7 +31,7 @@ for answer in answers:
     estimator.estimate(answer.wrench_base, near=answer.estimate)
 assert {"ok", "no_contact"} <= {answer.estimate.result for answer in answers}
 tracker = Tracker(estimator, gravity_world=estimator.model.gravity_base)
-noise = np.random.default_rng(1).standard_normal((100, 6)) * np.sqrt(np.diag(estimator.model.noise.covariance()))
+noise = np.random.default_rng(1).standard_normal((100, 6)) * estimator.model.noise.std
 touches = [touch for touch in _warm_up_touches(estimator) for _ in range(5)]
 results = {tracker.update(wrench + noise[i], T, i / 7000).result for i, (wrench, T) in enumerate(touches)}
 assert "ok" in results

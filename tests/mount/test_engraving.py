@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from probedesign.design import check_design
-from probedesign.design.catalog.sensors import NANO17
+from probedesign.design.catalog import M2
+from probedesign.design.sensors import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import SensorAdapter, sensor_adapter_for
 from probedesign.mount.engraving import (
@@ -19,8 +20,7 @@ from probedesign.mount.engraving import (
     cut_runs,
     glyph_width,
 )
-from probedesign.mount.fasteners import M2, M2_CLEARANCE_D
-from probedesign.mount.mount_mass import engraving_mass
+from probedesign.mount.mass import engraving_mass
 
 BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
 
@@ -102,7 +102,7 @@ def test_characters_keep_to_their_place(base_d: float) -> None:
     flange_r, base_r = a.flange.diameter / 2, base_d / 2 * 1e-3
     places = [
         (a.on_flange, base_r, flange_r, [((a.peg_x, 0.0), a.peg_hole_d / 2)]),
-        (a.on_wall, a.recess_d / 2, a.mark_x, [(p, M2_CLEARANCE_D / 2) for p in a.p_ring_screws]),
+        (a.on_wall, a.recess_d / 2, a.mark_x, [(p, M2.clearance_d / 2) for p in a.p_ring_screws]),
         (a.on_ring, a.ring_bore_top_d / 2, a.body_d / 2, [(p, M2.head_d / 2) for p in a.p_ring_screws]),
     ]
     for engraving, inner, outer, holes in places:

@@ -10,7 +10,8 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.core.frames import is_pose
 from probedesign.design import Design
-from probedesign.design.catalog.sensors import NANO17
+from probedesign.design.catalog import M2
+from probedesign.design.sensors import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import (
     SensorAdapter,
@@ -19,8 +20,7 @@ from probedesign.mount import (
     mount_part_masses,
     sensor_adapter_for,
 )
-from probedesign.mount.fasteners import M2_CLEARANCE_D, M2_COUNTERBORE_D, M2_GRIP, M2_LENGTH
-from probedesign.mount.mount_mass import cylinder, hexagon, segment, subtract
+from probedesign.mount.mass import cylinder, hexagon, segment, subtract
 from tests.cad.conftest import design_of as make_design
 
 
@@ -80,9 +80,9 @@ def test_base_sits_straight_above_the_tool_face() -> None:
 
 
 def test_screws_into_the_sensor_keep_its_limits() -> None:
-    entry = M2_LENGTH - M2_GRIP
-    assert NANO17.tool.min_entry < entry < NANO17.tool.max_entry
-    assert NANO17.mounting.min_entry < entry < NANO17.mounting.max_entry
+    for holes in (NANO17.interface.tool, NANO17.interface.mounting):
+        assert holes.min_entry < holes.length - holes.grip < holes.max_entry
+        assert (holes.length, holes.grip) == (6e-3, 3e-3)
 
 
 @pytest.mark.parametrize("base_d", [0.5, 3.0, 12.0, 25.0, 60.0])
@@ -130,7 +130,7 @@ def test_the_mount_mass_needs_no_cad() -> None:
 
 BASES = np.arange(3.0, 25.01, 0.5)
 LEAST_WALL = 0.4e-3
-"""Of a wall held on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
+"""Of a wall supported on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
 
 
 @pytest.mark.parametrize("base_d", BASES)
@@ -146,21 +146,21 @@ def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
         for p, q in ((nuts, heads), (nuts, dowels), (heads, dowels))
     ]
     walls = {
-        "nut pocket to head": apart[0] - pocket_r - M2_COUNTERBORE_D / 2,
+        "nut pocket to head": apart[0] - pocket_r - M2.counterbore_d / 2,
         "nut pocket to dowel": apart[1] - pocket_r - a.dowel_d / 2,
-        "screw to dowel": apart[2] - M2_CLEARANCE_D / 2 - a.dowel_d / 2,
+        "screw to dowel": apart[2] - M2.clearance_d / 2 - a.dowel_d / 2,
         "nut pocket to rim": rim_r - seats.max() - pocket_r,
         "nut pocket to flat": a.mark_x - nuts[:, 0].max() - pocket_r,
-        "ring screw to recess": seats.min() - M2_CLEARANCE_D / 2 - recess_r,
+        "ring screw to recess": seats.min() - M2.clearance_d / 2 - recess_r,
         "nut pocket to the wall's top": a.body_top - a.nut_pocket_top,
         "nut pocket to recess, across": np.hypot(
             a.floor - a.nut_pocket_top, seats.min() - a.nut_pocket_af / 2 - recess_r
         ),
         "dowel to floor": a.floor - a.dowel_depth,
-        "under the heads": M2_GRIP,
-        "ring outside its screws": rim_r - seats.max() - M2_CLEARANCE_D / 2,
-        "ring inside its screws, below": seats.min() - M2_CLEARANCE_D / 2 - a.ring_bore_d / 2,
-        "ring inside its screws, above": seats.min() - M2_CLEARANCE_D / 2 - a.ring_bore_top_d / 2,
+        "under the heads": a.tool.grip,
+        "ring outside its screws": rim_r - seats.max() - M2.clearance_d / 2,
+        "ring inside its screws, below": seats.min() - M2.clearance_d / 2 - a.ring_bore_d / 2,
+        "ring inside its screws, above": seats.min() - M2.clearance_d / 2 - a.ring_bore_top_d / 2,
     }
     assert {name: wall for name, wall in walls.items() if wall < LEAST_WALL} == {}
     assert a.floor > a.nut_pocket_top  # or pockets would open into the recess
@@ -170,5 +170,5 @@ def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
 def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(base_d: float) -> None:
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)
-    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # what is held
+    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # the clamped width
     assert a.peg_x - a.peg_hole_d / 2 > base_d / 2 * 1e-3 + 0.6e-3  # the mark keeps off the flexible part

@@ -10,7 +10,7 @@ from scipy import stats
 
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.design.catalog.materials import RESINS
+from probedesign.design.catalog import RESINS
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE

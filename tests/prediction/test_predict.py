@@ -11,7 +11,7 @@ from scipy import stats
 from probedesign.cli.predict import print_tables
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.design.catalog.sensors import Noise
+from probedesign.design.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
@@ -173,7 +173,7 @@ def test_the_error_of_a_light_touch_is_inversely_proportional_to_force(large):
 
 def test_the_noise_alone_is_proportional_to_the_noise(large):
     noise = large.model.noise
-    doubled = large.model.with_noise(Noise(2 * noise.force, 2 * noise.moment))
+    doubled = large.model.with_noise(Noise.isotropic(2 * noise.force, 2 * noise.moment))
     twice, once = (
         predict(replace(model, friction=0.0), (0.5,), (0.05,), ("+y",)) for model in (doubled, large.model)
     )

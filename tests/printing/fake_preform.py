@@ -87,7 +87,7 @@ class FakePreForm:
         faults: by the last part of a path, what to do instead of answering: a function of the handler that
             returns whether it has answered.
         failing: by the last part of a path, an error with which its operation ends.
-        validation: what print validation says of each model.
+        validation: result of print validation for each model.
         polls: how often an operation is asked before it is done.
     """
 

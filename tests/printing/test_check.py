@@ -11,7 +11,7 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.design import load_design, parse_design
-from probedesign.design.catalog.printers import PRINTERS
+from probedesign.design.catalog import PRINTERS
 from probedesign.printing.check import check_print
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -128,7 +128,7 @@ def test_slenderness_is_diameter_over_the_height_above(base, tip, severity):
 
 
 def test_a_thin_end_is_slender_where_it_begins():
-    """12 to 2 mm over 50 mm, then 2 mm for 100 mm: a wire of 2 mm, 100 mm tall, stands on the cone."""
+    """12 to 2 mm over 50 mm, then 2 mm for 100 mm: a wire of 2 mm, 100 mm tall, on top of the cone."""
     design = design_of(profile=[[0.0, 12.0], [50.0, 2.0], [150.0, 2.0]])
     finding = found(design, "slenderness")
     assert finding.measured == pytest.approx(0.02) and "s = 50 mm" in finding.what

@@ -17,19 +17,19 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import load_design
-from probedesign.design.catalog.materials import RESINS
+from probedesign.design.catalog import RESINS
 from probedesign.geometry import build_geometry
-from probedesign.printing.preform import client
-from probedesign.printing.preform.client import (
+from probedesign.printing import preform_client as client
+from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
+from probedesign.printing.preform_client import (
     Connection,
     NoAnswerError,
     PreForm,
     PreFormError,
     connection_to,
 )
-from probedesign.printing.preform.job import PrintOrder, load_job, path_mapping, prepare_job
-from probedesign.printing.preform.settings import MaterialList, select_settings
-from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
+from probedesign.printing.preform_job import PrintOrder, load_job, path_mapping, prepare_job
+from probedesign.printing.preform_settings import MaterialList, select_settings
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
 
 SIZES = {"probe": (19, 19, 83), "sensor_adapter": (30, 30, 8), "clamp_ring": (30, 30, 2.5)}
@@ -89,7 +89,7 @@ def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, o
 
 
 def left_over(folder):
-    """Files that nobody asked for."""
+    """Files that were not requested."""
     return [p.name for p in folder.iterdir() if p.name.startswith(".")]
 
 
@@ -425,7 +425,7 @@ def floods(handler):
     return True
 
 
-def says(status, content, kind="application/json"):
+def replies(status, content, kind="application/json"):
     def fault(handler):
         handler.raw(status, content if isinstance(content, bytes) else json.dumps(content).encode(), kind)
         return True
@@ -452,15 +452,15 @@ HOSTILE = {"error": {"code": "EVIL\x1b[2J", "message": "two\nlines \x1b[31m" + "
         (drips, "not within 0.3 s"),
         (sleeps, "not within 0.3 s"),
         (hisses, "not to the end"),
-        (says(200, b"<html>Printer</html>", "text/html"), "is not PreForm"),
-        (says(200, b"[" * 100_000), "is not PreForm"),
-        (says(200, [1, 2]), "is not PreForm"),
-        (says(302, b""), "with 302 Found; is that PreForm"),
-        (says(500, b"oops"), "with 500 Internal Server Error; is that PreForm"),
-        (says(400, {"error": {"code": "INPUT_ERROR", "message": "Scene type not supported"}}),
+        (replies(200, b"<html>Printer</html>", "text/html"), "is not PreForm"),
+        (replies(200, b"[" * 100_000), "is not PreForm"),
+        (replies(200, [1, 2]), "is not PreForm"),
+        (replies(302, b""), "with 302 Found; is that PreForm"),
+        (replies(500, b"oops"), "with 500 Internal Server Error; is that PreForm"),
+        (replies(400, {"error": {"code": "INPUT_ERROR", "message": "Scene type not supported"}}),
          r"PreForm refuses .*: Scene type not supported \(INPUT_ERROR\)"),
-        (says(400, HOSTILE), r"two lines \\x1b\[31mxxx"),
-        (says(400, {"error": 5}), "with 400 Bad Request; is that PreForm"),
+        (replies(400, HOSTILE), r"two lines \\x1b\[31mxxx"),
+        (replies(400, {"error": 5}), "with 400 Bad Request; is that PreForm"),
     ],
     ids=[
         "closes", "headers", "no-body", "half", "drips", "sleeps", "ssh",
@@ -494,7 +494,7 @@ def test_an_answer_without_end_is_not_read(fake, place, monkeypatch):
     ],
 )
 def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
-    fake.faults["scene"] = says(200, answer)
+    fake.faults["scene"] = replies(200, answer)
     with pytest.raises(PreFormError, match="is not PreForm: its answer to a new scene: "):
         prepared(fake, place)
     assert fake.calls[-1] == "POST /scene/"
@@ -514,7 +514,7 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
     ],
 )
 def test_invalid_operation_states_are_errors(fake, place, state, message):
-    fake.faults["operations"] = says(200, state)
+    fake.faults["operations"] = replies(200, state)
     with pytest.raises(PreFormError, match=message):
         prepared(fake, place)
     assert fake.scenes == {}  # cleared up all the same
@@ -548,13 +548,13 @@ def test_an_operation_that_fails_passes_on_preforms_words(fake, place, step):
 
 
 def forgets(handler):
-    """The upload is accepted, and then nobody tells what becomes of it."""
+    """The upload is accepted, and its outcome is never reported."""
     handler.fake.faults["operations"] = lambda _: handler.fake.operations.clear()
 
 
 @pytest.mark.parametrize(
     "fault",
-    [closes, says(200, b"<html>"), says(502, b"Bad Gateway"), says(200, {"job_id": 5}), forgets],
+    [closes, replies(200, b"<html>"), replies(502, b"Bad Gateway"), replies(200, {"job_id": 5}), forgets],
 )
 def test_an_unanswered_upload_has_an_unknown_outcome(fake, place, fault):
     fake.faults["print"] = fault
@@ -639,7 +639,7 @@ def test_addresses():
 @pytest.mark.parametrize("host", ["127.0.0.1", "no-such-host.invalid", "a" * 80 + ".invalid", "a..b"])
 def test_a_missing_server_error_names_the_start_command(host):
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # bound and not listening: nobody else takes the port meanwhile
+        taken.bind(("127.0.0.1", 0))  # bound and not listening: no other process takes the port meanwhile
         port = taken.getsockname()[1]
         with pytest.raises(
             NoAnswerError, match=rf"nothing answers there .*; start it: PreFormServer --port {port}$"

@@ -110,7 +110,7 @@ def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Esti
         raise InputError(f"{label} has readings with a fault: {fault}")
     excess = np.array([reading.wrench_sensor - _free_wrench(reading, estimator) for reading in readings])
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
-    noise = np.sqrt(np.diag(estimator.model.noise.covariance()))
+    noise = estimator.model.noise.std
     if (std > MAX_SCATTER * noise).any():
         i = int(np.argmax(std / noise))
         unit = "mN" if i < 3 else "Nmm"

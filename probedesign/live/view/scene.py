@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.stl import PREAMBLE, RECORD, stl_corners
 from probedesign.core.units import MILLINEWTON, MM
-from probedesign.design.catalog.sensors import NANO17
+from probedesign.design.sensors import NANO17, SENSORS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.view.state import STRIP, BentShape
 
@@ -166,8 +166,9 @@ def _placed(name: str, corners: Array, T: Array) -> RigidPart:
 
 
 def _sensor_part(model: ProbeModel) -> RigidPart:
-    """Return the body of the Nano17; its tool face is the origin of the sensor frame."""
-    return _cylinder("sensor", NANO17.body_d, -NANO17.height, 0.0, inverse(model.T_sensor_base))
+    """Return the body of the sensor, or of a Nano17 for an unknown one; its tool face is the sensor frame's origin."""
+    body = SENSORS.get(model.sensor, NANO17).interface
+    return _cylinder("sensor", body.body_d, -body.height, 0.0, inverse(model.T_sensor_base))
 
 
 def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:

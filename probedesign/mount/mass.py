@@ -8,22 +8,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from probedesign.core.units import MM
-from probedesign.design.catalog.materials import RIGID_DENSITY
+from probedesign.design.catalog import M2, M2_NUT_AF, M2_NUT_HEIGHT, RIGID_DENSITY, STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
+from probedesign.mount.adapters import PEG_D, SensorAdapter
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
-from probedesign.mount.fasteners import (
-    M2,
-    M2_CLEARANCE_D,
-    M2_COUNTERBORE_D,
-    M2_GRIP,
-    M2_LENGTH,
-    M2_NUT_AF,
-    M2_NUT_HEIGHT,
-    STEEL_DENSITY,
-)
-from probedesign.mount.sensor_adapter import DOWEL_PIN_LENGTH, PEG_D, SensorAdapter
 
 
 def mount_mass_properties(
@@ -63,10 +52,10 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
     voids = [
         cylinder(a.recess_d, a.floor, a.body_top, density),
         segment(a.body_d / 2, a.mark_x, a.foot_height, a.body_top, density),
-        *(cylinder(M2_CLEARANCE_D, 0.0, M2_GRIP, density, p) for p in a.p_tool_screws),
-        *(cylinder(M2_COUNTERBORE_D, M2_GRIP, a.floor, density, p) for p in a.p_tool_screws),
+        *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, density, p) for p in a.p_tool_screws),
+        *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, density, p) for p in a.p_tool_screws),
         *(cylinder(a.dowel_d, 0.0, a.dowel_depth, density, p) for p in a.p_dowels),
-        *(cylinder(M2_CLEARANCE_D, a.nut_pocket_top, a.body_top, density, p) for p in a.p_ring_screws),
+        *(cylinder(M2.clearance_d, a.nut_pocket_top, a.body_top, density, p) for p in a.p_ring_screws),
         *(hexagon(a.nut_pocket_af, a.foot_height, a.nut_pocket_top, density, p) for p in a.p_ring_screws),
         engraving_mass(a.on_wall, density),
     ]
@@ -76,14 +65,14 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
 def _clamp_ring(a: SensorAdapter, density: float) -> MassProperties:
     """Return the ring's mass properties in its own frame, which is the base frame while the lip is unpressed."""
     bore = frustum(a.ring_bore_d / 2, a.ring_bore_top_d / 2, a.ring_thickness, 0.0, density)
-    holes = [cylinder(M2_CLEARANCE_D, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
+    holes = [cylinder(M2.clearance_d, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
     disc = cylinder(a.body_d, 0.0, a.ring_thickness, density)
     return subtract(disc, [bore, *holes, engraving_mass(a.on_ring, density)])
 
 
 def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
-    sensor_screws = [_m2(M2_GRIP, M2_LENGTH, density, p) for p in a.p_tool_screws]
-    ring_screws = [_m2(a.ring_top, a.ring_screw_length, density, p) for p in a.p_ring_screws]
+    sensor_screws = [_screw(a.tool.screw, a.tool.grip, a.tool.length, density, p) for p in a.p_tool_screws]
+    ring_screws = [_screw(M2, a.ring_top, a.ring_screw_length, density, p) for p in a.p_ring_screws]
     nut_z = a.nut_pocket_top - M2_NUT_HEIGHT
     nuts = [
         subtract(
@@ -92,17 +81,17 @@ def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
         )
         for p in a.p_ring_screws
     ]
-    pin_top = a.dowel_depth - 0.2 * MM
-    pins = [cylinder(2.0 * MM, pin_top - DOWEL_PIN_LENGTH, pin_top, density, p) for p in a.p_dowels]
+    pin_top = a.dowels.pin_length - a.dowels.depth
+    pins = [cylinder(a.dowels.diameter, -a.dowels.depth, pin_top, density, p) for p in a.p_dowels]
     return [*sensor_screws, *ring_screws, *nuts, *pins]
 
 
-def _m2(seat: float, length: float, density: float, p: XY) -> MassProperties:
-    """Return the mass properties of an M2 screw, head above `seat` [m], point down."""
-    top = seat + M2.head_height
-    head = cylinder(M2.head_d, seat, top, density, p)
-    socket = hexagon(M2.socket_af, top - M2.socket_depth, top, density, p)
-    return combined([subtract(head, [socket]), cylinder(M2.pitch_d, seat - length, seat, density, p)])
+def _screw(screw: SocketScrew, seat: float, length: float, density: float, p: XY) -> MassProperties:
+    """Return the mass properties of a screw, head above `seat` [m], point down."""
+    top = seat + screw.head_height
+    head = cylinder(screw.head_d, seat, top, density, p)
+    socket = hexagon(screw.socket_af, top - screw.socket_depth, top, density, p)
+    return combined([subtract(head, [socket]), cylinder(screw.pitch_d, seat - length, seat, density, p)])
 
 
 def engraving_mass(engraving: Engraving, density: float) -> MassProperties:

@@ -23,8 +23,8 @@ from probedesign.design import Design
 from probedesign.design.diagnostics import quoted
 from probedesign.geometry import build_geometry
 from probedesign.printing.check import print_scale
-from probedesign.printing.preform.client import NoAnswerError, PreForm, PreFormError, RefusedError
-from probedesign.printing.preform.settings import (
+from probedesign.printing.preform_client import NoAnswerError, PreForm, PreFormError, RefusedError
+from probedesign.printing.preform_settings import (
     Extent,
     PrintScene,
     PrintSelection,
@@ -84,9 +84,9 @@ def load_job(design: Design, folder: Path, parts: Parts) -> PrintJob:
             f"{folder}: its manifest lists no STL files for --parts {parts}; export the design again"
         )
     sizes = {name[:-4]: _size(folder / name, manifest["files"][name]) for name in names}
-    fingerprint = build_geometry(design).fingerprint
     resin = design.resin.name if parts == "probe" else "rigid"
-    return PrintJob(f"{design.name}-{fingerprint}-{parts}", design.printer.product, resin, folder, sizes)
+    name = f"{design.name}-{build_geometry(design).fingerprint}-{parts}"
+    return PrintJob(name, design.printer.product, resin, folder, sizes)
 
 
 def _manifest(path: Path) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def _manifest(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError):
-        raise InputError(f"{path}: is no manifest of an export; export the design again") from None
+        manifest = None
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files"), dict):
         raise InputError(f"{path}: is no manifest of an export; export the design again")
     return manifest
@@ -150,7 +150,7 @@ class PathMapping:
 
     @contextmanager
     def output(self, target: str) -> Iterator[str]:
-        """Yield the path that PreForm writes to; a local file is written aside and moved into place when complete.
+        """Yield the path that PreForm writes to; a local file is written under another name and moved when complete.
 
         Raises:
             PreFormError: PreForm reports the file as written, and it does not exist.
@@ -159,19 +159,19 @@ class PathMapping:
             yield str(self.server_folder / target)
             return
         path = Path(os.path.abspath(self.folder / target))
-        aside = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}{path.suffix}")
+        partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}{path.suffix}")
         try:
-            yield str(aside)
-            if not aside.is_file() or aside.stat().st_size == 0:
+            yield str(partial)
+            if not partial.is_file() or partial.stat().st_size == 0:
                 raise PreFormError(
                     f"{path}: PreForm reports it as written, but it does not exist; if PreForm runs elsewhere, "
                     "--server-folder names the export folder there"
                 )
-            os.replace(aside, path)
+            os.replace(partial, path)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         finally:
-            aside.unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
 
     def display(self, target: str) -> str:
         """Return the path for messages to the user."""

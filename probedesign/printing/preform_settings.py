@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from probedesign.core.errors import InputError
-from probedesign.design.catalog.materials import RESINS, RIGID_PREFORM_LABELS
+from probedesign.design.catalog import RESINS, RIGID_PREFORM_LABELS
 from probedesign.design.diagnostics import one_line, quoted
-from probedesign.printing.rules import LAYER
+from probedesign.printing.check import LAYER
 
 Id = Annotated[str, Field(pattern=r"^\{?[A-Za-z0-9][A-Za-z0-9._-]{0,63}\}?$")]
 """Pattern of an id; it becomes part of an address."""
@@ -180,17 +180,15 @@ def select_settings(
     Raises:
         InputError: PreForm has no such printer, material or layer, or the resin has no default; names what PreForm has.
     """
-    printer = _printer(materials, product)
+    printer = next(
+        (p for p in materials.printer_types if product in (p.label, *p.supported_product_names)), None
+    )
+    if printer is None:
+        known = _has(p.label for p in materials.printer_types)
+        raise InputError(f"PreForm knows no {product}; {known}")
     found = _asked(printer, material) if material else _preferred(printer, resin)
     setting = _setting(found, printer.label)
     return PrintSelection(product, found.label, setting.label, setting.scene_settings)
-
-
-def _printer(materials: MaterialList, product: str) -> PrinterType:
-    for printer in materials.printer_types:
-        if product in printer.supported_product_names or product == printer.label:
-            return printer
-    raise InputError(f"PreForm knows no {product}; {_has(p.label for p in materials.printer_types)}")
 
 
 def _asked(printer: PrinterType, name: str) -> PrintMaterial:

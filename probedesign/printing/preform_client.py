@@ -1,5 +1,6 @@
-"""Client of PreForm's local API: one method per call, over plain HTTP.
+"""Client of PreForm's local API, which prepares jobs for Formlabs printers: one method per call, over plain HTTP.
 
+Source: Formlabs Local API 0.9, github.com/Formlabs/formlabs-api-python (local-api/formlabs-api-local-openapi.yaml).
 Python's own HTTP client suffices: a dozen calls to one address, without proxies, redirects or kept connections. The
 answering server is not trusted: the time, size and text of its answers are bounded.
 """
@@ -20,7 +21,8 @@ from pydantic import ValidationError
 
 from probedesign.core.errors import InputError
 from probedesign.design.diagnostics import one_line, quoted
-from probedesign.printing.preform.settings import (
+from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
+from probedesign.printing.preform_settings import (
     MaterialList,
     OperationAccepted,
     OperationStatus,
@@ -31,7 +33,6 @@ from probedesign.printing.preform.settings import (
     UploadedJob,
     VersionReply,
 )
-from probedesign.printing.rules import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 
 PORT = 44388
 CONNECT_S = 5.0
@@ -123,7 +124,8 @@ class Connection:
                 response = http.getresponse()
                 return response.status, response.reason, self._read(what, response, late)
         except (OSError, HTTPException) as error:
-            how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({_kind(error)})"
+            kind = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({kind})"
             raise NoAnswerError(one_line(f"{self.url} answers {what} {how}")) from None
         finally:
             http.close()
@@ -210,10 +212,6 @@ def error_message(answer: Any) -> str | None:
     message, code = error.get("message"), error.get("code")
     words = " ".join(str(w) for w in (message, f"({code})" if code else None) if isinstance(w, str) and w)
     return words or None
-
-
-def _kind(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 R = TypeVar("R", bound=Reply)
@@ -341,12 +339,13 @@ class PreForm:
                         f"PreForm fails at {what}: {error_message(state.result) or 'it does not say why'}"
                     )
                 )
+            share = min(max(state.progress, 0.0), 1.0)
             if time.monotonic() > deadline:
                 raise NoAnswerError(
-                    f"PreForm is not done with {what} after {self.operation_s:g} s ({_percent(state.progress)} done); "
+                    f"PreForm is not done with {what} after {self.operation_s:g} s ({share:.0%} done); "
                     "--timeout-s gives it more"
                 )
-            self.on_progress(what, min(max(state.progress, 0.0), 1.0))
+            self.on_progress(what, share)
             time.sleep(min(pause_s, self.poll_s))
             pause_s *= 1.5  # most end soon; supports may take minutes
 
@@ -371,7 +370,3 @@ class PreForm:
 
 def _at(scene: str) -> str:
     return f"/scene/{quote(scene, safe='')}/"
-
-
-def _percent(share: float) -> str:
-    return f"{min(max(share, 0.0), 1.0):.0%}"

@@ -1,0 +1,274 @@
+"""Resins, printers, screws and robot flanges by name: the facts to which a design file refers.
+
+Every number has its source. A new resin, printer or flange is one record here; the other packages read it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+from probedesign.core.errors import unknown_name
+from probedesign.core.units import MM, MPA
+
+Provenance = Literal["assumed", "datasheet", "identified"]
+Record = TypeVar("Record")
+
+
+def find(records: Mapping[str, Record], name: str, key: str, *others: str) -> Record:
+    """Return the record of that name.
+
+    Args:
+        records: by name.
+        name: in the design file.
+        key: of the design file.
+        others: names that the key may have besides, for the message.
+
+    Raises:
+        InputError: there is no such record; the message lists the known ones.
+    """
+    try:
+        return records[name]
+    except KeyError:
+        raise unknown_name(key, name, [*records, *others]) from None
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number in SI units with its provenance and source."""
+
+    value: float
+    provenance: Provenance
+    source: str
+
+
+@dataclass(frozen=True)
+class Resin:
+    """A printable material.
+
+    Attributes:
+        name: as written in a design file.
+        product: name of the product, in messages and sources.
+        youngs_modulus: E at small strain [Pa].
+        shear_modulus: G [Pa]; independent of E on purpose (docs/decisions/0004).
+        density: cured [kg/m³].
+        friction: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
+        density_tolerance_source: source of the relative standard deviation of the density, `Tolerances.density`.
+        preform_labels: labels in PreForm, the version first from which the properties were taken; empty if unknown.
+        cure: instruction for washing and curing.
+    """
+
+    name: str
+    product: str
+    youngs_modulus: Quantity
+    shear_modulus: Quantity
+    density: Quantity
+    friction: Quantity
+    density_tolerance_source: str
+    preform_labels: tuple[str, ...] = ()
+    cure: str = "wash and cure as the resin's data sheet says"
+
+
+ELASTIC_FRICTION = Quantity(
+    0.6, "assumed", "soft polyurethane on card, plastic or metal: about 0.5 to 1; assumed until measured"
+)
+"""Friction of an elastic resin that has not been measured [-]. No value is published for Elastic 50A."""
+
+_PAPER = "paper, section IV: identified on the paper's prints, not on yours"
+
+ELASTIC_50A = Resin(
+    name="elastic-50a",
+    product="Elastic 50A",
+    youngs_modulus=Quantity(2.32 * MPA, "assumed", _PAPER),
+    shear_modulus=Quantity(0.761 * MPA, "assumed", _PAPER),
+    density=Quantity(1010.0, "datasheet", "Formlabs Elastic 50A V1, 1.00-1.02 g/ml"),
+    friction=ELASTIC_FRICTION,
+    density_tolerance_source="datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one "
+    "standard deviation",
+    preform_labels=("Elastic 50A V1", "Elastic 50A V2"),
+    cure="wash 20 min, cure 20 min at 60 °C (Formlabs, Elastic 50A)",
+)
+
+
+def _incompressible(
+    name: str, product: str, E_mpa: float, density: float, E_source: str, density_source: str, label: str
+) -> Resin:
+    """Return a soft resin of which E alone is known: G = E/3, the incompressible limit, marked as assumed."""
+    return Resin(
+        name=name,
+        product=product,
+        youngs_modulus=Quantity(E_mpa * MPA, "assumed", E_source),
+        shear_modulus=Quantity(E_mpa * MPA / 3.0, "assumed", "E/3, the incompressible limit"),
+        density=Quantity(density, "datasheet", density_source),
+        friction=ELASTIC_FRICTION,
+        density_tolerance_source=f"assumed: 1 %, as of Elastic 50A; the data sheet of {product} has no range",
+        preform_labels=(label,),
+    )
+
+
+FLEXIBLE_80A = _incompressible(
+    "flexible-80a", "Flexible 80A", 6.3, 1120.0,
+    "stress at 100 % strain (V1) taken for E: identify before you rely on it",
+    "Formlabs Flexible 80A V2, 1.12 g/ml", "Flexible 80A V1",
+)  # fmt: skip
+SILICONE_40A = _incompressible(
+    "silicone-40a", "Silicone 40A", 1.7, 1040.0,
+    "rule of thumb for Shore 40A (Gent's relation): identify before you rely on it",
+    "Formlabs Silicone 40A, 1.04 g/ml", "Silicone 40A V1",
+)  # fmt: skip
+
+RESINS = {resin.name: resin for resin in (ELASTIC_50A, FLEXIBLE_80A, SILICONE_40A)}
+
+RIGID_RESIN = "rigid resin, e.g. Grey V4"
+"""Material of the adapters; any resin that is stiff against the probe is suitable."""
+RIGID_PREFORM_LABELS = ("Grey V4", "Grey V5")
+"""Labels of that resin in PreForm."""
+RIGID_DENSITY = 1180.0
+"""Density of the rigid adapters [kg/m³]. Source: Formlabs Grey/Clear V4, 1.15-1.2 g/ml; the middle, assumed."""
+
+
+@dataclass(frozen=True)
+class Printer:
+    """A printer: its name in a design file and in PreForm, and its build volume along x, y, z [mm]."""
+
+    name: str
+    product: str
+    build_volume_mm: tuple[float, float, float]
+
+
+PRINTERS = {
+    printer.name: printer
+    for printer in (
+        Printer("form-2", "Form 2", (145.0, 145.0, 175.0)),
+        Printer("form-3", "Form 3", (145.0, 145.0, 185.0)),
+        Printer("form-3l", "Form 3L", (336.0, 200.0, 300.0)),
+        Printer("form-4", "Form 4", (200.0, 125.0, 210.0)),
+        Printer("form-4l", "Form 4L", (353.0, 196.0, 350.0)),
+    )
+}
+"""Source: PreForm."""
+
+
+@dataclass(frozen=True)
+class SocketScrew:
+    """A socket head cap screw, ISO 4762; its shank is modelled as a cylinder of the thread's pitch diameter.
+
+    Attributes:
+        thread: its designation, such as "M2".
+        head_d, head_height: of the head [m].
+        socket_af, socket_depth: hexagon across flats and its depth [m].
+        pitch_d: pitch diameter of the thread [m].
+        clearance_d: of a through hole [m].
+        key_length: long arm of its hexagon key, standard series [m].
+        stock_mm: lengths in stock [mm].
+    """
+
+    thread: str
+    head_d: float
+    head_height: float
+    socket_af: float
+    socket_depth: float
+    pitch_d: float
+    clearance_d: float
+    key_length: float
+    stock_mm: tuple[int, ...]
+
+    @property
+    def nominal_d(self) -> float:
+        """Return the nominal diameter of the thread [m]."""
+        return float(self.thread[1:]) * MM
+
+    @property
+    def counterbore_d(self) -> float:
+        """Return the diameter of the room for the head in printed resin [m]."""
+        return self.head_d + 0.4 * MM
+
+
+def _screw(thread: str, lengths_mm: tuple[float, ...], stock_mm: tuple[int, ...]) -> SocketScrew:
+    head_d, head, socket_af, socket, pitch_d, hole_d, key = (length * MM for length in lengths_mm)
+    return SocketScrew(thread, head_d, head, socket_af, socket, pitch_d, hole_d, key, stock_mm)
+
+
+SCREWS = {
+    screw.thread: screw
+    for screw in (
+        _screw("M2", (3.8, 2.0, 1.5, 1.0, 1.740, 2.4, 46.5), (3, 4, 5, 6, 8, 10, 12)),
+        _screw("M4", (7.0, 4.0, 3.0, 2.0, 3.545, 4.5, 66.0), (8, 10, 12, 16, 20, 25)),
+        _screw("M5", (8.5, 5.0, 4.0, 2.5, 4.480, 5.5, 74.0), (8, 10, 12, 16, 20, 25)),
+        _screw("M6", (10.0, 6.0, 5.0, 3.0, 5.350, 6.6, 85.0), (10, 12, 16, 20, 25, 30)),
+        _screw("M8", (13.0, 8.0, 6.0, 4.0, 7.188, 9.0, 96.0), (12, 16, 20, 25, 30, 35)),
+    )
+}
+"""Source: ISO 4762 (heads, sockets, lengths), ISO 724 (pitch diameters), ISO 273, medium (holes), ISO 2936 (keys)."""
+M2 = SCREWS["M2"]
+M2_NUT_AF, M2_NUT_HEIGHT = 4.0 * MM, 1.6 * MM  # ISO 4032
+MIN_GRIP = 3.0 * MM
+"""Least resin under the head of a screw into a sensor [m] (assumed)."""
+STEEL_DENSITY = 7900.0
+"""Of screws, nuts and pins [kg/m³]. Source: stainless A2, any table; assumed."""
+
+
+@dataclass(frozen=True)
+class RobotFlange:
+    """A pattern to which the flange adapter is bolted. Azimuths are measured from the dowel hole; lengths in metres.
+
+    Attributes:
+        name: as written in a design file.
+        bolt_circle_d: of the tapped holes and of the dowel.
+        bolt_azimuths_deg: of the tapped holes, from the dowel.
+        bolt: thread name.
+        max_bolt_entry: largest depth to which a screw may enter the robot.
+        bolt_length: length of the stock screw for which the adapter is dimensioned.
+        pin_slot: width and radial length of the slot for the dowel pin; zeros for none.
+        spigot: diameter and height of the centring boss; zeros for none.
+        face_d: diameter of the flange's face.
+        source: of the numbers.
+    """
+
+    name: str
+    bolt_circle_d: float
+    bolt_azimuths_deg: tuple[float, ...]
+    bolt: str
+    max_bolt_entry: float
+    bolt_length: float
+    pin_slot: tuple[float, float]
+    spigot: tuple[float, float]
+    face_d: float
+    source: str
+
+    @property
+    def screw(self) -> SocketScrew:
+        """Return the dimensions of its bolts."""
+        return SCREWS[self.bolt]
+
+    @property
+    def pin_d(self) -> float:
+        """Return the diameter of the dowel pin that fits the slot with 0.2 mm of play [m]; 0 without a slot."""
+        return max(self.pin_slot[0] - 0.2 * MM, 0.0)
+
+
+def _iso_9409(
+    circle_mm: float, bolt: str, slot_mm: tuple[float, float], spigot_mm: tuple[float, float], face_mm: float
+) -> RobotFlange:
+    """Return a pattern of ISO 9409-1 with four bolts."""
+    source = f"ISO 9409-1-{circle_mm:g}-4-{bolt}"
+    slot, spigot = ((pair[0] * MM, pair[1] * MM) for pair in (slot_mm, spigot_mm))
+    return RobotFlange(
+        source.lower().replace(" ", "-"), circle_mm * MM, (45.0, 135.0, 225.0, 315.0), bolt, 6.0 * MM, 12.0 * MM,
+        slot, spigot, face_mm * MM, source,
+    )  # fmt: skip
+
+
+ROBOT_FLANGES = {
+    flange.name: flange
+    for flange in (
+        replace(
+            _iso_9409(50.0, "M6", (6.2, 9.0), (31.3, 4.0), 63.0), source="ISO 9409-1-50-4-M6 (UR, Franka)"
+        ),
+        # Assumed: the thread depth of M5, which is not in our sources; the slot, by analogy with the 50 mm pattern.
+        # The spigot is the Ø20 H7 recess less 0.2 mm, as for the 50 mm pattern.
+        _iso_9409(31.5, "M5", (5.2, 8.0), (19.8, 4.0), 40.0),
+    )
+}
+
+CUSTOM = "own"
+"""Value of `mount.robot_flange` where the pattern is in the design file itself, in `[mount.flange]`."""

@@ -1,1 +1,0 @@
-"""Resins, sensors, printers and robot flanges by name: what a design file refers to."""

@@ -1,0 +1,239 @@
+"""Force/moment sensors: frame, mechanical interface, ranges, resolution and noise.
+
+A new sensor or calibration is one record here; mount, CAD, print rules, estimation and the live view read it.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from probedesign.core.errors import unknown_name
+from probedesign.core.frames import Array
+from probedesign.core.units import MM, N_MM
+from probedesign.design.catalog import M2, MIN_GRIP, SocketScrew
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration of a sensor; channels in the order Fx, Fy, Fz [N], Mx, My, Mz [N·m].
+
+    Attributes:
+        name: as written in a design file.
+        wrench_range: largest absolute value of each channel, six numbers.
+        resolution: one step of each channel, six numbers.
+    """
+
+    name: str
+    wrench_range: tuple[float, ...]
+    resolution: tuple[float, ...]
+
+    def noise(self, samples: int = 1) -> "Noise":
+        """Return the noise of the mean of `samples` independent samples, each with a σ of one resolution step.
+
+        One step per sample is assumed and conservative: a Net Box was measured at 0.35 steps without filter.
+        """
+        return Noise(np.diag((np.array(self.resolution) / np.sqrt(samples)) ** 2))
+
+    @property
+    def noise_cov(self) -> Array:
+        """Return the covariance of one sample [N, N·m], (6, 6)."""
+        return self.noise().cov
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """White noise of one reading [force; moment].
+
+    Attributes:
+        cov: covariance of the six channels [N, N·m], (6, 6).
+    """
+
+    cov: Array
+
+    @classmethod
+    def isotropic(cls, force: float, moment: float) -> "Noise":
+        """Return the noise of independent channels with one σ for the forces [N] and one for the moments [N·m]."""
+        return cls(np.diag([force**2] * 3 + [moment**2] * 3))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether both have the same covariance."""
+        return isinstance(other, Noise) and np.array_equal(self.cov, other.cov)
+
+    @cached_property
+    def std(self) -> Array:
+        """Return the standard deviation of each channel [N, N·m], (6,)."""
+        return np.asarray(np.sqrt(np.diag(self.cov)))
+
+    @cached_property
+    def force(self) -> float:
+        """Return the largest standard deviation of a force channel [N]."""
+        return float(self.std[:3].max())
+
+    @cached_property
+    def moment(self) -> float:
+        """Return the largest standard deviation of a moment channel [N·m]."""
+        return float(self.std[3:].max())
+
+    @property
+    def is_isotropic(self) -> bool:
+        """Return whether `force` and `moment` describe it completely."""
+        return self == Noise.isotropic(self.force, self.moment)
+
+
+@dataclass(frozen=True)
+class ScrewPattern:
+    """Equal threaded holes on a bolt circle in one face of a sensor.
+
+    Attributes:
+        face_d: diameter of the face [m].
+        bolt_circle_d: [m].
+        azimuths_deg: of the holes in the sensor frame.
+        screw: that fits.
+        min_entry: least useful depth of thread [m].
+        max_entry: longer screws destroy the sensor [m].
+    """
+
+    face_d: float
+    bolt_circle_d: float
+    azimuths_deg: tuple[float, ...]
+    screw: SocketScrew
+    min_entry: float
+    max_entry: float
+
+    @property
+    def length(self) -> float:
+        """Return the shortest stock length that leaves `MIN_GRIP` under the head [m]."""
+        needed = (self.min_entry + self.max_entry) / 2 + MIN_GRIP - 1e-9  # a nanometre for round-off
+        return min(n * MM for n in self.screw.stock_mm if n * MM >= needed)
+
+    @property
+    def grip(self) -> float:
+        """Return the thickness under the head [m] with which the screw enters by the middle of its limits."""
+        return self.length - (self.min_entry + self.max_entry) / 2
+
+
+@dataclass(frozen=True)
+class DowelPattern:
+    """Dowel holes in the tool face of a sensor, with azimuths in the sensor frame.
+
+    Attributes:
+        diameter, depth: of a hole [m].
+        circle_d: of their centres [m].
+        azimuths_deg: of the holes.
+        pin_length: length of the stock pin in them [m].
+    """
+
+    diameter: float
+    depth: float
+    circle_d: float
+    azimuths_deg: tuple[float, ...]
+    pin_length: float
+
+
+@dataclass(frozen=True)
+class CableExit:
+    """The cable's exit from a sensor, and the sector that is kept free for the cable.
+
+    Attributes:
+        azimuth_deg: in the sensor frame.
+        half_width_deg, free_height: of the sector, on either side of the cable, and above the mounting face [m].
+        width, reach: of the exit's block, and its distance from the axis [m].
+        heights: of the block's lower and upper face above the mounting face [m].
+    """
+
+    azimuth_deg: float
+    half_width_deg: float
+    free_height: float
+    width: float
+    reach: float
+    heights: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SensorInterface:
+    """The mechanical interface of a sensor: what mount, CAD and print rules need to know of it.
+
+    Attributes:
+        body_d, height: of the body, from tool face to mounting face [m].
+        tool, mounting: threaded holes of both faces.
+        dowels: holes in the tool face.
+        cable: exit and free sector.
+        source: of the numbers, and which of them are assumed.
+    """
+
+    body_d: float
+    height: float
+    tool: ScrewPattern
+    mounting: ScrewPattern
+    dowels: DowelPattern
+    cable: CableExit
+    source: str
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """A sensor: its mechanical interface and its calibrations.
+
+    Its frame is right-handed, with the origin at the centre of the tool face, +X through the tool-side dowel hole at 0°
+    and +Z out of the tool face.
+
+    Attributes:
+        name: as written in a design file.
+        product: maker and type, for documents.
+        interface: mechanical.
+        rate_hz: of the sensor's own clock.
+        calibrations: the finest first.
+    """
+
+    name: str
+    product: str
+    interface: SensorInterface
+    rate_hz: float
+    calibrations: tuple[Calibration, ...]
+
+    def calibration(self, name: str) -> Calibration:
+        """Return the calibration of that name.
+
+        Raises:
+            InputError: no such calibration.
+        """
+        for calibration in self.calibrations:
+            if calibration.name == name:
+                return calibration
+        raise unknown_name("sensor.calibration", name, (c.name for c in self.calibrations), of=self.name)
+
+
+def _si(force: float, force_z: float, moment_n_mm: float, per_n: float, per_n_mm: float) -> Calibration:
+    """Return a calibration of a Nano17 by its ranges [N, N·mm] and its counts per N and per N·mm."""
+    m = moment_n_mm * N_MM
+    return Calibration(
+        f"si-{force:g}-{moment_n_mm / 1000:g}",
+        (force, force, force_z, m, m, m),
+        (*[1 / per_n] * 3, *[N_MM / per_n_mm] * 3),
+    )
+
+
+NANO17 = SensorModel(
+    name="nano17",
+    product="ATI Nano17",
+    interface=SensorInterface(
+        body_d=17.0 * MM,
+        height=14.5 * MM,
+        tool=ScrewPattern(
+            17.0 * MM, 12.5 * MM, (60.0, 180.0, 300.0), M2, min_entry=2.5 * MM, max_entry=3.5 * MM
+        ),
+        # Two sources disagree on this bolt circle (12.5 and 12.306 mm): assumed 12.5; Ø2.4 holes take either.
+        mounting=ScrewPattern(
+            17.0 * MM, 12.5 * MM, (95.0, 215.0, 335.0), M2, min_entry=2.5 * MM, max_entry=3.5 * MM
+        ),
+        dowels=DowelPattern(2.0 * MM, 3.0 * MM, 12.5 * MM, (0.0, 120.0), pin_length=6.0 * MM),
+        cable=CableExit(150.0, 25.0, 8.0 * MM, 3.8 * MM, 11.7 * MM, (0.3 * MM, 4.1 * MM)),
+        source="drawing and specifications published by ATI; the free sector of the cable and the least entry of the "
+        "screws are assumed",
+    ),
+    rate_hz=7000.0,
+    calibrations=(_si(12, 17, 120, 320, 64), _si(25, 35, 250, 160, 32), _si(50, 70, 500, 80, 16)),
+)
+
+SENSORS = {sensor.name: sensor for sensor in (NANO17,)}
