@@ -31,8 +31,8 @@ from benchmarks.touches import (
 )
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
+from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
-from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 

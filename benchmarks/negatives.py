@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.touches import Presses, Touch, random_presses, random_touches, read, stiffened, surface_point
 from probedesign.core.frames import Array
+from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.rod.contact import solve_surface_force
 

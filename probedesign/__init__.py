@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from probedesign.design.sensors import Noise
     from probedesign.design.sensors import SensorModel as Sensor
     from probedesign.estimation.detector import Detector
-    from probedesign.estimation.estimate import Estimate
+    from probedesign.estimation.estimate import Estimate, FusedEstimate
     from probedesign.estimation.estimator import Estimator
-    from probedesign.estimation.fused import FusedEstimate
     from probedesign.estimation.tolerances import Tolerances
     from probedesign.estimation.tolerances import Unknowns as Priors
     from probedesign.estimation.tracker import Tracker
@@ -51,9 +50,8 @@ _MODULES = {
     "design.catalog": ("Resin",),
     "design.sensors": ("Noise", "SensorModel"),
     "estimation.detector": ("Detector",),
-    "estimation.estimate": ("Estimate",),
     "estimation.estimator": ("Estimator",),
-    "estimation.fused": ("FusedEstimate",),
+    "estimation.estimate": ("Estimate", "FusedEstimate"),
     "estimation.tolerances": ("Tolerances", "Unknowns"),
     "estimation.tracker": ("Tracker",),
     "frozen_probe": ("load_estimator",),

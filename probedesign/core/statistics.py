@@ -1,5 +1,6 @@
 """Limits of test statistics, each named by the chance of a false decision."""
 
+import math
 from functools import cache
 
 from scipy.special import chdtri
@@ -10,6 +11,8 @@ FALSE_ALARM = 1.4e-6
 """Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
 RIVAL_CHI2 = 9.0
 """Solutions whose misfit χ² lies within 3² of the best explain the readings about as well."""
+UNIFORM_STD = 1.0 / math.sqrt(12.0)
+"""Standard deviation of a quantity somewhere in its range, over the range: a place known no better is not located."""
 
 
 @cache

@@ -287,3 +287,44 @@ class Detector:
         return math.sqrt(float(self._state.thresholds[longest]) / LENGTHS[longest]) / float(
             np.linalg.norm(per_newton)
         )
+
+
+PENDING, PENDING_SECONDS = 256.0, 0.15
+"""Free readings that wait before they count, the fewer: the last ones may be touches not yet detected. The contact test
+takes a seventh of a second at most."""
+MEAN_SECONDS = 1.0
+"""How long free readings count in their mean [s]: the bias drifts meanwhile."""
+
+
+class FreeMean:
+    """The mean of the free readings, less the free probe's wrench: it measures the bias of the sensor.
+
+    Attributes:
+        excess: the mean, (6,).
+        count: number of readings that it averages.
+    """
+
+    def __init__(self, rate: float) -> None:
+        """Start without readings; `rate` is that of the readings [Hz]."""
+        self.excess, self.count = np.zeros(6), 0.0
+        self._batch = min(PENDING, PENDING_SECONDS * rate)
+        self._window = MEAN_SECONDS * rate
+        self._pending = np.zeros((2, 7))  # sum and number of the readings that wait, the younger batch first
+
+    def add(self, excess: Array) -> None:
+        """Take in one free reading less the free probe's wrench, (6,)."""
+        younger, older = self._pending
+        younger[:6] += excess
+        younger[6] += 1.0
+        if younger[6] < self._batch:
+            return
+        added = older[6]
+        if added:
+            total = min(self.count + added, max(self._window, added))
+            self.excess += (older[:6] - added * self.excess) / total
+            self.count = total
+        self._pending[1], self._pending[0] = self._pending[0], 0.0
+
+    def drop_pending(self) -> None:
+        """Drop the readings that wait: a contact was detected, and they may belong to it."""
+        self._pending[:] = 0.0

@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, max_chi2
+from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.design.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
 from probedesign.estimation.error_sources import ErrorSources
-from probedesign.estimation.estimate import Candidate, Estimate, Result
-from probedesign.estimation.fused import FusedEstimate, MomentsAbout
+from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, MomentsAbout, Result
+from probedesign.estimation.likelihood import Problem
 from probedesign.estimation.model import Observation, ProbeModel, covariance
-from probedesign.estimation.problem import Problem
 from probedesign.estimation.tolerances import Tolerances, Unknowns
 from probedesign.rod.equilibrium import Equilibrium
 
@@ -246,7 +245,7 @@ class Estimator:
         so uncertain that a first-order covariance is invalid.
         """
         return bool(
-            std_s < self.model.rod.length / math.sqrt(12.0)
+            std_s < self.model.rod.length * UNIFORM_STD
             and math.sqrt(force @ force) > MIN_FORCE * self._std_force(readings)
         )
 

@@ -1,7 +1,7 @@
 """Readings of one fixed point, touched from several poses of the base, fused by Gauss-Newton.
 
 Pressing on by a known motion of the base measures the compliance at the contact, which locates it without any reading
-of the force. What is minimised is written down in `fusion_kernel.py`; a single touch is the fusion of one pose, and a
+of the force. What is minimised is written down in `keyframe_kernel.py`; a single touch is the fusion of one pose, and a
 tracked touch (`tracker.py`) the fusion of its keyframes as they come.
 """
 
@@ -18,15 +18,12 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, is_pose, wrench_map
 from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
-from probedesign.estimation.estimate import Result
+from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.force_moment import closest_approaches, curve
-from probedesign.estimation.fused import FusedEstimate, MomentsAbout
-from probedesign.estimation.fusion_state import GROUPS, FusionState, Pin, without
-from probedesign.estimation.likelihood import locate
+from probedesign.estimation.fusion_state import GROUPS, FusionState, Pin, result_of, without
+from probedesign.estimation.likelihood import Problem, locate
 from probedesign.estimation.model import Observation, ProbeModel, covariance
-from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import (
-    NORMAL,
     TOUCH,
 )
 from probedesign.estimation.tolerances import Tolerances
@@ -52,8 +49,6 @@ PINNED = 1e-3
 """Standard deviation, over that of the free point, to which `Fusion.curvature` keeps the point aside."""
 MAX_FURTHER = 3
 """Times that the point is kept aside, further each time by up to twice, until the misfit has risen by about three."""
-BETTER_THAN_NOTHING = 1.0 / math.sqrt(12.0)
-"""Standard deviation of a place somewhere along the probe, over its length."""
 
 
 def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
@@ -406,23 +401,16 @@ class Fusion:
     def _code(self, found: list[Solution], rms: float) -> Result:
         best = found[0]
         std = np.array([math.sqrt(float(reading.cov[0, 0])) for reading in self.readings])
-        if best.chi2 > max_chi2(self.dof, MISFIT_CHANCE) or pulls(
-            best.touches[self.touched], std[self.touched]
-        ):
-            return "inconsistent"
-        if not rms < self.model.rod.length * BETTER_THAN_NOTHING:
-            return "unobservable" if self.moments_only else "too_light"
+        code = result_of(best.chi2, self.dof, rms / self.model.rod.length, best.touches[self.touched],
+                         std[self.touched], self.moments_only)  # fmt: skip
+        if code != "ok":
+            return code
         for rival in found[1:]:
             apart = float(np.linalg.norm(rival.x[:3] - best.x[:3]))
             spread = rms + math.sqrt(max(float(np.trace(rival.cov)), 0.0))
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * spread:
                 return "ambiguous"
         return "ok"
-
-
-def pulls(touches: Array, std: Array) -> bool:
-    """Whether a touch pulls by more than the noise of a force may feign, std [N], (k,)."""
-    return bool((touches[:, NORMAL] < -3.0 * std).any())
 
 
 def _distinct(found: Iterable[Solution | None]) -> list[Solution]:

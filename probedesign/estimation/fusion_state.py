@@ -1,4 +1,4 @@
-"""The touches of a fusion as they are linearised, and what the kernels of `fusion_kernel.py` make of them."""
+"""The touches of a fusion as they are linearised, and what the kernels make of them."""
 
 import math
 from dataclasses import replace
@@ -9,11 +9,11 @@ from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
 from probedesign.core.frames import Array
-from probedesign.core.statistics import MISFIT_CHANCE
+from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, max_chi2
 from probedesign.core.units import MM
-from probedesign.estimation import fusion_kernel as kernel
-from probedesign.estimation import multistart
+from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
 from probedesign.estimation.error_sources import FINE
+from probedesign.estimation.estimate import Result
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -69,6 +69,25 @@ GROUPS = ("stiffness", "bias", "robot")
 """Groups of error sources whose absence `rms_without` reports."""
 
 
+def result_of(
+    chi2: float, dof: int, relative_rms: float, touches: Array, force_std: Array, moments_only: bool
+) -> Result:
+    """Return the result code of a fused touch without rivals.
+
+    Args:
+        chi2, dof: misfit and its degrees of freedom.
+        relative_rms: root of the trace of the point's covariance, over the length of the probe.
+        touches: as located, (k, TOUCH); force_std: of a force axis by the noise of each reading [N], (k,).
+        moments_only: whether forces do not count.
+    """
+    pulls = (touches[:, NORMAL] < -3.0 * force_std).any()  # by more than noise explains
+    if chi2 > max_chi2(dof, MISFIT_CHANCE) or pulls:
+        return "inconsistent"
+    if not relative_rms < UNIFORM_STD:
+        return "unobservable" if moments_only else "too_light"
+    return "ok"
+
+
 def without(priors: Tolerances, group: str) -> Tolerances:
     """The same priors with one group of error sources gone."""
     if group == "stiffness":
@@ -96,7 +115,7 @@ class FusionState:
         k, m = len(fusion.readings), len(fusion.channels)
         parameters = OWN + len(fusion.model.rod.s)
         self.causes = len(fusion.sources[0].names)
-        width = kernel.columns(self.causes)
+        width = keyframe_kernel.columns(self.causes)
         self.lin = np.empty((k, ROWS, 1 + UNKNOWNS + parameters))
         self.D = np.empty((k, 12, self.causes))
         # A pin counts as one more reading before the first.
@@ -106,19 +125,19 @@ class FusionState:
             self.reduced[k, 0, :3], self.reduced[k, 0, -1] = pin.axis / pin.std, pin.at / pin.std
         self._touched = np.append(fusion.touched, False)
         self._walk = np.empty(len(self._order))
-        self._chain = np.empty((len(self._order), kernel.BIAS, width))
+        self._chain = np.empty((len(self._order), keyframe_kernel.BIAS, width))
         self._xs = np.empty((k + 1, width - 1))
-        self.local = np.empty((k, kernel.LOCAL, kernel.LOCAL + width))
+        self.local = np.empty((k, keyframe_kernel.LOCAL, keyframe_kernel.LOCAL + width))
         self._sweep_work = np.empty(work_size(parameters))
-        self._block = np.empty((kernel.rows_of(m), kernel.LOCAL + width))
-        self._work = np.empty(max(kernel.solve_work(self.causes), 100))
+        self._block = np.empty((keyframe_kernel.rows_of(m), keyframe_kernel.LOCAL + width))
+        self._work = np.empty(max(fusion_kernel.solve_work(self.causes), 100))
         self._x, self._cov = np.empty(width - 1), np.empty((3, 3))
 
     def linearise(self) -> bool:
         """All touches where they are; whether the probe holds them all."""
         fusion = self.fusion
         for k, sources in enumerate(fusion.sources):
-            if fusion.touched[k] and not kernel.linearise_keyframe(
+            if fusion.touched[k] and not keyframe_kernel.linearise_keyframe(
                 fusion.model.rod.body, sources.gravity, fusion.model.mass, FINE, self.touches[k],
                 *sources.arguments(), self._sweep_work, self.lin[k], self.D[k],
             ):  # fmt: skip
@@ -134,11 +153,11 @@ class FusionState:
             whiten = fusion.whitening[k]
             if not reading.touched:
                 free, columns = fusion.free[k]
-                kernel.reduce_free(
+                keyframe_kernel.reduce_free(
                     columns, free, reading.wrench, fusion.channels, whiten, fusion.bias, self.reduced[k]
                 )
                 continue
-            kernel.reduce_keyframe(
+            keyframe_kernel.reduce_keyframe(
                 self.touches[k], self.lin[k], D[k], reading.wrench, reading.T_world_base, fusion.channels, whiten,
                 fusion.bias, ratio, common, priors.robot_mm * MM, scatter, creep,
                 float(fusion.ramps[k]), self._block, self.local[k], self.reduced[k],
@@ -162,11 +181,11 @@ class FusionState:
         self._reduce(priors, self.D if D is None else D, friction, common_friction)
         self._walk[:] = priors.walk_steps**2
         self._walk[: 1 + len(self._order) - len(self.fusion.readings)] = 0.0
-        chi2 = kernel.solve_reduced(
+        chi2 = fusion_kernel.solve_reduced(
             self.reduced, self._order, self._walk, priors.drift_steps, self.causes, self._chain, self._work, self._x,
             self._cov,
         )  # fmt: skip
-        kernel.smooth_bias(self._chain, self._order, self._walk, self._x, self._xs)
+        fusion_kernel.smooth_bias(self._chain, self._order, self._walk, self._x, self._xs)
         return float(chi2), self._x.copy(), self._cov.copy()
 
     def step(self, share: float, max_step: float) -> float:
@@ -180,7 +199,9 @@ class FusionState:
         """
         work, end = np.empty(60), self.fusion.model.rod.flank_end
         sizes = [
-            kernel.step_keyframe(self.touches[k], self.lin[k], self.local[k], x, share, max_step, end, work)
+            keyframe_kernel.step_keyframe(
+                self.touches[k], self.lin[k], self.local[k], x, share, max_step, end, work
+            )
             for k, x in enumerate(self._xs)
             if self._touched[k]
         ]
@@ -231,9 +252,9 @@ class FusionState:
         wide, later = np.zeros((k, m, width + 3)), slice(first, len(self.fusion.readings))
         wide[:, :, :3], wide[:, :, 6:] = self.reduced[:, :, :3], self.reduced[:, :, 3:]
         wide[later, :, 3:6] = OBJECT_STEP * self.reduced[later, :, :3]
-        chain = np.empty((len(self._order), kernel.BIAS, width + 3))
-        work, n = np.empty(kernel.solve_work(self.causes + 3)), width + 2
-        chi2 = kernel.solve_reduced(
+        chain = np.empty((len(self._order), keyframe_kernel.BIAS, width + 3))
+        work, n = np.empty(fusion_kernel.solve_work(self.causes + 3)), width + 2
+        chi2 = fusion_kernel.solve_reduced(
             wide, self._order, self._walk, self.fusion.priors.drift_steps, self.causes + 3, chain, work, np.empty(n),
             np.empty((3, 3)),
         )  # fmt: skip
@@ -245,7 +266,7 @@ class FusionState:
     def std_of(self, j: int) -> float:
         """Standard deviation of a common unknown, after `solved`."""
         n = len(self._x)
-        return float(kernel.standard_deviation(self._work, n, j, np.empty(n)))
+        return float(fusion_kernel.standard_deviation(self._work, n, j, np.empty(n)))
 
     def cov_with_sources(self) -> Array:
         """Covariance of the touched point [m] with the error sources (unit priors), after `solved`, (3, J)."""
@@ -268,7 +289,7 @@ class FusionState:
         fusion, n = self.fusion, len(self._x)
         poses = np.array([reading.T_world_base for reading in fusion.readings])
         mean, cov = np.empty(3), np.empty((3, 3))
-        kernel.mean_centre(
+        fusion_kernel.mean_centre(
             self.lin, self.D, self.local, poses, self._order, self._touched, self._walk, self._chain, self._xs,
             *fusion.own_columns, np.append(fusion.ramps, 1.0), np.empty(6 * n + 100), self._work, mean, cov,
         )  # fmt: skip

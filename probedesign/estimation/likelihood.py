@@ -6,6 +6,8 @@ the force–moment method (`force_moment.py`). The fit itself is compiled (`cont
 """
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +17,11 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.estimation import multistart
 from probedesign.estimation.contact_fit import AT_END, FIT_SCRATCH, STALLED
+from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate
+from probedesign.estimation.force_moment import Scan
+from probedesign.estimation.model import Observation
 from probedesign.estimation.multistart import FIT, MAX_STARTS
-from probedesign.estimation.problem import Problem
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -37,6 +41,28 @@ _SAME = 1e-5
 """Places closer than this, over the length, are one."""
 _ALIKE = 0.05
 """Two places closer than this, over a standard deviation, are one; a fit ends within a hundredth of it."""
+
+
+@dataclass(eq=False)
+class Problem:
+    """What one reading is located from.
+
+    Attributes:
+        sources: error sources under its gravity.
+        seen: the reading.
+        friction: prior standard deviation of the friction ratio.
+        noise: covariance of the reading by noise and drift, (6, 6).
+    """
+
+    sources: ErrorSources
+    seen: Observation
+    friction: float
+    noise: Array
+
+    @cached_property
+    def scan(self) -> Scan:
+        """Return the reading's scan along the probe, made when it is first needed."""
+        return Scan.of(self.sources.model.rod, self.seen)
 
 
 def dof_of(friction: float) -> int:

@@ -15,24 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.core.units import MM
-from probedesign.estimation import fusion_kernel as kernel
-from probedesign.estimation import multistart, tracker_kernel
-from probedesign.estimation.detector import Detector, Touching
+from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
+from probedesign.estimation.detector import Detector, FreeMean, Touching
 from probedesign.estimation.error_sources import FINE, ErrorSources, across
-from probedesign.estimation.estimate import Result
+from probedesign.estimation.estimate import FusedEstimate, MomentsAbout
 from probedesign.estimation.estimator import SETTLED, Estimator
-from probedesign.estimation.fused import FusedEstimate, MomentsAbout
 from probedesign.estimation.fusion import (
-    BETTER_THAN_NOTHING,
     COMMON_FRICTION,
     Fusion,
     Reading,
     channels_of,
-    pulls,
-)
-from probedesign.estimation.fusion_state import FusionState
+)  # fmt: skip
+from probedesign.estimation.fusion_state import FusionState, result_of
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -43,7 +38,7 @@ from probedesign.estimation.surface_contact_kernel import (
     TOUCH,
     UNKNOWNS,
     work_size,
-)
+)  # fmt: skip
 from probedesign.estimation.tolerances import Tolerances
 
 MAX_KEYFRAMES = 8
@@ -64,11 +59,6 @@ _APART = 5e-6
 """Distance [m] below which two poses are one; a rotation of 1 rad counts as a tenth of a metre."""
 _MIXED = 1e-4
 """Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ."""
-_HELD, _HELD_SECONDS = 256.0, 0.15
-"""Free readings that are held back before they count, the fewer: the last ones may be touches not yet detected; the
-contact test takes a seventh of a second at most."""
-_ANCHOR_SECONDS = 1.0
-"""How long free readings count in the free probe's mean [s]: before, the bias was another."""
 _MAX_COUNT = 1e9
 MAX_STEP = 0.1
 """Of arclength over length, in one step."""
@@ -140,8 +130,7 @@ class Tracker:
         self._time = -math.inf
         self._gravity = np.empty(3)
         self._axes = across(self._gravity_world)
-        self._anchor, self._anchored = np.zeros(6), 0.0
-        self._held = np.zeros((2, 7))  # sum and number of the readings held back, the younger first
+        self._free_mean = FreeMean(self.rate)
         self._tared: ErrorSources | None = None
         self._memory()
         self._forget()
@@ -150,26 +139,24 @@ class Tracker:
         """The arrays that the kernels work in."""
         free = self.estimator.free(self.estimator.model.gravity_base)
         sources = ErrorSources.of(self.estimator.model, self._priors, self.estimator.model.gravity_base, free)
-        self._causes, self._width = len(sources.names), kernel.columns(len(sources.names))
+        self._causes, self._width = len(sources.names), keyframe_kernel.columns(len(sources.names))
         self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
         self._E = sources.column("E")
         m, parameters = len(self._channels), OWN + len(self.estimator.model.rod.s)
         self._columns = 1 + UNKNOWNS + parameters
         self._sweep_work = np.empty(work_size(parameters))
-        self._block = np.empty((kernel.rows_of(m), kernel.LOCAL + self._width))
-        self._work = np.empty(kernel.solve_work(self._causes))
+        self._block = np.empty((keyframe_kernel.rows_of(m), keyframe_kernel.LOCAL + self._width))
+        self._work = np.empty(fusion_kernel.solve_work(self._causes))
         room = self.keyframes + 2  # the first for the free probe's mean, the last for one keyframe too many
         self._all = np.empty((room, m, self._width))
-        self._chain, self._xs = np.empty((room, kernel.BIAS, self._width)), np.empty((room, self._width - 1))
+        self._chain = np.empty((room, keyframe_kernel.BIAS, self._width))
+        self._xs = np.empty((room, self._width - 1))
         self._touched, self._ramp = np.arange(room) > 0, np.ones(room)
         self._lins, self._Ds = np.empty((room, ROWS, self._columns)), np.empty((room, 12, self._causes))
-        self._locals = np.empty((room, kernel.LOCAL, kernel.LOCAL + self._width))
+        self._locals = np.empty((room, keyframe_kernel.LOCAL, keyframe_kernel.LOCAL + self._width))
         self._poses, self._touches = np.empty((room, 4, 4)), np.empty((room, TOUCH))
-        self._mean_work, self._mean, self._cov_mean = (
-            np.empty(6 * self._width + 100),
-            np.empty(3),
-            np.empty((3, 3)),
-        )
+        self._mean_work = np.empty(6 * self._width + 100)
+        self._mean, self._cov_mean = np.empty(3), np.empty((3, 3))
         self._step_work = np.empty(60)
         self._cov = np.empty((3, 3))
         self._last_sources: dict[bytes, ErrorSources] = {}
@@ -207,7 +194,9 @@ class Tracker:
         if wrench.shape != (6,) or T.shape != (4, 4) or not self._time < time < math.inf:
             return FusedEstimate("out_of_range")
         to_sensor, payload, limit, _ = self.estimator.model.observation_map
-        if not tracker_kernel.admit(wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity):
+        if not keyframe_kernel.admit(
+            wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity
+        ):
             return FusedEstimate("out_of_range")
         free = self.estimator.free(self._gravity)
         if not free.ok:
@@ -226,16 +215,7 @@ class Tracker:
         """A free reading, less what the free probe makes there: it ties the bias down, wherever the base is."""
         if lost or self._kept:
             self._forget()
-        self._held[0, :6] += beyond
-        self._held[0, 6] += 1.0
-        if self._held[0, 6] < min(_HELD, _HELD_SECONDS * self.rate):
-            return
-        old, count = self._held[1, :6], self._held[1, 6]
-        if count:
-            total = min(self._anchored + count, max(_ANCHOR_SECONDS * self.rate, count))
-            self._anchor += (old - count * self._anchor) / total
-            self._anchored = total
-        self._held[1], self._held[0] = self._held[0], 0.0
+        self._free_mean.add(beyond)
 
     def _sources_at(self, T: Array) -> ErrorSources:
         """The error sources under the present gravity; the sensor was tared where the first touch came."""
@@ -253,8 +233,8 @@ class Tracker:
 
     def _place(self, wrench: Array, T: Array) -> None:
         """Put a reading into the last keyframe, or into a new one where the base has moved."""
-        self._held[:] = 0.0
-        if self._kept and tracker_kernel.apart(self._kept[-1].T, T) <= _APART:
+        self._free_mean.drop_pending()
+        if self._kept and keyframe_kernel.apart(self._kept[-1].T, T) <= _APART:
             self._kept[-1].take_in(wrench)
             return
         touch = self._kept[-1].touch.copy() if self._kept else np.zeros(TOUCH)
@@ -269,7 +249,7 @@ class Tracker:
 
     def _join(self) -> None:
         """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""
-        gaps = [tracker_kernel.apart(a.T, b.T) for a, b in pairwise(self._kept)]
+        gaps = [keyframe_kernel.apart(a.T, b.T) for a, b in pairwise(self._kept)]
         i = int(np.argmin(gaps))
         a, b = self._kept[i], self._kept[i + 1]
         kept, other = (a, b) if a.count >= b.count and i + 2 < len(self._kept) else (b, a)
@@ -315,9 +295,9 @@ class Tracker:
         """A keyframe, its touch first moved to where the unknowns put it; whether the probe holds it."""
         frame, model = self._kept[k], self.estimator.model
         if frame.known and self._x is not None:
-            kernel.step_keyframe(frame.touch, frame.lin, frame.local, frame.x, 1.0,
+            keyframe_kernel.step_keyframe(frame.touch, frame.lin, frame.local, frame.x, 1.0,
                                  MAX_STEP * model.rod.length, model.rod.flank_end, self._step_work)  # fmt: skip
-        if not kernel.linearise_keyframe(
+        if not keyframe_kernel.linearise_keyframe(
             model.rod.body, frame.sources.gravity, model.mass, FINE, frame.touch, *frame.sources.arguments(),
             self._sweep_work, frame.lin, frame.D,
         ):  # fmt: skip
@@ -328,7 +308,7 @@ class Tracker:
 
     def _reduce(self, frame: _Keyframe, k: int) -> None:
         self._ramp[frame.slot] = k / (len(self._kept) - 1) if len(self._kept) > 1 else 1.0
-        kernel.reduce_keyframe(
+        keyframe_kernel.reduce_keyframe(
             frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
             math.sqrt(frame.count) * self._whiten, self._bias, self.estimator.model.friction,
             COMMON_FRICTION, self._priors.robot_mm * MM, self._scatter, self._creep, self._ramp[frame.slot],
@@ -338,11 +318,11 @@ class Tracker:
     def _gather(self) -> tuple[NDArray[np.int64], Array]:
         """Which rows count, the free probe's mean first, and the variance of the bias's step before each."""
         order, walk, drift = [], [], self._priors.walk_steps**2 / SETTLED
-        if self._priors.drift_steps > 0.0 and self._anchored > 0.0:
+        if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
             free = self.estimator.free(self._kept[0].sources.gravity).wrench_base
-            kernel.reduce_free(
-                np.zeros((6, self._causes)), free, free + self._anchor, self._channels,
-                math.sqrt(self._anchored) * self._whiten, self._bias, self._all[0],
+            keyframe_kernel.reduce_free(
+                np.zeros((6, self._causes)), free, free + self._free_mean.excess, self._channels,
+                math.sqrt(self._free_mean.count) * self._whiten, self._bias, self._all[0],
             )  # fmt: skip
             order, walk = [0], [0.0]
         last = self._kept[0].time
@@ -357,20 +337,12 @@ class Tracker:
         """Solve all keyframes as they are linearised."""
         order, walk = self._gather()
         x = np.empty(self._width - 1)
-        chi2 = kernel.solve_reduced(
-            self._all,
-            order,
-            walk,
-            self._priors.drift_steps,
-            self._causes,
-            self._chain,
-            self._work,
-            x,
-            self._cov,
-        )
+        chi2 = fusion_kernel.solve_reduced(
+            self._all, order, walk, self._priors.drift_steps, self._causes, self._chain, self._work, x, self._cov
+        )  # fmt: skip
         if not math.isfinite(chi2):
             return FusedEstimate("not_converged")
-        kernel.smooth_bias(self._chain, order, walk, x, self._xs)
+        fusion_kernel.smooth_bias(self._chain, order, walk, x, self._xs)
         self._x = x
         return self._result(x, float(chi2), order, walk)
 
@@ -382,39 +354,26 @@ class Tracker:
         stiffness, std = 1.0, 0.0
         if self._E >= 0:
             scale = self._priors.youngs_modulus
-            stiffness, std = (
-                math.exp(scale * float(x[3 + self._E])),
-                scale * kernel.standard_deviation(self._work, len(x), 3 + self._E, self._mean_work),
-            )
+            stiffness = math.exp(scale * float(x[3 + self._E]))
+            std = scale * fusion_kernel.standard_deviation(self._work, len(x), 3 + self._E, self._mean_work)
         touches = self._touches[[frame.slot for frame in frames]]
-        code = self._code(chi2, dof, rms, touches, np.array([frame.count for frame in frames]))
+        force_std = math.sqrt(float(self._sample[0, 0])) / np.sqrt([frame.count for frame in frames])
+        code = result_of(chi2, dof, rms / model.rod.length, touches, force_std, self.moments_only)
         if code != "ok":
             return FusedEstimate(code, stiffness=stiffness, std_stiffness=stiffness * std, chi2=chi2, dof=dof, rms=rms,
                                  iterations=1)  # fmt: skip
-        kernel.mean_centre(
+        fusion_kernel.mean_centre(
             self._lins, self._Ds, self._locals, self._poses, order, self._touched, walk, self._chain, self._xs,
             self._scatter, self._creep, self._ramp, self._mean_work, self._work, self._mean, self._cov_mean,
         )  # fmt: skip
         s = np.empty(len(frames))
         multistart.contact_arclengths(model.rod.body, touches, s)
         return FusedEstimate(
-            "ok",
-            p_surface_world=x[:3].copy(),
-            cov_surface_world=self._cov.copy(),
-            p_contact_world=self._mean.copy(),
-            cov_contact_world=self._cov_mean.copy(),
-            s_contact=s,
-            force_base=touches[:, DEAD : DEAD + 3],
-            force_normal=touches[:, NORMAL],
-            force_tangential=touches[:, NORMAL] * np.hypot(touches[:, AROUND], touches[:, ALONG]),
-            stiffness=stiffness,
-            std_stiffness=stiffness * std,
-            chi2=chi2,
-            dof=dof,
-            rms=rms,
-            iterations=1,
-            candidates_world=x[None, :3].copy(),
-        )
+            "ok", x[:3].copy(), self._cov.copy(), self._mean.copy(), self._cov_mean.copy(), s,
+            touches[:, DEAD : DEAD + 3], touches[:, NORMAL],
+            touches[:, NORMAL] * np.hypot(touches[:, AROUND], touches[:, ALONG]), stiffness, stiffness * std, chi2, dof,
+            rms, iterations=1, candidates_world=x[None, :3].copy(),
+        )  # fmt: skip
 
     def _is_due(self, size: float) -> bool:
         """Whether the curvature is to be evaluated again, which takes some milliseconds."""
@@ -460,14 +419,6 @@ class Tracker:
             rms=math.sqrt(max(float(np.trace(cov)), 0.0)),
         )
 
-    def _code(self, chi2: float, dof: int, rms: float, touches: Array, counts: Array) -> Result:
-        std = math.sqrt(float(self._sample[0, 0])) / np.sqrt(counts)
-        if chi2 > max_chi2(dof, MISFIT_CHANCE) or pulls(touches, std):
-            return "inconsistent"
-        if not rms < self.estimator.model.rod.length * BETTER_THAN_NOTHING:
-            return "unobservable" if self.moments_only else "too_light"
-        return "ok"
-
     # Starting --------------------------------------------------------------------------------------------------------
 
     def _begin(self) -> FusedEstimate:
@@ -507,17 +458,15 @@ class Tracker:
             result = self._step()
         return result
 
-    def _reading(self, frame: _Keyframe) -> Reading:
-        return Reading(frame.wrench.copy(), self._sample / frame.count, frame.T, frame.sources.gravity, True)
-
     def _batch(self) -> tuple[Fusion, Array]:
         """The keyframes as one batch, the free probe's mean before them, and their touches, (k, TOUCH)."""
-        readings = [self._reading(frame) for frame in self._kept]
+        readings = [Reading(frame.wrench.copy(), self._sample / frame.count, frame.T, frame.sources.gravity, True)
+                    for frame in self._kept]  # fmt: skip
         touches = [frame.touch for frame in self._kept]
-        if self._priors.drift_steps > 0.0 and self._anchored > 0.0:
+        if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
             first = self._kept[0]
             free = self.estimator.free(first.sources.gravity).wrench_base
-            readings.insert(0, Reading(free + self._anchor, self._sample / self._anchored, first.T,
+            readings.insert(0, Reading(free + self._free_mean.excess, self._sample / self._free_mean.count, first.T,
                                        first.sources.gravity, False))  # fmt: skip
             touches.insert(0, np.zeros(TOUCH))
         fusion = Fusion(

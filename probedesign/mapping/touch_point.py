@@ -19,9 +19,8 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimate import RESULTS, FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel, covariance

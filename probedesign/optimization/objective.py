@@ -9,12 +9,12 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.statistics import UNIFORM_STD
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.estimation.error_sources import ErrorSources
+from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import MomentsAbout
-from probedesign.estimation.fusion import BETTER_THAN_NOTHING
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import error_budget
@@ -208,7 +208,7 @@ class DesignMetrics:
     @property
     def is_observable(self) -> bool:
         """Return whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
-        return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * BETTER_THAN_NOTHING
+        return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * UNIFORM_STD
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data; every key ends in its unit."""

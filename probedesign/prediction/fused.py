@@ -21,10 +21,11 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
+from probedesign.core.statistics import UNIFORM_STD
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import CAUSES as SOURCES
-from probedesign.estimation.fused import MomentsAbout
-from probedesign.estimation.fusion import BETTER_THAN_NOTHING, Fusion, Reading, channels_of
+from probedesign.estimation.estimate import MomentsAbout
+from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
@@ -302,7 +303,7 @@ def _condition(
     error, within = _mm(budget.total)
     if touches[-1].sensor_use[i] > 1.0:
         return replace(found, result="out_of_range")
-    if not error * MM < model.rod.length * BETTER_THAN_NOTHING:
+    if not error * MM < model.rod.length * UNIFORM_STD:
         return replace(found, result="unobservable" if schedule.moments_about else "too_light")
     noise, noise_within = _mm(budget.cov_noise)
     by_source = dict(zip(FUSED_CAUSES, (budget.rms / MM).tolist(), strict=True))

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from probedesign.estimation.estimate import Estimate
-from probedesign.estimation.fused import FusedEstimate
+from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.live.processing.blocks import NO_CONTACT, TrueContact, WrenchReading
 from probedesign.live.processing.estimates import (
     COLUMNS,

@@ -15,9 +15,8 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import FusedEstimate
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading

@@ -8,9 +8,8 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
-from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
-from probedesign.estimation.fused import FusedEstimate
 from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.control import Tare, without_bias
 from probedesign.live.processing.touches import Contact, Phase

@@ -21,9 +21,8 @@ from scipy.special import chdtri
 
 from probedesign.core.frames import Array
 from probedesign.estimation.detector import Detector, Touching
-from probedesign.estimation.estimate import Estimate
+from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fused import FusedEstimate
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
