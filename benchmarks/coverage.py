@@ -39,8 +39,9 @@ from benchmarks.timing import print_table
 from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.units import MM
 from probedesign.design import load_design
-from probedesign.estimation.estimator import SETTLED, Estimator
+from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.probe import build_probe
 from tests.reference.cosserat import solve
 
@@ -108,7 +109,7 @@ def tracked(estimator: Estimator, samples: Array, Ts: Array) -> tuple[str, Array
         for wrench in readings:
             clock += 1.0 / 7000.0
             f = tracker.update(wrench, T, clock, touching="contact")
-        clock += SETTLED  # the time in which the tracker lets the bias walk as far as `fuse` from reading to reading
+        clock += WALK_SECONDS  # as `fuse` takes readings to be apart whose times are not given
     assert f is not None
     return f.result, f.p_surface_world, _cov_world(f)
 

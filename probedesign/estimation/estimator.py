@@ -4,13 +4,13 @@ import math
 import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, is_pose
 from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.design.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
@@ -18,8 +18,11 @@ from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.likelihood import Problem
 from probedesign.estimation.model import Observation, ProbeModel, covariance
-from probedesign.estimation.tolerances import Tolerances, Unknowns
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances, Unknowns
 from probedesign.rod.equilibrium import Equilibrium
+
+if TYPE_CHECKING:
+    from probedesign.estimation.fusion import Reading
 
 Method = Literal["ml", "force_moment", "paper"]
 """Ways to locate a single contact; "paper" is another name of "force_moment"."""
@@ -28,9 +31,8 @@ ALARM_CHI2 = max_chi2(6, FALSE_ALARM)
 MIN_FORCE = 5.0
 """Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
 normal where F is known to less than a fifth (tests/estimation/test_statistics.py)."""
-SETTLED = 16.0
-"""Age of a tare [s] for which the tolerance of drift is meant. Assumed: the detector's walk of 0.05 steps a root of a
-second makes the default 0.2 steps of it."""
+SAME_POSE = 1e-6
+"""Difference of poses, in metres and in entries of the rotation, up to which they are one: far below any robot's."""
 MIN_LEVER = 0.1
 """Change of the base moment with s, over the force, below which the place of a force is not observable."""
 
@@ -189,6 +191,7 @@ class Estimator:
         moments_only: bool = False,
         moments_about: MomentsAbout = "base",
         touched: ArrayLike | None = None,
+        times: ArrayLike | None = None,
         priors: Tolerances | None = None,
         unknowns: Unknowns | None = None,
     ) -> FusedEstimate:
@@ -204,6 +207,8 @@ class Estimator:
                 times its lever shows, or those that the sensor reads itself, which need all six numbers to be got
                 back and are then free of it.
             touched: where there was contact, (k,), all if None; readings without it tie the bias down.
+            times: of the readings [s], (k,), for the walk of the bias; `WALK_SECONDS` apart if None. Consecutive
+                readings from one pose count as a window of one touch.
             priors: standard deviations of the error sources; those of the estimator if None.
             unknowns: former form of the priors, kept for one release.
 
@@ -213,12 +218,70 @@ class Estimator:
         Raises:
             InputError: an argument has the wrong shape.
         """
-        from probedesign.estimation.fusion import fuse  # its kernels compile for those who fuse alone
+        from probedesign.estimation.fusion import Fusion, channels_of  # compiled for those who fuse alone
 
+        moments = moments_about if moments_only else None
+        if moments not in (None, "base", "sensor"):
+            raise InputError(f"moments_about = {moments!r} is not known; known: base, sensor")
         if priors is None:
             priors = self.priors if unknowns is None else Tolerances.from_unknowns(unknowns)
-        return fuse(self.model, wrenches_base, Ts_world_base, gravity_world, touched, priors,
-                    moments_about if moments_only else None)  # fmt: skip
+        wrenches, poses, gravity, contact, clock = _fused_arguments(
+            wrenches_base, Ts_world_base, gravity_world, touched, times
+        )
+        known = [wrenches[:, 3:] if moments == "base" else wrenches, gravity, clock]
+        if not (all(np.isfinite(of).all() for of in known) and all(is_pose(T) for T in poses)):
+            return FusedEstimate("out_of_range")
+        wrenches, gravities = np.nan_to_num(wrenches), gravity @ poses[:, :3, :3]
+        channels = slice(0, 6) if moments is None else slice(3, 6)
+        read = [self.model.to_sensor(w, g)[channels] for w, g in zip(wrenches, gravities, strict=True)]
+        if (np.abs(read) > self.model.saturation_limit[channels]).any() or (np.diff(clock) < 0.0).any():
+            return FusedEstimate("out_of_range")
+        frees = [self.free(g) for g in gravities]
+        if not all(free.ok for free in frees):
+            return FusedEstimate("not_converged")
+        if (
+            moments is None
+            and contact.any()
+            and not any(
+                self._exceeds(self._detection_chi2(w, free))
+                for w, free in zip(wrenches[contact], frees, strict=False)
+            )
+        ):
+            return FusedEstimate("no_contact")
+        readings, window = self._windows(wrenches, poses, gravities, contact, clock, priors)
+        found = Fusion(self.model, readings, priors, channels_of(self.model, moments), gravity).solve()
+        if not found.ok or len(readings) == len(window):
+            return found
+        return replace(
+            found, s_contact=found.s_contact[window], force_base=found.force_base[window],
+            force_normal=found.force_normal[window], force_tangential=found.force_tangential[window],
+        )  # fmt: skip
+
+    def _windows(
+        self, wrenches: Array, poses: Array, gravities: Array, contact: NDArray[np.bool_], clock: Array,
+        priors: Tolerances,
+    ) -> "tuple[tuple[Reading, ...], list[int]]":  # fmt: skip
+        """Return one reading for each run of readings from one pose, and the run of each reading.
+
+        A run is one touch: priors on friction and on its stiffness count once. In its mean the bias has walked: a walk
+        of variance q a second scatters the mean over T seconds about the bias at its middle by q T/12.
+        """
+        from probedesign.estimation.fusion import Reading
+
+        starts = [
+            k for k in range(len(poses))
+            if k == 0 or contact[k] != contact[k - 1] or np.abs(poses[k] - poses[k - 1]).max() > SAME_POSE
+        ]  # fmt: skip
+        step = self.model.noise_base() * self.model.averaging_samples
+        readings, window = list[Reading](), list[int]()
+        for first, end in zip(starts, [*starts[1:], len(poses)], strict=True):
+            wrench, n = wrenches[first:end].mean(axis=0), end - first
+            walked = priors.walk_steps**2 * (clock[end - 1] - clock[first]) / WALK_SECONDS / 12.0
+            cov = covariance(self.model, wrench, n) + walked * step
+            time = float(clock[first:end].mean())
+            window += [len(readings)] * n
+            readings.append(Reading(wrench, cov, poses[first], gravities[first], bool(contact[first]), time))
+        return tuple(readings), window
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
         """Return the untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
@@ -252,12 +315,12 @@ class Estimator:
     def with_tare_age(self, seconds: float) -> "Estimator":
         """Return the estimator for readings this long after the tare [s]: the bias grows with the root of time.
 
-        The tolerance `drift_steps` applies `SETTLED` seconds after the tare. The age is rounded up to `SETTLED` times a
-        power of two; the last such estimator is cached.
+        The tolerance `drift_steps` applies `WALK_SECONDS` after the tare. The age is rounded up to `WALK_SECONDS` times
+        a power of two; the last such estimator is cached.
         """
-        if self.priors.drift_steps == 0.0 or not seconds > SETTLED:
+        if self.priors.drift_steps == 0.0 or not seconds > WALK_SECONDS:
             return self
-        doublings = math.ceil(math.log2(seconds / SETTLED))
+        doublings = math.ceil(math.log2(seconds / WALK_SECONDS))
         aged = self._last_aged.get(doublings)
         if aged is None:
             steps = self.priors.drift_steps * math.sqrt(2.0**doublings)
@@ -337,3 +400,27 @@ class Estimator:
 
 def _chi2(candidate: Candidate) -> float:
     return candidate.chi2
+
+
+def _fused_arguments(
+    wrenches_base: ArrayLike,
+    Ts_world_base: ArrayLike,
+    gravity_world: ArrayLike,
+    touched: ArrayLike | None,
+    times: ArrayLike | None,
+) -> tuple[Array, Array, Array, NDArray[np.bool_], Array]:
+    """Return the arguments of `Estimator.fuse` as arrays.
+
+    Raises:
+        InputError: a shape is wrong.
+    """
+    wrenches, poses = np.asarray(wrenches_base, dtype=float), np.asarray(Ts_world_base, dtype=float)
+    gravity, k = np.asarray(gravity_world, dtype=float), len(wrenches) if wrenches.ndim else 0
+    contact = np.ones(k, dtype=bool) if touched is None else np.asarray(touched, dtype=bool)
+    clock = WALK_SECONDS * np.arange(k) if times is None else np.asarray(times, dtype=float)
+    shapes = {"wrenches_base": (wrenches, (k, 6)), "Ts_world_base": (poses, (k, 4, 4)),
+              "gravity_world": (gravity, (3,)), "touched": (contact, (k,)), "times": (clock, (k,))}  # fmt: skip
+    for name, (array, shape) in shapes.items():
+        if array.shape != shape or k == 0:
+            raise InputError(f"{name} has shape {array.shape}; it must be {shape}, one or more readings k")
+    return wrenches, poses, gravity, contact, clock.astype(float)

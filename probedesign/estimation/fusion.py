@@ -12,21 +12,20 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from probedesign.core.errors import InputError
-from probedesign.core.frames import Array, is_pose, wrench_map
-from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, max_chi2
+from probedesign.core.frames import Array, wrench_map
+from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.force_moment import closest_approaches, curve
 from probedesign.estimation.fusion_state import GROUPS, FusionState, Pin, result_of, without
 from probedesign.estimation.likelihood import Problem, locate
-from probedesign.estimation.model import Observation, ProbeModel, covariance
+from probedesign.estimation.model import Observation, ProbeModel
 from probedesign.estimation.surface_contact_kernel import (
     TOUCH,
 )
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
 
 NEAR = 1e-9
@@ -38,7 +37,7 @@ ANYWHERE = (4, 10, 16, 22)
 MAX_ITERATIONS = 40
 CLOSE = 1e-3
 """Step of the touched point, in standard deviations, at which the iterations end."""
-SETTLED = 0.03
+SETTLED_STEP = 0.03
 """Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken."""
 MAX_STEP = 0.1
 """Of arclength over length, in one iteration."""
@@ -77,6 +76,7 @@ class Reading:
         T_world_base: (4, 4).
         gravity: base axes [m/s²], (3,).
         touched: whether there was contact.
+        time: of the reading [s]; None: `WALK_SECONDS` after the one before.
     """
 
     wrench: Array
@@ -84,6 +84,7 @@ class Reading:
     T_world_base: Array
     gravity: Array
     touched: bool
+    time: float | None = None
 
 
 class Solution(NamedTuple):
@@ -172,9 +173,18 @@ class Fusion:
 
     @cached_property
     def ramps(self) -> Array:
-        """How far creep has gone at each reading, (k,)."""
-        k = len(self.readings)
-        return np.ones(1) if k == 1 else np.linspace(0.0, 1.0, k)
+        """Return how far creep has gone at each touch: from 0 at the first to 1 at the last, 1 if alone, (k,)."""
+        before = np.maximum(np.cumsum(self.touched) - 1.0, 0.0)
+        return np.ones(len(before)) if before[-1] == 0.0 else before / before[-1]
+
+    @cached_property
+    def steps_of_walk(self) -> Array:
+        """Return the variance of the bias's step before each reading, over that in `WALK_SECONDS`, (k,)."""
+        times = [reading.time for reading in self.readings]
+        if any(time is None for time in times):
+            return np.append(0.0, np.ones(len(times) - 1))
+        seconds = np.diff(np.array(times, dtype=float), prepend=float(times[0] or 0.0))
+        return np.asarray(np.maximum(seconds, 0.0) / WALK_SECONDS)
 
     @cached_property
     def whitening(self) -> Array:
@@ -278,7 +288,7 @@ class Fusion:
             linearised = touches.copy()
             size = state.step(share, max_step)
             near = float(np.abs(moved).max()) <= CLOSE * math.sqrt(float(np.trace(cov))) + 1e-9
-            if near and size <= SETTLED * math.sqrt(1.0 + chi2):
+            if near and size <= SETTLED_STEP * math.sqrt(1.0 + chi2):
                 touches[:] = linearised
                 return Solution(x, cov, chi2, linearised, iteration + 1)
         return None
@@ -286,44 +296,45 @@ class Fusion:
     # The result ------------------------------------------------------------------------------------------------------
 
     def answer(self, found: list[Solution], brief: bool = False) -> FusedEstimate:
-        """The best solution with its code.
+        """Return the best solution with its result code.
 
         Args:
             found: every solution, best first.
-            brief: without what it would be if something were otherwise.
+            brief: leave out `rms_without` and `rms_with`.
         """
         best = found[0]
-        rms = math.sqrt(max(float(np.trace(best.cov)), 0.0))
+        linear = math.sqrt(max(float(np.trace(best.cov)), 0.0))
         state = FusionState(self, best.touches.copy())
         if not state.linearise():
             return FusedEstimate("not_converged")
-        code: Result = "inconsistent" if state.has_moved() else self._code(found, rms)
+        code: Result = "inconsistent" if state.has_moved() else self._code(found, linear)
         _chi2, x, cov = state.solved(self.priors)
-        E = self.sources[0].column("E")
-        std_E = state.std_of(3 + E) if E >= 0 else 0.0
-        scale = self.priors.youngs_modulus
+        E, scale = self.sources[0].column("E"), self.priors.youngs_modulus
         stiffness = math.exp(scale * float(x[3 + E])) if E >= 0 else 1.0
         result = FusedEstimate(
-            code,
-            stiffness=stiffness,
-            std_stiffness=stiffness * scale * std_E,
-            chi2=best.chi2,
-            dof=self.dof,
-            rms=rms,
-            rms_without={} if brief else {of: state.rms(without(self.priors, of)) for of in GROUPS},
-            iterations=best.iterations,
+            code, stiffness=stiffness, std_stiffness=stiffness * scale * state.std_of(3 + E) if E >= 0 else 0.0,
+            chi2=best.chi2, dof=self.dof, rms=linear, iterations=best.iterations,
             candidates_world=np.array([p.x[:3] for p in found if p.chi2 < best.chi2 + RIVAL_CHI2]),
-        )
-        if code != "ok":
+        )  # fmt: skip
+        if code == "ok":
+            mean, cov_mean = state.mean_centre()
+            added, added_contact = self.curvature(best)
+            rms = math.sqrt(max(float(np.trace(cov + added)), 0.0))
+            if rms < self.model.rod.length * UNIFORM_STD:
+                result = replace(result, p_surface_world=x[:3].copy(), cov_surface_world=cov + added, rms=rms,
+                                 p_contact_world=mean, cov_contact_world=cov_mean + added_contact,
+                                 **state.forces()._asdict())  # fmt: skip
+            else:
+                result = replace(result, result="unobservable" if self.moments_only else "too_light", rms=rms)
+        if brief:
             return result
-        state.solved(self.priors)  # `state.rms` has solved with other priors
-        mean, cov_mean = state.mean_centre()
-        added, added_contact = self.curvature(best)
-        surface = cov + added
-        placed = replace(result, p_surface_world=x[:3].copy(), cov_surface_world=surface, p_contact_world=mean,
-                         cov_contact_world=cov_mean + added_contact, rms=math.sqrt(max(float(np.trace(surface)), 0.0)),
-                         **state.forces()._asdict())  # fmt: skip
-        return placed if brief else replace(placed, rms_with=state.gains())
+        # The bounds below are linear: the curvature is taken to scale with them.
+        share = result.rms / linear if linear > 0.0 else 1.0
+        result = replace(
+            result, rms_without={of: share * state.rms(without(self.priors, of)) for of in GROUPS}
+        )
+        gains = {of: share * rms for of, rms in state.gains().items()} if result.ok else {}
+        return replace(result, rms_with=gains)
 
     def curvature(self, best: Solution) -> tuple[Array, Array]:
         """What the curve of the likely points adds to the covariances of touched point and centreline [m²], (3, 3).
@@ -421,70 +432,3 @@ def _distinct(found: Iterable[Solution | None]) -> list[Solution]:
         if all(np.linalg.norm(place.x[:3] - of.x[:3]) > near for of in kept):
             kept.append(place)
     return kept
-
-
-# Arguments of `Estimator.fuse` ---------------------------------------------------------------------------------------
-
-
-def fuse(
-    model: ProbeModel,
-    wrenches_base: ArrayLike,
-    Ts_world_base: ArrayLike,
-    gravity_world: ArrayLike,
-    touched: ArrayLike | None,
-    priors: Tolerances,
-    moments: MomentsAbout | None,
-) -> FusedEstimate:
-    """The point that the probe touches from several poses; see `Estimator.fuse`.
-
-    Args:
-        model: the probe.
-        moments: which moments count alone; None: forces and moments.
-        The others as there.
-
-    Raises:
-        InputError: an argument has the wrong shape, or there are no such moments.
-    """
-    if moments not in (None, "base", "sensor"):
-        raise InputError(f"moments_about = {moments!r} is not known; known: base, sensor")
-    wrenches, poses, gravity, contact = _checked(wrenches_base, Ts_world_base, gravity_world, touched)
-    needed = wrenches[:, 3:] if moments == "base" else wrenches
-    if not (np.isfinite(needed).all() and np.isfinite(gravity).all() and all(is_pose(T) for T in poses)):
-        return FusedEstimate("out_of_range")
-    readings = tuple(
-        Reading(w, covariance(model, w), T, g, bool(c))
-        for w, T, g, c in zip(
-            np.nan_to_num(wrenches), poses, gravity @ poses[:, :3, :3], contact, strict=True
-        )
-    )
-    if not all(_can_be_read(model, reading, moments) for reading in readings):
-        return FusedEstimate("out_of_range")
-    if not all(model.rod.solve(reading.gravity).ok for reading in readings):
-        return FusedEstimate("not_converged")
-    return Fusion(model, readings, priors, channels_of(model, moments), gravity).solve()
-
-
-def _can_be_read(model: ProbeModel, reading: Reading, moments: MomentsAbout | None) -> bool:
-    """Whether no channel that counts is beyond the sensor."""
-    read = model.to_sensor(reading.wrench, reading.gravity)
-    of = slice(0, 6) if moments is None else slice(3, 6)
-    return bool((np.abs(read[of]) <= model.saturation_limit[of]).all())
-
-
-def _checked(
-    wrenches_base: ArrayLike, Ts_world_base: ArrayLike, gravity_world: ArrayLike, touched: ArrayLike | None
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """The arguments as arrays.
-
-    Raises:
-        InputError: a shape is wrong.
-    """
-    wrenches, poses = np.asarray(wrenches_base, dtype=float), np.asarray(Ts_world_base, dtype=float)
-    gravity, k = np.asarray(gravity_world, dtype=float), len(wrenches) if wrenches.ndim else 0
-    contact = np.ones(k, dtype=bool) if touched is None else np.asarray(touched, dtype=bool)
-    shapes = {"wrenches_base": (wrenches, (k, 6)), "Ts_world_base": (poses, (k, 4, 4)),
-              "gravity_world": (gravity, (3,)), "touched": (contact, (k,))}  # fmt: skip
-    for name, (array, shape) in shapes.items():
-        if array.shape != shape or k == 0:
-            raise InputError(f"{name} has shape {array.shape}; it must be {shape}, one or more readings k")
-    return wrenches, poses, gravity, contact

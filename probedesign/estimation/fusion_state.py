@@ -179,8 +179,8 @@ class FusionState:
             common_friction: share of its variance that all touches have in common; that of the fusion if None.
         """
         self._reduce(priors, self.D if D is None else D, friction, common_friction)
-        self._walk[:] = priors.walk_steps**2
-        self._walk[: 1 + len(self._order) - len(self.fusion.readings)] = 0.0
+        self._walk[:] = 0.0  # nothing before the first reading, whether or not a pin counts as one more
+        self._walk[-len(self.fusion.readings) :] = priors.walk_steps**2 * self.fusion.steps_of_walk
         chi2 = fusion_kernel.solve_reduced(
             self.reduced, self._order, self._walk, priors.drift_steps, self.causes, self._chain, self._work, self._x,
             self._cov,

@@ -15,6 +15,10 @@ IDENTIFIED = 0.005
 ASSUMED_STIFFNESS = 0.03
 """Standard deviation of E where nothing was measured, relative: prints of one resin differ so. Assumed."""
 
+WALK_SECONDS = 16.0
+"""Time [s] for which `drift_steps` and `walk_steps` are given. Assumed: the detector's walk of 0.05 steps a root of a
+second makes the default 0.2 steps of it."""
+
 SOURCES = {
     "drift_steps": "assumed, as in fusion",
     "walk_steps": "assumed: 0.05 steps a root of a second over a quarter of a minute, as drift_steps",
@@ -58,7 +62,7 @@ class Unknowns:
         base_offset: of the base's place, the same at every pose, on each of the base's axes [m].
         base_repeat: of the base's place at each pose for itself, on each axis [m].
         bias_steps: of the sensor's bias at the first reading, in steps of its resolution.
-        bias_walk_steps: of the bias's step from one reading to the next, in the same steps.
+        bias_walk_steps: of the bias's step in `WALK_SECONDS`, in the same steps.
         creep: of how far the stiffness has relaxed at the last reading, relative.
     """
 
@@ -94,7 +98,8 @@ class Tolerances:
     Attributes:
         drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
             resolution; `Estimator.with_tare_age` lets it grow with the root of time.
-        walk_steps: of the step that the bias takes from one reading of a fusion to the next, in the same steps.
+        walk_steps: of the step that the bias takes in `WALK_SECONDS` between the readings of a fusion, in the same
+            steps; its variance grows with time.
         youngs_modulus, shear_modulus, density: relative, each by itself.
         youngs_modulus_by_diameter: no standard deviation: the power of the base diameter with which E goes where all
             diameters are other than designed together. About -4 where E was identified with the design's diameters,

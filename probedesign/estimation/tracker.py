@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.statistics import UNIFORM_STD
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
 from probedesign.estimation.detector import Detector, FreeMean, Touching
 from probedesign.estimation.error_sources import FINE, ErrorSources, across
-from probedesign.estimation.estimate import FusedEstimate, MomentsAbout
-from probedesign.estimation.estimator import SETTLED, Estimator
+from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
+from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import (
     COMMON_FRICTION,
     Fusion,
@@ -39,7 +40,7 @@ from probedesign.estimation.surface_contact_kernel import (
     UNKNOWNS,
     work_size,
 )  # fmt: skip
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 
 MAX_KEYFRAMES = 8
 IN_TURN = 4
@@ -56,7 +57,10 @@ a touch that fits no single point must not hold up the readings."""
 SETTLING = 8
 """Gauss-Newton steps at the first readings, from the place that one reading by itself gives."""
 _APART = 5e-6
-"""Distance [m] below which two poses are one; a rotation of 1 rad counts as a tenth of a metre."""
+"""Distance [m] below which two poses are one, or three standard deviations of the robot's place if that is more; a
+rotation of 1 rad counts as a tenth of a metre."""
+FREE_BEFORE = 1.0
+"""Time from the mean of the free readings to the first reading of a touch [s]: about `detector.MEAN_SECONDS`."""
 _MIXED = 1e-4
 """Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ."""
 _MAX_COUNT = 1e9
@@ -79,14 +83,29 @@ class _Keyframe:
     local: Array
     reduced: Array
     x: Array
+    began: float
     count: float = 1.0
+    span: float = 0.0
     due: float = FIRST_CURVATURE
     known: bool = False
 
-    def take_in(self, wrench: Array) -> None:
-        """One more reading of this pose."""
+    def take_in(self, wrench: Array, T: Array, time: float) -> None:
+        """Take in one more reading of this pose; wrench, place and time are means."""
         self.count = min(self.count + 1.0, _MAX_COUNT)
         self.wrench += (wrench - self.wrench) / self.count
+        self.T[:3, 3] += (T[:3, 3] - self.T[:3, 3]) / self.count
+        self.time += (time - self.time) / self.count
+        self.span = time - self.began
+
+    def weight(self, rate: float) -> float:
+        """Return the number of samples that the mean is worth beside a bias that walks.
+
+        The mean over T seconds scatters about the bias at its middle by `rate` T/12.
+
+        Args:
+            rate: variance of the walk, in steps² a second; a sample has a variance of one step².
+        """
+        return 1.0 / (1.0 / self.count + rate * self.span / 12.0)
 
 
 @dataclass
@@ -130,8 +149,10 @@ class Tracker:
         self._time = -math.inf
         self._gravity = np.empty(3)
         self._axes = across(self._gravity_world)
+        self._rate = self._priors.walk_steps**2 / WALK_SECONDS
+        self._apart = max(_APART, 3.0 * self._priors.robot_mm * MM)
         self._free_mean = FreeMean(self.rate)
-        self._tared: ErrorSources | None = None
+        self._tared: ErrorSources | None
         self._memory()
         self._forget()
 
@@ -159,7 +180,6 @@ class Tracker:
         self._mean, self._cov_mean = np.empty(3), np.empty((3, 3))
         self._step_work = np.empty(60)
         self._cov = np.empty((3, 3))
-        self._last_sources: dict[bytes, ErrorSources] = {}
 
     def _forget(self) -> None:
         self._kept.clear()
@@ -168,6 +188,9 @@ class Tracker:
         self._evaluated, self._moved = -math.inf, False
         self._curvature = 0.0, np.zeros((3, 3)), np.zeros((3, 3))
         self._last = FusedEstimate("unobservable")
+        # The next free readings tie the bias to what they read: as a tare, where the touch begins.
+        self._tared = None
+        self._last_sources: dict[bytes, ErrorSources] = {}
 
     @property
     def kept(self) -> int:
@@ -218,7 +241,7 @@ class Tracker:
         self._free_mean.add(beyond)
 
     def _sources_at(self, T: Array) -> ErrorSources:
-        """The error sources under the present gravity; the sensor was tared where the first touch came."""
+        """The error sources under the present gravity; the sensor counts as tared where the touch began."""
         key = self._gravity.tobytes()
         found = self._last_sources.get(key)
         if found is None:
@@ -234,15 +257,15 @@ class Tracker:
     def _place(self, wrench: Array, T: Array) -> None:
         """Put a reading into the last keyframe, or into a new one where the base has moved."""
         self._free_mean.drop_pending()
-        if self._kept and keyframe_kernel.apart(self._kept[-1].T, T) <= _APART:
-            self._kept[-1].take_in(wrench)
+        if self._kept and keyframe_kernel.apart(self._kept[-1].T, T) <= self._apart:
+            self._kept[-1].take_in(wrench, T, self._time)
             return
         touch = self._kept[-1].touch.copy() if self._kept else np.zeros(TOUCH)
         slot = next(i for i in range(1, self.keyframes + 2) if all(frame.slot != i for frame in self._kept))
         self._poses[slot], self._touches[slot] = T, touch
         self._kept.append(_Keyframe(
             slot, wrench.copy(), self._poses[slot], self._time, self._sources_at(T), self._touches[slot],
-            self._lins[slot], self._Ds[slot], self._locals[slot], self._all[slot], self._xs[slot],
+            self._lins[slot], self._Ds[slot], self._locals[slot], self._all[slot], self._xs[slot], self._time,
         ))  # fmt: skip
         if len(self._kept) > self.keyframes:
             self._join()
@@ -257,6 +280,8 @@ class Tracker:
             total = a.count + b.count
             kept.wrench = (a.count * a.wrench + b.count * b.wrench) / total
             kept.T[:3, 3] = (a.count * a.T[:3, 3] + b.count * b.T[:3, 3]) / total
+            kept.time = (a.count * a.time + b.count * b.time) / total
+            kept.began, kept.span = a.began, b.began + b.span - a.began
             kept.count = total
             if kept.known:
                 self._reduce(kept, self._kept.index(kept))
@@ -310,14 +335,14 @@ class Tracker:
         self._ramp[frame.slot] = k / (len(self._kept) - 1) if len(self._kept) > 1 else 1.0
         keyframe_kernel.reduce_keyframe(
             frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
-            math.sqrt(frame.count) * self._whiten, self._bias, self.estimator.model.friction,
+            math.sqrt(frame.weight(self._rate)) * self._whiten, self._bias, self.estimator.model.friction,
             COMMON_FRICTION, self._priors.robot_mm * MM, self._scatter, self._creep, self._ramp[frame.slot],
             self._block, frame.local, frame.reduced,
         )  # fmt: skip
 
     def _gather(self) -> tuple[NDArray[np.int64], Array]:
         """Which rows count, the free probe's mean first, and the variance of the bias's step before each."""
-        order, walk, drift = [], [], self._priors.walk_steps**2 / SETTLED
+        order, walk = [], []
         if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
             free = self.estimator.free(self._kept[0].sources.gravity).wrench_base
             keyframe_kernel.reduce_free(
@@ -325,11 +350,11 @@ class Tracker:
                 math.sqrt(self._free_mean.count) * self._whiten, self._bias, self._all[0],
             )  # fmt: skip
             order, walk = [0], [0.0]
-        last = self._kept[0].time
+        last = self._kept[0].began - FREE_BEFORE
         for frame in self._kept:
             if frame.known:
                 order.append(frame.slot)
-                walk.append(drift * max(frame.time - last, 0.0) + (drift if frame is self._kept[0] else 0.0))
+                walk.append(self._rate * max(frame.time - last, 0.0))
                 last = frame.time
         return np.array(order, dtype=np.int64), np.array(walk)
 
@@ -406,18 +431,19 @@ class Tracker:
         size = float(np.trace(result.cov_surface_world))
         if self._is_due(size):
             self._evaluate_curvature(size)
-        if self._moved:
-            return FusedEstimate("inconsistent", stiffness=result.stiffness, std_stiffness=result.std_stiffness,
-                                 chi2=result.chi2, dof=result.dof, rms=result.rms, iterations=1)  # fmt: skip
         before, added, added_contact = self._curvature
         share = min(size / before, 1.0) ** 2 if before > 0.0 else 0.0
         cov = result.cov_surface_world + share * added
+        rms = math.sqrt(max(float(np.trace(cov)), 0.0))
+        if self._moved or not rms < self.estimator.model.rod.length * UNIFORM_STD:
+            uncertain: Result = "unobservable" if self.moments_only else "too_light"
+            return FusedEstimate(
+                "inconsistent" if self._moved else uncertain, stiffness=result.stiffness,
+                std_stiffness=result.std_stiffness, chi2=result.chi2, dof=result.dof, rms=rms, iterations=1,
+            )  # fmt: skip
         return replace(
-            result,
-            cov_surface_world=cov,
-            cov_contact_world=result.cov_contact_world + share * added_contact,
-            rms=math.sqrt(max(float(np.trace(cov)), 0.0)),
-        )
+            result, cov_surface_world=cov, cov_contact_world=result.cov_contact_world + share * added_contact, rms=rms
+        )  # fmt: skip
 
     # Starting --------------------------------------------------------------------------------------------------------
 
@@ -460,14 +486,17 @@ class Tracker:
 
     def _batch(self) -> tuple[Fusion, Array]:
         """The keyframes as one batch, the free probe's mean before them, and their touches, (k, TOUCH)."""
-        readings = [Reading(frame.wrench.copy(), self._sample / frame.count, frame.T, frame.sources.gravity, True)
-                    for frame in self._kept]  # fmt: skip
+        readings = [
+            Reading(frame.wrench.copy(), self._sample / frame.weight(self._rate), frame.T, frame.sources.gravity, True,
+                    frame.time)
+            for frame in self._kept
+        ]  # fmt: skip
         touches = [frame.touch for frame in self._kept]
         if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
             first = self._kept[0]
             free = self.estimator.free(first.sources.gravity).wrench_base
             readings.insert(0, Reading(free + self._free_mean.excess, self._sample / self._free_mean.count, first.T,
-                                       first.sources.gravity, False))  # fmt: skip
+                                       first.sources.gravity, False, first.began - FREE_BEFORE))  # fmt: skip
             touches.insert(0, np.zeros(TOUCH))
         fusion = Fusion(
             self.estimator.model, tuple(readings), self._priors, self._channels, self._gravity_world

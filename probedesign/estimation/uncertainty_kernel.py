@@ -248,6 +248,8 @@ def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
     return True
 
 
+MIN_SHARE = 0.05
+"""Least share of the way to a node of the valley that second differences are divided by."""
 NODE = math.sqrt(3.0)
 """Standard deviations to either side at which the valley is evaluated: the nodes of Gauss-Hermite quadrature."""
 FLAT_ENOUGH = 0.2
@@ -318,14 +320,13 @@ def _correlation(J, v, w):
 def _share_within(touch, end, change):
     """Return the share of a change of the touch that stays on the probe and keeps pushing.
 
-    At least 0.05, so that the second difference over the share's square keeps its digits; at most 0.75 of the normal
-    force is removed.
+    At most 0.75 of the normal force is removed.
     """
     share, ahead = 1.0, touch[S] + change[S]
     if ahead > end:
-        share = max(min((end - touch[S]) / change[S], 1.0), 0.05)
+        share = min((end - touch[S]) / change[S], 1.0)
     elif ahead < 0.0:
-        share = max(min(-touch[S] / change[S], 1.0), 0.05)
+        share = min(-touch[S] / change[S], 1.0)
     if change[NORMAL] < 0.0:
         share = min(share, 0.75 * touch[NORMAL] / abs(change[NORMAL]))
     return share
@@ -354,6 +355,7 @@ def _offsets_beside(
     share = _share_within(touch, end, change)
     plan_move(lin, change, move)
     advance(at, touch, share, change, move)
+    at[S] = min(max(at[S], 0.0), end)  # rounding
     status, lack, _margin, _size = linearise(body, gravity, mass, tol, 1.0, at, 0, sweep_work, brief)
     if status != OK or not lack < math.inf:
         return False
@@ -369,7 +371,8 @@ def _offsets_beside(
         x = brief[POINT + q, VALUE] - lin[POINT + q, VALUE]
         for i in range(UNKNOWNS):
             x += brief[POINT + q, BY_TOUCH + i] * b[i] - share * lin[POINT + q, BY_TOUCH + i] * change[i]
-        offsets[q] = x / (share * share)
+        # The offset goes with the square of the share; the floor keeps the digits of a node near the end of the probe.
+        offsets[q] = x / max(share, MIN_SHARE) ** 2
     return True
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -347,16 +348,53 @@ def test_one_pose_with_moments_alone_is_unobservable(large, gravity, exact, pres
         assert np.isnan(c.p_surface_world).all()
 
 
-def test_alike_poses_are_one_window(large, gravity, exact, pressed):
-    """With the direction free; a prior would count once for the window and once for each of the readings."""
-    exact = exact.with_friction(math.inf)
+@pytest.mark.parametrize("friction", [0.6, math.inf])
+def test_readings_of_one_pose_are_one_window(friction, large, gravity, exact, pressed):
+    """The priors on friction and on the stiffness at a touch count once, however many readings it has."""
+    exact = exact.with_friction(friction)
     rng, (touches, Ts) = np.random.default_rng(6), pressed
     window = noisy(large.model, np.tile(wrenches_of(touches)[4], (6, 1)), rng)
     one = exact.estimate(window, gravity)
     c = exact.fuse(window, np.tile(Ts[4], (6, 1, 1)), gravity)
     assert one.ok and c.ok
-    assert np.linalg.norm(one.p_surface_base + Ts[4, :3, 3] - c.p_surface_world) <= 0.1 * c.rms
-    assert c.rms == pytest.approx(math.sqrt(np.trace(one.cov_surface_base)), rel=0.2)
+    # The estimate ends its iterations within a hundredth of a standard deviation.
+    assert np.linalg.norm(one.p_surface_base + Ts[4, :3, 3] - c.p_surface_world) <= 0.02 * c.rms
+    assert c.rms == pytest.approx(math.sqrt(np.trace(one.cov_surface_base)), rel=0.02)
+    assert len(c.s_contact) == len(c.force_normal) == 6
+
+
+def test_readings_marked_as_touched_that_are_not_are_no_contact(large, gravity, pressed):
+    free = np.tile(large.rod.solve(gravity).wrench_base, (3, 1))
+    wrenches = noisy(large.model, free, np.random.default_rng(2))
+    assert large.estimator().fuse(wrenches, pressed[1][:3], gravity).result == "no_contact"
+
+
+def test_the_bias_walks_with_the_times_of_the_readings(large, gravity, pressed):
+    """Readings without times count as sixteen seconds apart, for which the walk is stated."""
+    touches, Ts = pressed
+    estimator = Estimator(large.model, replace(EXACT, drift_steps=0.1, walk_steps=1.0))
+    wrenches, apart = wrenches_of(touches), 16.0 * np.arange(5)
+    found = [estimator.fuse(wrenches, Ts, gravity, times=times) for times in (None, apart, 0.01 * apart)]
+    assert all(c.ok for c in found)
+    assert found[0].rms == pytest.approx(found[1].rms, rel=1e-12)
+    assert found[2].rms < found[1].rms
+    assert estimator.fuse(wrenches, Ts, gravity, times=-apart).result == "out_of_range"
+    with pytest.raises(InputError):
+        estimator.fuse(wrenches, Ts, gravity, times=apart[:3])
+
+
+def test_what_is_stated_is_never_larger_than_the_probe(large, gravity, exact_sources):
+    """The curvature of the likely points counts before the result code is chosen."""
+    rng, codes = np.random.default_rng(7), []
+    for fraction, force in product((0.1, 0.3, 0.6), (5e-4, 1e-3, 2e-3)):
+        touches, Ts = presses(exact_sources, fraction * large.length, 1.57, [force, 2.0 * force])
+        for count in (1, 2):
+            c = large.estimator().fuse(
+                noisy(large.model, wrenches_of(touches)[:count], rng), Ts[:count], gravity
+            )
+            codes.append(c.result)
+            assert not c.ok or c.rms < large.length / math.sqrt(12.0)
+    assert "too_light" in codes
 
 
 @pytest.mark.parametrize("priors", [EXACT, Tolerances()], ids=["exact", "all"])

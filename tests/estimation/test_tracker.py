@@ -1,5 +1,6 @@
 """The fusion as readings come: agrees with the batch, keeps to its bounds, forgets, and refuses what cannot be."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +10,12 @@ from scipy import stats
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose, rotation_z
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import Fusion
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.tracker import Tracker
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
 
 RATE = 7000.0
 SAMPLES = 36
-STILL = replace(Tolerances(), walk_steps=0.0, drift_steps=0.0)
-"""All error sources but the bias, which the batch and the tracker let walk with the number and the time of readings."""
 
 
 class Feed:
@@ -50,7 +48,7 @@ def free(large, gravity):
 
 
 @pytest.mark.parametrize("moments_only", [False, True])
-@pytest.mark.parametrize("priors", [EXACT, STILL], ids=["exact", "all but bias"])
+@pytest.mark.parametrize("priors", [EXACT, Tolerances()], ids=["exact", "all"])
 def test_it_agrees_with_the_batch(priors, moments_only, large, gravity, pressed, free):
     wrenches, Ts = pressed
     estimator = Estimator(large.model, priors)
@@ -63,8 +61,7 @@ def test_it_agrees_with_the_batch(priors, moments_only, large, gravity, pressed,
     results, _ = feed(wrenches[-1], Ts[-1], 1000)
     c, tracker = results[-1], feed.tracker
     assert tracker.kept == 5
-    readings = tuple(tracker._reading(frame) for frame in tracker._kept)
-    batch = Fusion(large.model, readings, priors, tracker._channels, gravity).solve()
+    batch = tracker._batch()[0].solve()
     assert c.result == batch.result == "ok"
     # Both end within a few hundredths of a standard deviation.
     assert np.linalg.norm(c.p_surface_world - batch.p_surface_world) <= 0.05 * batch.rms
@@ -87,6 +84,28 @@ def test_with_a_walking_bias_it_stays_within_the_ellipsoid(large, gravity, press
     assert c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world) < stats.chi2(3).ppf(
         0.999
     )
+
+
+@pytest.mark.parametrize("seconds", [1.0, 60.0])
+def test_a_touch_held_while_the_bias_walks_scatters_as_stated(seconds, large, gravity, exact_sources, free):
+    """The mean of a keyframe averages the noise, but not the walk of the bias under it."""
+    priors, rng = replace(EXACT, drift_steps=0.2, walk_steps=0.2), np.random.default_rng(5)
+    model = replace(large.model, friction=0.0)
+    (touch,), (T,) = presses(exact_sources, 0.7 * large.length, 1.57, [0.02])
+    samples, squares, draws = 100, [], 25
+    step = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
+    for _ in range(draws):
+        tracker = Tracker(Estimator(model, priors), None, gravity)
+        walk = rng.normal(size=(samples, 6)) * priors.walk_steps * math.sqrt(seconds / samples / WALK_SECONDS)
+        bias = priors.drift_steps * rng.normal(size=6) + np.cumsum(walk, axis=0)
+        for k in range(samples):
+            reading = touch.wrench + step @ (bias[k] + rng.normal(size=6))
+            c = tracker.update(reading, T, k * seconds / samples, touching="contact")
+        if c.ok:
+            squares.append(c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world))
+    assert len(squares) >= draws - 1
+    # The mean of that many values of χ² with three degrees of freedom, within three standard deviations.
+    assert abs(np.mean(squares) - 3.0) < 3.0 * math.sqrt(6.0 / len(squares))
 
 
 def test_one_pose_is_one_estimate(large, gravity, exact, exact_sources):

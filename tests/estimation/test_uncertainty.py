@@ -291,3 +291,25 @@ def test_an_old_tare_is_trusted_less(age, large, gravity, touched):
         assert estimator.priors == large.estimator().priors and now.std_s == before.std_s
     else:
         assert now.std_s > before.std_s
+
+
+def test_the_covariance_of_a_light_touch_is_continuous_in_the_reading(large, gravity):
+    """A node of the curvature may lie on either end of the probe, where rounding decides on which side."""
+    rng, estimator, compared = np.random.default_rng(11), large.estimator(), 0
+    std = np.sqrt(np.diag(large.model.noise_base()))
+    for _ in range(150):
+        s, force = (
+            rng.uniform(0.05, 1.0) * large.length,
+            math.exp(rng.uniform(math.log(2e-4), math.log(2e-2))),
+        )
+        true = settle(sources_of(large.model, gravity), np.array([s, 1.0, force, 0.1, 0.1]))
+        if true is None:
+            continue
+        reading = true.wrench + std * rng.normal(size=6)
+        one, other = (estimator.estimate(w, gravity) for w in (reading, reading * (1.0 + 1e-14)))
+        if not (one.candidates and other.candidates):
+            continue
+        sizes = [np.sqrt(np.trace(c.candidates[0].cov_surface_base)) for c in (one, other)]
+        assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
+        compared += 1
+    assert compared > 30

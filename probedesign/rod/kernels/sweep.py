@@ -282,7 +282,8 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
     chunks = blocks.shape[0] // BLOCK
     general = body.constants[GENERAL] != 0.0
     width = 1 + STATE + WIDE * COLUMN * chunks
-    s_c, reach = load[S_CONTACT], body.constants[ROOT_REACH]
+    # A contact at -1e-18 by rounding would never be passed, and `contact` would keep what was there.
+    s_c, reach = max(load[S_CONTACT], 0.0), body.constants[ROOT_REACH]
     put(y, T, take(tip, T))
     put(y, M, take(load, TIP_MOMENT))
     put(y, P, (0.0, 0.0, 0.0))
