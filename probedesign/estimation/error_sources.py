@@ -59,7 +59,7 @@ def across(gravity: Array) -> Array:
 
 
 def turns_of(gravity: Array, tolerances: Tolerances, axes: Array | None = None) -> dict[str, Array]:
-    """Return one standard deviation of each source that turns or shifts things, a row each: shift and turn of the base
+    """Return one standard deviation of each pose error source, a row each: shift and turn of the base
     [m, rad] and change of gravity [m/s²], (9,).
 
     Args:
@@ -144,7 +144,7 @@ class ErrorSources:
         return replace(sources, still=sources.free_columns(free))
 
     def column(self, name: str) -> int:
-        """The first column of a source; -1 where there is none."""
+        """Return the first column of a source, or -1."""
         return self.names.index(name) if name in self.names else -1
 
     @cached_property

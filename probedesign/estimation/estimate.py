@@ -118,7 +118,7 @@ class Candidate:
 
     @property
     def friction_ratio(self) -> float:
-        """Return tangential over normal force."""
+        """Return the tangential over the normal force at each pose, (k,)."""
         return self.force_tangential / self.force_normal if self.force_normal > 0.0 else math.nan
 
 
@@ -173,7 +173,7 @@ class Estimate:
 
     @property
     def ok(self) -> bool:
-        """Return whether a contact was located."""
+        """Return whether the point was located."""
         return self.result == "ok"
 
     @cached_property
@@ -229,12 +229,12 @@ class FusedEstimate:
 
     @property
     def ok(self) -> bool:
-        """Whether the point was located."""
+        """Return whether the point was located."""
         return self.result == "ok"
 
     @property
     def friction_ratio(self) -> Array:
-        """Tangential over normal force at each pose, (k,)."""
+        """Return the tangential over the normal force at each pose, (k,)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.force_tangential / self.force_normal)
 

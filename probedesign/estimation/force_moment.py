@@ -305,7 +305,7 @@ def _candidate(problem: "Problem", eq: Equilibrium) -> Candidate:
 
 
 def surface_point(rod: Rod, eq: Equilibrium) -> Array:
-    """The touched point of the surface, where the force's line leaves the body.
+    """Return the touched surface point, where the line of action leaves the body.
 
     The outward normal at the touched section leans towards the tip by α, so with r the radius at
     s_contact the touched section lies r cos α sin α further out and has radius r cos² α.

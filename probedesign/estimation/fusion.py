@@ -19,7 +19,7 @@ from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, 
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.force_moment import closest_approaches, curve
-from probedesign.estimation.fusion_state import GROUPS, FusionState, Pin, result_of, without
+from probedesign.estimation.fusion_state import GROUPS, FusionState, PointConstraint, result_of, without
 from probedesign.estimation.likelihood import Problem, locate
 from probedesign.estimation.model import Observation, ProbeModel
 from probedesign.estimation.surface_contact_kernel import (
@@ -44,14 +44,14 @@ MAX_STEP = 0.1
 COMMON_FRICTION = 0.5
 """Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
 two materials and slip to the same side, but differ in how far each has slipped."""
-PINNED = 1e-3
-"""Standard deviation, over that of the free point, to which `Fusion.curvature` keeps the point aside."""
-MAX_FURTHER = 3
-"""Times that the point is kept aside, further each time by up to twice, until the misfit has risen by about three."""
+CONSTRAINT_STD = 1e-3
+"""Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point."""
+MAX_EXTENSIONS = 3
+"""Extensions of the offset at which the point is constrained, until the misfit has risen by about three."""
 
 
 def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
-    """What of a wrench at the base counts.
+    """Return the map from a base wrench to the channels that the fusion uses.
 
     Args:
         model: the probe.
@@ -68,10 +68,10 @@ def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
 
 @dataclass(frozen=True)
 class Reading:
-    """One pose.
+    """One reading, or the mean of several, at one pose.
 
     Attributes:
-        wrench: read at the base, free of what hangs below it, (6,).
+        wrench: at the base, after payload compensation, (6,).
         cov: of its noise, (6, 6).
         T_world_base: (4, 4).
         gravity: base axes [m/s²], (3,).
@@ -88,13 +88,13 @@ class Reading:
 
 
 class Solution(NamedTuple):
-    """Where the iterations ended.
+    """Result of one Gauss-Newton solve.
 
     Attributes:
         x: the common unknowns: touched point, error sources, bias, (n,).
         cov: of the touched point [m²], (3, 3).
         chi2: misfit, priors included.
-        touches: at every pose, (k, TOUCH); those of free poses mean nothing.
+        touches: at every pose, (k, TOUCH); undefined for free poses.
         iterations: how many.
     """
 
@@ -114,7 +114,7 @@ class Fusion:
         readings: in the order of time.
         priors: standard deviations of the error sources.
         channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
-        gravity_world: [m/s²], (3,).
+        gravity_world: gravity in the world [m/s²], (3,).
         common_friction: share of the friction ratio's variance that all touches have in common, below 1.
     """
 
@@ -127,23 +127,23 @@ class Fusion:
 
     @property
     def moments_only(self) -> bool:
-        """Whether forces are left aside."""
+        """Return whether only the moments are used."""
         return len(self.channels) == 3
 
     @cached_property
     def touched(self) -> NDArray[np.bool_]:
-        """Which readings are of a contact, (k,)."""
+        """Return which readings are of a contact, (k,)."""
         return np.array([reading.touched for reading in self.readings])
 
     @property
     def one_pose(self) -> bool:
-        """Whether all that touched did so from one and the same pose."""
+        """Return whether all touched readings have the same pose."""
         poses = [reading.T_world_base for reading in self.readings if reading.touched]
         return all(np.allclose(poses[0], T, rtol=0.0, atol=NEAR) for T in poses[1:])
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom: what was read and the prior on friction, less the unknowns."""
+        """Return the degrees of freedom: readings and friction priors, less the unknowns."""
         free = 0 if math.isfinite(self.model.friction) else 2
         return max(len(self.readings) * len(self.channels) - free * int(self.touched.sum()) - 3, 1)
 
@@ -151,7 +151,7 @@ class Fusion:
 
     @cached_property
     def sources(self) -> tuple[ErrorSources, ...]:
-        """The error sources at every pose; the sensor was tared where the readings begin."""
+        """Return the error sources at every pose; the sensor was tared at the first reading."""
         axes = across(self.gravity_world)
         found: list[ErrorSources] = []
         known: dict[bytes, ErrorSources] = {}
@@ -168,7 +168,7 @@ class Fusion:
 
     @cached_property
     def own_columns(self) -> tuple[int, int]:
-        """Columns of the error sources that scatter from touch to touch, and that creep; -1: none."""
+        """Return the columns of the stiffness scatter and of the creep, or -1."""
         return self.sources[0].column("stiffness scatter"), self.sources[0].column("creep")
 
     @cached_property
@@ -188,18 +188,19 @@ class Fusion:
 
     @cached_property
     def whitening(self) -> Array:
+        """Return the whitening matrix of each reading, lower triangular, (k, m, m)."""
         covs = np.array([self.channels @ reading.cov @ self.channels.T for reading in self.readings])
         return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(covs)))
 
     @cached_property
     def bias(self) -> Array:
-        """The channels by the bias in steps of the sensor's resolution, (m, 6)."""
+        """Return the derivative of the channels by the bias in steps of the resolution, (m, 6)."""
         step = self.model.noise_base() * self.model.averaging_samples
         return np.ascontiguousarray(self.channels @ np.linalg.cholesky(step))
 
     @cached_property
     def free(self) -> dict[int, tuple[Array, Array]]:
-        """Of the readings without contact: the free probe's wrench, (6,), and its error columns, (6, J)."""
+        """Return wrench (6,) and error columns (6, J) of the free probe for each reading without contact."""
         found = {}
         for k, (reading, sources) in enumerate(zip(self.readings, self.sources, strict=True)):
             if not reading.touched:
@@ -210,14 +211,14 @@ class Fusion:
     # Solving ---------------------------------------------------------------------------------------------------------
 
     def solve(self) -> FusedEstimate:
-        """The answer; see `Estimator.fuse`."""
+        """Return the fused estimate; see `Estimator.fuse`."""
         found = self.solutions()
         if isinstance(found, FusedEstimate):
             return found
         return self.answer(found)
 
     def solutions(self) -> list[Solution] | FusedEstimate:
-        """Every solution that the starts lead to, best first; or why there is none."""
+        """Return every solution, best first, or the result that explains why there is none."""
         if not self.touched.any() or (self.moments_only and self.one_pose):
             return FusedEstimate("unobservable")
         found: list[Solution] = []
@@ -228,8 +229,9 @@ class Fusion:
         return found or FusedEstimate("not_converged")
 
     def _starts(self) -> Iterable[list[Array]]:
-        """Guesses of the touches, (k, TOUCH) each, the likelier first: what each reading gives by itself; where the
-        curves of equal moment come nearest; anywhere along them."""
+        """Yield lists of initial touches, (k, TOUCH) each, the most likely first: from the single readings, from the
+        closest approaches of the curves of equal moment, and from places along the probe.
+        """
         k = len(self.readings)
         singles = [] if self.moments_only else self._from_single_readings()
         if k == 1 or self.one_pose:
@@ -255,7 +257,7 @@ class Fusion:
         yield [start for j in ANYWHERE for start in at((j,) * len(curves))]
 
     def _from_single_readings(self) -> list[Array]:
-        """The touch that each reading gives by itself, its force trusted; none where one gives none."""
+        """Return the touches estimated from each reading alone; an empty list if one has none."""
         start = np.zeros((len(self.readings), TOUCH))
         for k, (reading, sources) in enumerate(zip(self.readings, self.sources, strict=True)):
             if not reading.touched:
@@ -270,8 +272,8 @@ class Fusion:
             start[k] = places[0].touch
         return [start]
 
-    def refine(self, start: Array, pin: Pin | None = None) -> Solution | None:
-        """Gauss-Newton from one guess of the touches, (k, TOUCH); None where it does not converge."""
+    def refine(self, start: Array, pin: PointConstraint | None = None) -> Solution | None:
+        """Run Gauss-Newton from one initial guess of the touches, (k, TOUCH); return None if it does not converge."""
         touches, max_step = start.copy(), MAX_STEP * self.model.rod.length
         state = FusionState(self, touches, pin)
         share, last, way = 1.0, None, np.zeros(3)
@@ -337,11 +339,11 @@ class Fusion:
         return replace(result, rms_with=gains)
 
     def curvature(self, best: Solution) -> tuple[Array, Array]:
-        """What the curve of the likely points adds to the covariances of touched point and centreline [m²], (3, 3).
+        """Return the curvature correction of the covariances of touched point and centreline [m²], (3, 3) each.
 
         The points that explain the readings lie on a curve x + a δ + b δ² + c δ³, far narrower than it is bowed. Its
         mean square about x, for a standard normal δ, is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ. The fusion is solved
-        again with the point kept aside, at δ = ±√3, where the misfit has risen by about three. One pose leaves the
+        again with the point constrained at δ = ±√3, where the misfit has risen by about three. One pose leaves the
         point as uncertain as a single reading does, and its curve is that of the single estimate.
         """
         if self.one_pose:
@@ -356,7 +358,7 @@ class Fusion:
             aside = [
                 (side, place.x[:3] - best.x[:3] - side * a)
                 for side in (-NODE, NODE)
-                if (place := self._aside(best, axis, side * std)) is not None
+                if (place := self._constrained(best, axis, side * std)) is not None
             ]
             if not aside:
                 continue
@@ -371,11 +373,13 @@ class Fusion:
             added += 3.0 * (both + both.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
         return added, added
 
-    def _aside(self, best: Solution, axis: Array, way: float) -> Solution | None:
-        """The solution with the point kept aside along an axis: by `way` [m], or further until the misfit rises."""
-        found, touches, pinned = None, best.touches, PINNED * abs(way)
-        for _ in range(MAX_FURTHER):
-            place = self.refine(touches, Pin(axis, float(axis @ best.x[:3]) + way, pinned))
+    def _constrained(self, best: Solution, axis: Array, way: float) -> Solution | None:
+        """Return the solution with the point constrained at an offset along an axis: `way` [m], or further until the
+        misfit has risen by three.
+        """
+        found, touches, pinned = None, best.touches, CONSTRAINT_STD * abs(way)
+        for _ in range(MAX_EXTENSIONS):
+            place = self.refine(touches, PointConstraint(axis, float(axis @ best.x[:3]) + way, pinned))
             if place is None:
                 break
             found, touches = place, place.touches
@@ -389,7 +393,9 @@ class Fusion:
         return found
 
     def _single_curvature(self) -> tuple[Array, Array]:
-        """What the estimate of the mean reading of one pose adds to its linear covariances [m²], (3, 3) each."""
+        """Return the curvature correction of the single estimate from the mean reading of one pose [m²], (3, 3)
+        each.
+        """
         first = int(self.touched.argmax())
         sources, reading = self.sources[first], self.readings[first]
         wrenches = [r.wrench for r in self.readings if r.touched]
@@ -425,7 +431,7 @@ class Fusion:
 
 
 def _distinct(found: Iterable[Solution | None]) -> list[Solution]:
-    """Each solution once, best first."""
+    """Return the distinct solutions, best first."""
     kept: list[Solution] = []
     for place in sorted((place for place in found if place is not None), key=lambda of: of.chi2):
         near = 0.1 * math.sqrt(max(float(np.trace(place.cov)), 0.0)) + 1e-6

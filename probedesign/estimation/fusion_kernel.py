@@ -88,14 +88,14 @@ def _walk(A, eta, n, variance, M, L, inverse, link):
 
 
 def solve_work(causes: int) -> int:
-    """Numbers that `solve_reduced` works in."""
+    """Return the size of the scratch array of `solve_reduced`."""
     n = columns(causes) - 1
     return n * n + 2 * n + 3 * BIAS * BIAS + 6 * n
 
 
 @kernel
 def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
-    """The common unknowns from the rows of all poses in the order of time.
+    """Solve for the common unknowns from the rows of all poses in the order of time.
 
     Args:
         reduced: (poses, m, columns).
@@ -165,7 +165,7 @@ def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
 
 @kernel
 def smooth_bias(chain, order, walk, x, xs):
-    """Common unknowns as each pose has them: they differ in the bias.
+    """Fill the common unknowns at each pose, which differ in the bias.
 
     Args:
         chain, order, walk, x: of `solve_reduced`.
@@ -191,7 +191,7 @@ def smooth_bias(chain, order, walk, x, xs):
 
 @inner
 def _pass_on(rows, g, link, q, half, scattered):
-    """Rows by the common unknowns and the bias before its step into rows by those and the bias after it.
+    """Express rows by the bias after its step instead of the bias before it.
 
     Args:
         rows: (3, n), the last six columns g; scattered: what the step itself contributes is added, (3, 3).
@@ -225,7 +225,7 @@ def _pass_on(rows, g, link, q, half, scattered):
 @kernel
 def mean_centre(lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatter, creep, ramps, work, solve_memory,
                 mean, cov):  # fmt: skip
-    """The centreline points of the touches, their mean over the poses in the world, and its covariance.
+    """Compute the mean of the centreline points of the touches in the world, and its covariance.
 
     The bias at a pose is a linear function of what is common and of the bias after it, and an error independent of
     both: `g`, the derivative by the bias at hand, is carried from the first pose to the last.
@@ -308,7 +308,9 @@ def mean_centre(lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatt
 
 @kernel
 def standard_deviation(solve_memory, n, j, work):
-    """Of a common unknown, from what `solve_reduced` left in its work; work: scratch, (n,)."""
+    """Return the standard deviation of a common unknown from the factor that `solve_reduced` left; work: scratch,
+    (n,).
+    """
     A = solve_memory[: n * n].reshape((n, n))
     for i in range(n):
         work[i] = 0.0

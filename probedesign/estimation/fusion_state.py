@@ -1,7 +1,7 @@
-"""The touches of a fusion as they are linearised, and what the kernels make of them."""
+"""State of a fusion: its linearised touches, information matrix and derived quantities."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
-from probedesign.estimation.error_sources import FINE
+from probedesign.estimation.error_sources import FINE, ErrorSources
 from probedesign.estimation.estimate import Result
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from probedesign.estimation.fusion import Fusion, Reading
 
 
-class Pin(NamedTuple):
+class PointConstraint(NamedTuple):
     """A condition on the touched point X: axis · X = at, up to a standard deviation.
 
     Attributes:
@@ -45,6 +45,62 @@ class Pin(NamedTuple):
     axis: Array
     at: float
     std: float
+
+
+FIRST_CURVATURE = 16.0
+"""Readings of a keyframe after which the curvature is evaluated; then after four times as many."""
+MAX_COUNT = 1e9
+"""Readings after which a mean follows like a low-pass filter."""
+
+
+@dataclass
+class Keyframe:
+    """Mean of the readings of one pose, in a slot of the memory of a recursive fusion, with its linearised touch.
+
+    Attributes:
+        slot: row of the memory, in which T, touch, lin, D, local, reduced and x lie.
+        wrench, T, time: means.
+        sources: error sources under its gravity.
+        began, span: time of the first reading, and from it to the last one [s].
+        count: number of readings.
+        due: count at which the curvature is evaluated again.
+        known: whether it has been linearised.
+    """
+
+    slot: int
+    wrench: Array
+    T: Array
+    time: float
+    sources: ErrorSources
+    touch: Array
+    lin: Array
+    D: Array
+    local: Array
+    reduced: Array
+    x: Array
+    began: float
+    count: float = 1.0
+    span: float = 0.0
+    due: float = FIRST_CURVATURE
+    known: bool = False
+
+    def take_in(self, wrench: Array, T: Array, time: float) -> None:
+        """Take in one more reading of this pose; wrench, place and time are means."""
+        self.count = min(self.count + 1.0, MAX_COUNT)
+        self.wrench += (wrench - self.wrench) / self.count
+        self.T[:3, 3] += (T[:3, 3] - self.T[:3, 3]) / self.count
+        self.time += (time - self.time) / self.count
+        self.span = time - self.began
+
+    def weight(self, rate: float) -> float:
+        """Return the number of samples that the mean is worth beside a bias that walks.
+
+        The mean over T seconds scatters about the bias at its middle by `rate` T/12.
+
+        Args:
+            rate: variance of the walk, in steps² a second; a sample has a variance of one step².
+        """
+        return 1.0 / (1.0 / self.count + rate * self.span / 12.0)
 
 
 class Forces(NamedTuple):
@@ -89,7 +145,7 @@ def result_of(
 
 
 def without(priors: Tolerances, group: str) -> Tolerances:
-    """The same priors with one group of error sources gone."""
+    """Return the priors with one group of error sources removed."""
     if group == "stiffness":
         return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
     if group == "bias":
@@ -105,11 +161,13 @@ _SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiff
 class FusionState:
     """The touches of a fusion as they are linearised, and the memory that the kernels work in."""
 
-    def __init__(self, fusion: "Fusion", touches: Array, pin: Pin | None = None) -> None:
-        """Args:
-        fusion: of the readings.
-        touches: at every pose, (k, TOUCH), moved in place.
-        pin: a condition on the touched point; None: none.
+    def __init__(self, fusion: "Fusion", touches: Array, pin: PointConstraint | None = None) -> None:
+        """Allocate the memory of the kernels.
+
+        Args:
+            fusion: of the readings.
+            touches: at every pose, (k, TOUCH), moved in place.
+            pin: a condition on the touched point; None: none.
         """
         self.fusion, self.touches = fusion, touches
         k, m = len(fusion.readings), len(fusion.channels)
@@ -134,7 +192,7 @@ class FusionState:
         self._x, self._cov = np.empty(width - 1), np.empty((3, 3))
 
     def linearise(self) -> bool:
-        """All touches where they are; whether the probe holds them all."""
+        """Linearise all touches; return whether all have a stable equilibrium."""
         fusion = self.fusion
         for k, sources in enumerate(fusion.sources):
             if fusion.touched[k] and not keyframe_kernel.linearise_keyframe(
@@ -170,7 +228,8 @@ class FusionState:
         friction: float | None = None,
         common_friction: float | None = None,
     ) -> tuple[float, Array, Array]:
-        """Least misfit, common unknowns and covariance of the touched point, of the touches as linearised.
+        """Return the least misfit, the common unknowns and the covariance of the touched point, for the touches as
+        linearised.
 
         Args:
             priors: standard deviations that the columns do not hold: bias and base at each pose.
@@ -189,7 +248,7 @@ class FusionState:
         return float(chi2), self._x.copy(), self._cov.copy()
 
     def step(self, share: float, max_step: float) -> float:
-        """Carry every touch towards where the common unknowns put it, after `solved`.
+        """Move every touch towards the solution of the common unknowns, after `solved`.
 
         Args:
             share: of the step to go; max_step: of arclength [m].
@@ -208,7 +267,7 @@ class FusionState:
         return float(max(sizes))
 
     def information(self) -> tuple[Array, Array]:
-        """Information matrix (n, n) and vector (n,) of touched point [m] and error sources, after `solved`.
+        """Return the information matrix (n, n) and vector (n,) of touched point [m] and error sources, after `solved`.
 
         Bias and common friction are marginalised; the unit priors of the error sources are part of the matrix.
 
@@ -260,23 +319,25 @@ class FusionState:
         )  # fmt: skip
         L, scale = np.tril(work[: n * n].reshape(n, n)), work[n * n : n * n + n]
         half = solve_triangular(L, np.diag(1.0 / scale)[:, 3:6], lower=True)
-        # All are zero where the readings know nothing of the step.
+        # All are zero where the step is unobservable.
         return float(chi2), np.maximum(1.0 - np.linalg.eigvalsh(half.T @ half), 1e-12)
 
     def std_of(self, j: int) -> float:
-        """Standard deviation of a common unknown, after `solved`."""
+        """Return the standard deviation of a common unknown, after `solved`."""
         n = len(self._x)
         return float(fusion_kernel.standard_deviation(self._work, n, j, np.empty(n)))
 
     def cov_with_sources(self) -> Array:
-        """Covariance of the touched point [m] with the error sources (unit priors), after `solved`, (3, J)."""
+        """Return the covariance of the touched point [m] with the error sources (unit priors), after `solved`, (3,
+        J).
+        """
         n = len(self._x)
         L, scale = self._work[: n * n].reshape(n, n), self._work[n * n : n * n + n]
         half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
         return np.asarray(half[:, :3].T @ half[:, 3 : 3 + self.causes])
 
     def rms(self, priors: Tolerances) -> float:
-        """Of the touched point [m] under other priors, by the bound."""
+        """Return the RMS error of the touched point [m] under other priors (Cramér-Rao bound)."""
         D, now = self.D.copy(), self.fusion.priors
         for c, name in enumerate(self.fusion.sources[0].names):
             if name in _SCALED:
@@ -285,7 +346,7 @@ class FusionState:
         return math.sqrt(max(float(np.trace(self.solved(priors, D)[2])), 0.0))
 
     def mean_centre(self) -> tuple[Array, Array]:
-        """Mean of the centreline points in the world [m], (3,), and its covariance [m²], after `solved`."""
+        """Return the mean of the centreline points in the world [m], (3,), and its covariance [m²], after `solved`."""
         fusion, n = self.fusion, len(self._x)
         poses = np.array([reading.T_world_base for reading in fusion.readings])
         mean, cov = np.empty(3), np.empty((3, 3))
@@ -296,7 +357,7 @@ class FusionState:
         return mean, cov
 
     def forces(self) -> Forces:
-        """Arclength, force and friction at every pose."""
+        """Return arclength, force and friction at every pose."""
         touches, free = self.touches, ~self.fusion.touched
         s = np.empty(len(touches))
         multistart.contact_arclengths(self.fusion.model.rod.body, touches, s)
@@ -309,24 +370,26 @@ class FusionState:
         return Forces(s, force, normal, tangential)
 
     def gains(self) -> dict[str, float]:
-        """The error with one more touch like the last, a further press as far again, or a stiffness known to half."""
+        """Return the RMS error with one more touch like the last, with a further press, or with half the standard
+        deviation of the stiffness [m].
+        """
         fusion = self.fusion
         halved = replace(fusion.priors, youngs_modulus=0.5 * fusion.priors.youngs_modulus)
         gains = {"stiffness": self.rms(halved)}
         at = np.flatnonzero(fusion.touched)
         last = fusion.readings[at[-1]]
-        gains["one more touch"] = self._with(last, self.touches[at[-1]])
+        gains["one more touch"] = self._rms_with_extra_reading(last, self.touches[at[-1]])
         if len(at) > 1:
             further = 2.0 * self.touches[at[-1]] - self.touches[at[-2]]
             further[TIP:] = self.touches[at[-1], TIP:]
             further[PHI] = self.touches[at[-1], PHI]
-            gain = self._with(last, further)
+            gain = self._rms_with_extra_reading(last, further)
             if math.isfinite(gain):
                 gains["further press"] = gain
         return gains
 
-    def _with(self, reading: "Reading", touch: Array) -> float:
-        """The error with one reading more, from the pose that puts its touched point where that of `reading` is [m]."""
+    def _rms_with_extra_reading(self, reading: "Reading", touch: Array) -> float:
+        """Return the RMS error with one more reading, taken from the pose that keeps its touched point [m]."""
         fusion = self.fusion
         more = replace(fusion, readings=(*fusion.readings, reading))
         state = FusionState(more, np.vstack([self.touches, touch]))

@@ -46,19 +46,19 @@ EXACT = 1e-8
 
 
 def columns(causes: int) -> int:
-    """Of the reduced rows: X, the error sources, the common friction, the bias, and the right-hand side."""
+    """Return the number of columns of the reduced rows: X, error sources, common friction, bias, right-hand side."""
     return 3 + causes + FRICTION + BIAS + 1
 
 
 def rows_of(channels: int) -> int:
-    """Rows of a pose's block before its own unknowns are taken out."""
+    """Return the number of rows of a pose's block before its own unknowns are eliminated."""
     return channels + 6
 
 
 @kernel
 def linearise_keyframe(body, gravity, mass, tol, touch, own, turns, root, gain, hanging, sensor_from_base,
                        base_from_sensor, reference, still, work, lin, D):  # fmt: skip
-    """One touch of a pose, linearised with its error columns where it is.
+    """Linearise the touch of a pose with its error columns.
 
     Returns:
         Whether the probe holds it.
@@ -74,7 +74,7 @@ def linearise_keyframe(body, gravity, mass, tol, touch, own, turns, root, gain, 
 
 @inner
 def column_of(D, r, c, scatter, creep, ramp):
-    """Of an error source that is common to all poses: none of what scatters from touch to touch, creep as it grew."""
+    """Return an entry of an error column that is common to all poses: zero for the scatter, scaled for the creep."""
     if c == scatter:
         return 0.0
     return D[r, c] * (ramp if c == creep else 1.0)
@@ -83,7 +83,7 @@ def column_of(D, r, c, scatter, creep, ramp):
 @kernel
 def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, common, repeat, scatter, creep, ramp,
                     block, local, reduced):  # fmt: skip
-    """Rows of one pose with its own unknowns taken out.
+    """Fill the rows of one pose with its own unknowns eliminated.
 
     Args:
         touch, lin, D: as linearised, (TOUCH,), (ROWS, ...), (12, J).
@@ -155,7 +155,7 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
 
 @kernel
 def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
-    """Rows of a reading of the free probe: it ties the bias down.
+    """Fill the rows of a reading of the free probe, which constrains the bias.
 
     Args:
         D: error columns of the free probe's reading, (6, J); free: the free probe's wrench, (6,).
@@ -179,7 +179,7 @@ def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
 
 @inner
 def own_unknowns(local, x, n, rhs, step):
-    """A pose's touch step and stiffness from the common unknowns, by back substitution, (LOCAL,)."""
+    """Compute the step of a pose's touch and its stiffness from the common unknowns by back substitution, (LOCAL,)."""
     for i in range(LOCAL - 1, -1, -1):
         total = local[i, rhs]
         for c in range(n):
@@ -192,7 +192,7 @@ def own_unknowns(local, x, n, rhs, step):
 
 @kernel
 def step_keyframe(touch, lin, local, x, share, max_step, end, work):
-    """Carry a pose's touch to where the common unknowns put it, or a share of the way where that is far.
+    """Move a pose's touch to the solution of the common unknowns, or part of the way if that is far.
 
     Args:
         touch: as linearised, moved in place, (TOUCH,).
@@ -233,7 +233,7 @@ def step_keyframe(touch, lin, local, x, share, max_step, end, work):
 
 @kernel
 def admit(wrench, T, gravity_world, sensor_from_base, payload, limit, gravity):
-    """Whether such a reading can be: finite, within the sensor's range, at a pose that is one.
+    """Return whether a reading is finite, within the range of the sensor and at a valid pose.
 
     Args:
         wrench: at the base, (6,); T: of the base in the world, (4, 4).
@@ -266,7 +266,7 @@ def admit(wrench, T, gravity_world, sensor_from_base, payload, limit, gravity):
 
 @kernel
 def apart(a, b):
-    """Distance of two poses [m]; a radian of turn counts as a tenth of a metre."""
+    """Return the distance of two poses [m]; a rotation of one radian counts as a tenth of a metre."""
     moved = turned = 0.0
     for i in range(3):
         moved += (a[i, 3] - b[i, 3]) ** 2

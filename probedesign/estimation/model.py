@@ -78,7 +78,7 @@ class ProbeModel:
     sensor: str = NANO17.name
 
     def __post_init__(self) -> None:
-        """Raises InputError where the friction is negative or not a number."""
+        """Raise InputError if the friction is negative or not a number."""
         if not self.friction >= 0.0:
             raise InputError(
                 f"friction = {self.friction} must be 0 or greater; inf leaves the direction of the force free"

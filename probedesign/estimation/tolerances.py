@@ -74,7 +74,7 @@ class Unknowns:
     creep: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises InputError where a value is not a standard deviation."""
+        """Raise InputError if a value is not a standard deviation."""
         for entry in fields(self):
             value = getattr(self, entry.name)
             if not 0.0 <= value < float("inf"):
@@ -143,7 +143,7 @@ class Tolerances:
     walk_steps: float = 0.2
 
     def __post_init__(self) -> None:
-        """Raises InputError where a standard deviation is none, or the power is not finite."""
+        """Raise InputError if a standard deviation is negative or not finite, or the power is not finite."""
         if not math.isfinite(self.youngs_modulus_by_diameter):
             raise InputError(f"youngs_modulus_by_diameter = {self.youngs_modulus_by_diameter} must be finite")
         for entry in fields(self):
@@ -152,18 +152,18 @@ class Tolerances:
                 raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
 
     @classmethod
-    def of(cls, model: ProbeModel, said: Mapping[str, Any] | None = None) -> "Tolerances":
+    def of(cls, model: ProbeModel, given: Mapping[str, Any] | None = None) -> "Tolerances":
         """Return the tolerances of a design; what it leaves out comes from the material, or is the default.
 
         Args:
-            model: of the probe; where it has tolerances of its own, they are it.
-            said: by name; None where the design gives none.
+            model: of the probe; its own tolerances are returned unchanged.
+            given: values given by the design, by name; None if it gives none.
         """
         if model.tolerances is not None:
             return model.tolerances
         spread = stiffness_spread(model)
         own = cls(youngs_modulus=spread, shear_modulus=spread, creep=model.creep_spread or cls.creep)
-        return replace(own, **{name: value for name, value in (said or {}).items() if value is not None})
+        return replace(own, **{name: value for name, value in (given or {}).items() if value is not None})
 
     @classmethod
     def none(cls) -> "Tolerances":

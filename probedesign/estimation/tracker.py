@@ -1,7 +1,7 @@
-"""The fusion of `fusion.py` as readings come: bounded time and memory, forgetting when the touch is lost.
+"""Recursive fusion: bounded time and memory; its state is cleared when contact is lost.
 
-Readings from nearly one pose are kept as their mean, a keyframe; no more than so many are kept, and the two that lie
-closest become one where there is one too many. Each update puts its reading into the last keyframe and solves all of
+Readings from nearly one pose are kept as their mean, a keyframe; at most `keyframes` are kept, and the two that lie
+closest are merged if there is one more. Each update puts its reading into the last keyframe and solves all of
 them as they were linearised last; now and then, and where a keyframe is new, all are linearised anew. So the result is
 that of the batch over the keyframes' means.
 """
@@ -28,7 +28,7 @@ from probedesign.estimation.fusion import (
     Reading,
     channels_of,
 )  # fmt: skip
-from probedesign.estimation.fusion_state import FusionState, result_of
+from probedesign.estimation.fusion_state import FIRST_CURVATURE, FusionState, Keyframe, result_of
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
     AROUND,
@@ -47,8 +47,6 @@ IN_TURN = 4
 """Readings, times the number of keyframes, after which all of them are linearised anew."""
 SWEEPS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Readings of the last keyframe at which that is done sooner: they move the point most."""
-FIRST_CURVATURE = 16.0
-"""Readings of a keyframe after which the curvature is evaluated; then after four times as many."""
 CURVATURE_SECONDS = (0.1, 1.0)
 """Least time from one evaluation to the next, and the longest where the base moves on all the time."""
 MAX_WAIT = 256
@@ -63,49 +61,8 @@ FREE_BEFORE = 1.0
 """Time from the mean of the free readings to the first reading of a touch [s]: about `detector.MEAN_SECONDS`."""
 _MIXED = 1e-4
 """Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ."""
-_MAX_COUNT = 1e9
 MAX_STEP = 0.1
 """Of arclength over length, in one step."""
-
-
-@dataclass
-class _Keyframe:
-    """The mean reading of one pose, and its touch as it was linearised last."""
-
-    slot: int
-    wrench: Array
-    T: Array
-    time: float
-    sources: ErrorSources
-    touch: Array
-    lin: Array
-    D: Array
-    local: Array
-    reduced: Array
-    x: Array
-    began: float
-    count: float = 1.0
-    span: float = 0.0
-    due: float = FIRST_CURVATURE
-    known: bool = False
-
-    def take_in(self, wrench: Array, T: Array, time: float) -> None:
-        """Take in one more reading of this pose; wrench, place and time are means."""
-        self.count = min(self.count + 1.0, _MAX_COUNT)
-        self.wrench += (wrench - self.wrench) / self.count
-        self.T[:3, 3] += (T[:3, 3] - self.T[:3, 3]) / self.count
-        self.time += (time - self.time) / self.count
-        self.span = time - self.began
-
-    def weight(self, rate: float) -> float:
-        """Return the number of samples that the mean is worth beside a bias that walks.
-
-        The mean over T seconds scatters about the bias at its middle by `rate` T/12.
-
-        Args:
-            rate: variance of the walk, in steps² a second; a sample has a variance of one step².
-        """
-        return 1.0 / (1.0 / self.count + rate * self.span / 12.0)
 
 
 @dataclass
@@ -128,10 +85,10 @@ class Tracker:
     moments_about: MomentsAbout = "sensor"
     rate: float = 7000.0
     keyframes: int = MAX_KEYFRAMES
-    _kept: list[_Keyframe] = field(default_factory=list, init=False, repr=False)
+    _kept: list[Keyframe] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Raises InputError where an argument makes no sense."""
+        """Raise InputError if an argument is out of range."""
         self._gravity_world = np.asarray(self.gravity_world, dtype=float)
         if self._gravity_world.shape != (3,) or not np.isfinite(self._gravity_world).all():
             raise InputError(f"gravity_world = {self.gravity_world} must be three finite numbers in m/s²")
@@ -157,7 +114,7 @@ class Tracker:
         self._forget()
 
     def _memory(self) -> None:
-        """The arrays that the kernels work in."""
+        """Allocate the arrays of the kernels."""
         free = self.estimator.free(self.estimator.model.gravity_base)
         sources = ErrorSources.of(self.estimator.model, self._priors, self.estimator.model.gravity_base, free)
         self._causes, self._width = len(sources.names), keyframe_kernel.columns(len(sources.names))
@@ -194,7 +151,7 @@ class Tracker:
 
     @property
     def kept(self) -> int:
-        """How many keyframes of the present touch are kept."""
+        """Return the number of keyframes of the present touch."""
         return len(self._kept)
 
     def update(
@@ -235,13 +192,13 @@ class Tracker:
     # Readings into keyframes -----------------------------------------------------------------------------------------
 
     def _release(self, beyond: Array, lost: bool) -> None:
-        """A free reading, less what the free probe makes there: it ties the bias down, wherever the base is."""
+        """Add a free reading, less the wrench of the free probe, which constrains the bias."""
         if lost or self._kept:
             self._forget()
         self._free_mean.add(beyond)
 
     def _sources_at(self, T: Array) -> ErrorSources:
-        """The error sources under the present gravity; the sensor counts as tared where the touch began."""
+        """Return the error sources under the present gravity; the sensor counts as tared where the touch began."""
         key = self._gravity.tobytes()
         found = self._last_sources.get(key)
         if found is None:
@@ -255,7 +212,7 @@ class Tracker:
         return found
 
     def _place(self, wrench: Array, T: Array) -> None:
-        """Put a reading into the last keyframe, or into a new one where the base has moved."""
+        """Add a reading to the last keyframe, or to a new one if the base has moved."""
         self._free_mean.drop_pending()
         if self._kept and keyframe_kernel.apart(self._kept[-1].T, T) <= self._apart:
             self._kept[-1].take_in(wrench, T, self._time)
@@ -263,7 +220,7 @@ class Tracker:
         touch = self._kept[-1].touch.copy() if self._kept else np.zeros(TOUCH)
         slot = next(i for i in range(1, self.keyframes + 2) if all(frame.slot != i for frame in self._kept))
         self._poses[slot], self._touches[slot] = T, touch
-        self._kept.append(_Keyframe(
+        self._kept.append(Keyframe(
             slot, wrench.copy(), self._poses[slot], self._time, self._sources_at(T), self._touches[slot],
             self._lins[slot], self._Ds[slot], self._locals[slot], self._all[slot], self._xs[slot], self._time,
         ))  # fmt: skip
@@ -290,7 +247,7 @@ class Tracker:
     # One step over all keyframes -------------------------------------------------------------------------------------
 
     def _solve(self) -> FusedEstimate:
-        """The result after a reading came into the last keyframe.
+        """Return the result after a reading was added to the last keyframe.
 
         All keyframes are linearised anew together: one at a time, their mixed linearisations would claim more than is
         known where the point is hardly known. Between, only the mean of the last one changes.
@@ -308,7 +265,7 @@ class Tracker:
         return self._remember(result)
 
     def _remember(self, result: FusedEstimate) -> FusedEstimate:
-        """The result with its curvature; a fit that fits no more may have run away, so it begins again."""
+        """Return the result with its curvature; a fit that is inconsistent or did not converge is restarted."""
         if result.ok:
             result = self._curved(result)
         if result.result in ("inconsistent", "not_converged"):
@@ -317,7 +274,9 @@ class Tracker:
         return result
 
     def _linearise(self, k: int) -> bool:
-        """A keyframe, its touch first moved to where the unknowns put it; whether the probe holds it."""
+        """Move the touch of a keyframe to the present solution and linearise it; return whether it has a stable
+        equilibrium.
+        """
         frame, model = self._kept[k], self.estimator.model
         if frame.known and self._x is not None:
             keyframe_kernel.step_keyframe(frame.touch, frame.lin, frame.local, frame.x, 1.0,
@@ -331,7 +290,7 @@ class Tracker:
         self._reduce(frame, k)
         return True
 
-    def _reduce(self, frame: _Keyframe, k: int) -> None:
+    def _reduce(self, frame: Keyframe, k: int) -> None:
         self._ramp[frame.slot] = k / (len(self._kept) - 1) if len(self._kept) > 1 else 1.0
         keyframe_kernel.reduce_keyframe(
             frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
@@ -341,7 +300,9 @@ class Tracker:
         )  # fmt: skip
 
     def _gather(self) -> tuple[NDArray[np.int64], Array]:
-        """Which rows count, the free probe's mean first, and the variance of the bias's step before each."""
+        """Return the order of the rows, the free probe's mean first, and the variance of the bias's step before
+        each.
+        """
         order, walk = [], []
         if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
             free = self.estimator.free(self._kept[0].sources.gravity).wrench_base
@@ -401,7 +362,7 @@ class Tracker:
         )  # fmt: skip
 
     def _is_due(self, size: float) -> bool:
-        """Whether the curvature is to be evaluated again, which takes some milliseconds."""
+        """Return whether to evaluate the curvature again, which takes some milliseconds."""
         before, since, last = self._curvature[0], self._time - self._evaluated, self._kept[-1]
         if before == 0.0 or since < CURVATURE_SECONDS[0]:
             return before == 0.0
@@ -410,7 +371,7 @@ class Tracker:
         )
 
     def _evaluate_curvature(self, size: float) -> None:
-        """What the curve of the likely points adds, and whether the object has moved, by the batch of the keyframes."""
+        """Evaluate the curvature correction, and whether the object has moved, by the batch of the keyframes."""
         fusion, start = self._batch()
         best, last = fusion.refine(start), self._kept[-1]
         self._evaluated, last.due = self._time, 4.0 * max(last.count, FIRST_CURVATURE)
@@ -423,7 +384,7 @@ class Tracker:
         self._curvature = size, surface, contact
 
     def _curved(self, result: FusedEstimate) -> FusedEstimate:
-        """The result with what the curve of the likely points adds.
+        """Return the result with the curvature correction.
 
         From one evaluation to the next it goes with the square of the covariance, and only where it adds: the
         covariance has turned since.
@@ -448,7 +409,9 @@ class Tracker:
     # Starting --------------------------------------------------------------------------------------------------------
 
     def _begin(self) -> FusedEstimate:
-        """Start, but not at every reading; between, the last result holds, never "ok"."""
+        """Start at the first reading and then ever more rarely; between, return the last result, which is never
+        "ok".
+        """
         if self.moments_only and len(self._kept) < 2:
             self._last = FusedEstimate("unobservable")
             return self._last
@@ -473,7 +436,7 @@ class Tracker:
         return self._settled([found.candidates[0].touch] * len(self._kept))
 
     def _settled(self, touches: list[Array]) -> FusedEstimate:
-        """A few steps over all keyframes from a guess of their touches."""
+        """Take a few steps over all keyframes from a guess of their touches."""
         self._x = None
         for frame, touch in zip(self._kept, touches, strict=True):
             frame.touch[:], frame.known = touch, False
@@ -485,7 +448,7 @@ class Tracker:
         return result
 
     def _batch(self) -> tuple[Fusion, Array]:
-        """The keyframes as one batch, the free probe's mean before them, and their touches, (k, TOUCH)."""
+        """Return the keyframes as one batch, after the free probe's mean, and their touches, (k, TOUCH)."""
         readings = [
             Reading(frame.wrench.copy(), self._sample / frame.weight(self._rate), frame.T, frame.sources.gravity, True,
                     frame.time)
@@ -516,6 +479,6 @@ class Tracker:
 
 
 def _positive_part(A: Array) -> Array:
-    """The nearest matrix to a symmetric one that has no negative eigenvalue."""
+    """Return the nearest positive semidefinite matrix to a symmetric one."""
     values, vectors = np.linalg.eigh(A)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
