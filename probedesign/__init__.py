@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
     from probedesign.estimation.fused import FusedEstimate
     from probedesign.estimation.tolerances import Tolerances
-    from probedesign.estimation.tolerances import Unknowns as Priors
+    from probedesign.estimation.tolerances import Tolerances as Priors
     from probedesign.estimation.tracker import Tracker
     from probedesign.frozen_probe import load_estimator
     from probedesign.geometry import CrossSection
@@ -54,7 +54,7 @@ _MODULES = {
     "estimation.estimate": ("Estimate",),
     "estimation.estimator": ("Estimator",),
     "estimation.fused": ("FusedEstimate",),
-    "estimation.tolerances": ("Tolerances", "Unknowns"),
+    "estimation.tolerances": ("Tolerances",),
     "estimation.tracker": ("Tracker",),
     "frozen_probe": ("load_estimator",),
     "geometry": ("CrossSection",),
@@ -70,13 +70,13 @@ _MODULES = {
     "validation.validate": ("ValidationReport", "validate"),
 }
 """Names of each module."""
-_RENAMED = {"SensorModel": "Sensor", "Unknowns": "Priors"}
+_RENAMED = {"SensorModel": "Sensor"}
 _LOCATIONS = {
     _RENAMED.get(name, name): (f"probedesign.{module}", name)
     for module, names in _MODULES.items()
     for name in names
-}
-"""Module and attribute of each public name."""
+} | {"Priors": ("probedesign.estimation.tolerances", "Tolerances")}
+"""Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator."""
 __all__ = [
     "Campaign", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator", "FusedEstimate",
     "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe", "Resin", "Rod",
