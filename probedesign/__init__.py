@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from probedesign.rod.batch import solve_batch
     from probedesign.rod.contact import solve_frictionless
     from probedesign.rod.equilibrium import Equilibrium
+    from probedesign.rod.friction import CoulombSolver
+    from probedesign.rod.obstacle import press_against_line, press_against_point
     from probedesign.rod.rod import Rod
     from probedesign.validation.validate import ValidationReport, validate
 
@@ -66,6 +68,8 @@ _MODULES = {
     "rod.batch": ("solve_batch",),
     "rod.contact": ("solve_frictionless",),
     "rod.equilibrium": ("Equilibrium",),
+    "rod.friction": ("CoulombSolver",),
+    "rod.obstacle": ("press_against_line", "press_against_point"),
     "rod.rod": ("Rod",),
     "validation.validate": ("ValidationReport", "validate"),
 }
@@ -78,11 +82,11 @@ _LOCATIONS = {
 } | {"Priors": ("probedesign.estimation.tolerances", "Tolerances")}
 """Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator."""
 __all__ = [
-    "Campaign", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator", "FusedEstimate",
-    "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe", "Resin", "Rod",
-    "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of", "identify",
-    "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "read_campaign", "solve_batch",
-    "solve_frictionless", "validate",
+    "Campaign", "CoulombSolver", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator",
+    "FusedEstimate", "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe",
+    "Resin", "Rod", "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of",
+    "identify", "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "press_against_line",
+    "press_against_point", "read_campaign", "solve_batch", "solve_frictionless", "validate",
 ]  # fmt: skip
 
 
