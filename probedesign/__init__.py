@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from probedesign.estimation.estimate import Estimate, FusedEstimate
     from probedesign.estimation.estimator import Estimator
     from probedesign.estimation.tolerances import Tolerances
-    from probedesign.estimation.tolerances import Unknowns as Priors
+    from probedesign.estimation.tolerances import Tolerances as Priors
     from probedesign.estimation.tracker import Tracker
     from probedesign.frozen_probe import load_estimator
     from probedesign.geometry import CrossSection
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from probedesign.rod.batch import solve_batch
     from probedesign.rod.contact import solve_frictionless
     from probedesign.rod.equilibrium import Equilibrium
+    from probedesign.rod.friction import CoulombSolver
+    from probedesign.rod.obstacle import press_against_line, press_against_point
     from probedesign.rod.rod import Rod
     from probedesign.validation.validate import ValidationReport, validate
 
@@ -52,7 +54,7 @@ _MODULES = {
     "estimation.detector": ("Detector",),
     "estimation.estimator": ("Estimator",),
     "estimation.estimate": ("Estimate", "FusedEstimate"),
-    "estimation.tolerances": ("Tolerances", "Unknowns"),
+    "estimation.tolerances": ("Tolerances",),
     "estimation.tracker": ("Tracker",),
     "frozen_probe": ("load_estimator",),
     "geometry": ("CrossSection",),
@@ -64,23 +66,25 @@ _MODULES = {
     "rod.batch": ("solve_batch",),
     "rod.contact": ("solve_frictionless",),
     "rod.equilibrium": ("Equilibrium",),
+    "rod.friction": ("CoulombSolver",),
+    "rod.obstacle": ("press_against_line", "press_against_point"),
     "rod.rod": ("Rod",),
     "validation.validate": ("ValidationReport", "validate"),
 }
 """Names of each module."""
-_RENAMED = {"SensorModel": "Sensor", "Unknowns": "Priors"}
+_RENAMED = {"SensorModel": "Sensor"}
 _LOCATIONS = {
     _RENAMED.get(name, name): (f"probedesign.{module}", name)
     for module, names in _MODULES.items()
     for name in names
-}
-"""Module and attribute of each public name."""
+} | {"Priors": ("probedesign.estimation.tolerances", "Tolerances")}
+"""Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator."""
 __all__ = [
-    "Campaign", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator", "FusedEstimate",
-    "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe", "Resin", "Rod",
-    "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of", "identify",
-    "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "read_campaign", "solve_batch",
-    "solve_frictionless", "validate",
+    "Campaign", "CoulombSolver", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator",
+    "FusedEstimate", "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe",
+    "Resin", "Rod", "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of",
+    "identify", "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "press_against_line",
+    "press_against_point", "read_campaign", "solve_batch", "solve_frictionless", "validate",
 ]  # fmt: skip
 
 

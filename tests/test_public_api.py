@@ -51,6 +51,10 @@ def test_type_checkers_see_the_same_names():
     assert (Path(probedesign.__file__).parent / "py.typed").is_file()
 
 
+def test_priors_is_a_second_name_of_tolerances():
+    assert probedesign.Priors is probedesign.Tolerances
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'Porbe'"):
         _ = probedesign.Porbe

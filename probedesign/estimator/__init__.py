@@ -1,16 +1,12 @@
 """Former name of `probedesign.estimation`; its documented modules can be imported from here for one release."""
 
-import importlib
-import sys
-import warnings
+from probedesign.core.renamed import warn_renamed
 
-ALIASES = ("detector", "estimate", "estimator", "model", "tolerances", "tracker", "unknowns")
-"""Modules whose former import path the documentation named."""
+NAMES = ("detector", "estimate", "estimator", "model", "tolerances", "tracker")
+"""Modules whose former import path the documentation named and whose own name stays."""
 
-warnings.warn(
-    "probedesign.estimator was renamed probedesign.estimation; the former name is removed in the next release",
-    DeprecationWarning,
-    stacklevel=2,
+warn_renamed(
+    __name__,
+    "probedesign.estimation",
+    {name: name for name in NAMES} | {"unknowns": "tolerances"},
 )
-for _name in ALIASES:
-    sys.modules[f"{__name__}.{_name}"] = importlib.import_module(f"probedesign.estimation.{_name}")

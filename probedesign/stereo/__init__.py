@@ -1,16 +1,8 @@
 """Former name of `probedesign.vision`; its documented modules can be imported from here for one release."""
 
-import importlib
-import sys
-import warnings
+from probedesign.core.renamed import warn_renamed
 
-ALIASES = ("calibrate", "camera", "triangulate")
+NAMES = ("calibrate", "camera", "triangulate")
 """Modules whose former import path the documentation named."""
 
-warnings.warn(
-    "probedesign.stereo was renamed probedesign.vision; the former name is removed in the next release",
-    DeprecationWarning,
-    stacklevel=2,
-)
-for _name in ALIASES:
-    sys.modules[f"{__name__}.{_name}"] = importlib.import_module(f"probedesign.vision.{_name}")
+warn_renamed(__name__, "probedesign.vision", {name: name for name in NAMES})

@@ -54,9 +54,9 @@ def test_power_is_the_same_in_every_frame(T_a_b, force_b, moment_b, v_b, w_b):
 def test_a_force_at_a_point_maps_with_its_point(T_a_b, force_b, p_b):
     """The wrench of a force is [F; p × F] in either frame."""
     force_a, p_a = T_a_b[:3, :3] @ force_b, (T_a_b @ np.append(p_b, 1.0))[:3]
-    told_in_b = np.concatenate([force_b, np.cross(p_b, force_b)])
-    told_in_a = np.concatenate([force_a, np.cross(p_a, force_a)])
-    assert np.allclose(wrench_map(T_a_b) @ told_in_b, told_in_a, atol=EXACT)
+    in_frame_b = np.concatenate([force_b, np.cross(p_b, force_b)])
+    in_frame_a = np.concatenate([force_a, np.cross(p_a, force_a)])
+    assert np.allclose(wrench_map(T_a_b) @ in_frame_b, in_frame_a, atol=EXACT)
 
 
 @given(vectors, vectors)

@@ -111,7 +111,7 @@ def test_a_design_without_contact_has_the_friction_of_its_resin_and_its_provenan
         ("inf", None, False),  # any direction: no number is assumed
     ],
 )
-def test_a_given_friction_goes_before_the_resins(friction, provenance, assumed):
+def test_a_given_friction_overrides_the_resin(friction, provenance, assumed):
     table = f"[contact]\nfriction = {friction}\n"
     table += f'[contact.provenance]\nfriction = "{provenance}"\n' if provenance else ""
     design = parse_design(WITHOUT_CONTACT + table)
@@ -148,7 +148,7 @@ def test_the_tolerances_of_root_gain_and_scatter_are_bounded(key, most):
         one_line(error)
 
 
-def test_a_given_number_goes_before_the_resins():
+def test_a_given_number_overrides_the_resin():
     text = plain(LARGE).replace("youngs_modulus_mpa = 2.32", "youngs_modulus_mpa = 3.1")
     assert parse_design(text).youngs_modulus.value == pytest.approx(3.1e6, rel=1e-15)
 
@@ -296,7 +296,7 @@ def test_a_byte_order_mark_is_no_error(tmp_path):
 # Any content of the file gives a design or one line
 
 
-def design_or_one_line(text: str) -> None:
+def assert_design_or_one_line(text: str) -> None:
     try:
         assert isinstance(parse_design(text), Design)
     except InputError as error:
@@ -305,7 +305,7 @@ def design_or_one_line(text: str) -> None:
 
 @given(st.text())
 def test_any_text(text):
-    design_or_one_line(text)
+    assert_design_or_one_line(text)
 
 
 TOKENS = st.sampled_from(
@@ -322,7 +322,7 @@ def test_any_mutation_of_a_design_file(data):
         start = data.draw(st.integers(0, len(text)))
         end = start + data.draw(st.integers(0, 30))
         text = text[:start] + data.draw(TOKENS | st.text(max_size=5)) + text[end:]
-    design_or_one_line(text)
+    assert_design_or_one_line(text)
 
 
 VALUES = st.recursive(

@@ -180,7 +180,7 @@ def test_combined_balances_about_its_centre():
     )
 
 
-def test_nothing_weighs_nothing_and_changes_nothing():
+def test_an_empty_body_has_zero_mass():
     assert combined([]).mass == 0.0
     a = frustum(0.006, 0.001, 0.15, 0.0, DENSITY)
     assert_same(combined([NOTHING, a]), a, EXACT)
@@ -209,8 +209,8 @@ def test_moving_and_combining_commute():
 def test_the_weight_is_the_same_wrench_in_every_frame():
     body_b = frustum(0.006, 0.001, 0.15, 0.0, DENSITY)
     gravity_b = np.array([9.81, 0.5, -1.0])
-    told_in_a = body_b.moved(T_A_B).wrench(T_A_B[:3, :3] @ gravity_b)
-    assert told_in_a == pytest.approx(wrench_map(T_A_B) @ body_b.wrench(gravity_b), abs=1e-15)
+    in_frame_a = body_b.moved(T_A_B).wrench(T_A_B[:3, :3] @ gravity_b)
+    assert in_frame_a == pytest.approx(wrench_map(T_A_B) @ body_b.wrench(gravity_b), abs=1e-15)
 
 
 def test_the_weight_of_a_horizontal_probe_bends_about_y():

@@ -60,7 +60,7 @@ def touch(motion, **options):
     return blocks(motion.model, motion.wrench_sensor(time) + BIAS, time, **options)
 
 
-def told_poses(motion, late=0.0, latency=0.0):
+def reported_poses(motion, late=0.0, latency=0.0):
     """Poses as a robot sends them, 125 per second, each with a time stamp that is late [s]."""
     time = np.arange(-0.2, motion.cycle_time + 1.2, 1.0 / 125.0)
     p = motion.p_world_base(np.maximum(time, 0.0))
@@ -87,7 +87,7 @@ def run(estimator, stream, poses=None, plan=None, ask=()):
 
 @pytest.fixture(scope="module")
 def touched(estimator, motion):
-    return run(estimator, touch(motion), told_poses(motion))
+    return run(estimator, touch(motion), reported_poses(motion))
 
 
 def test_the_touched_point_lies_in_its_ellipsoid_of_the_world(motion, touched):
@@ -130,7 +130,7 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
         return run(
             estimator,
             stream,
-            told_poses(motion),
+            reported_poses(motion),
             ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES, filter_hz=20.0),
         )[0]
 
@@ -146,14 +146,14 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
 def test_poses_that_come_later_than_stated_are_noticed(estimator, motion):
     """The base stops within 20 ms of readings: the delay of 60 ms is reported within a fifth."""
     stream = (b for b in touch(motion) if b.time[-1] < REST_TIME + MOVE_TIME + PRESS_TIME + 2.0 * SPAN)
-    _, lines, _ = run(estimator, stream, told_poses(motion, late=0.060))
+    _, lines, _ = run(estimator, stream, reported_poses(motion, late=0.060))
     (delay_line,) = [line for line in lines if "--pose-latency-ms" in line]
     assert "instead of 0" in delay_line
     assert 48.0 <= float(delay_line.split("try --pose-latency-ms ")[1].split()[0]) <= 72.0
 
 
 def test_poses_whose_latency_is_stated_are_taken_for_true(estimator, motion, touched):
-    answers, lines, _ = run(estimator, touch(motion), told_poses(motion, late=0.060, latency=0.060))
+    answers, lines, _ = run(estimator, touch(motion), reported_poses(motion, late=0.060, latency=0.060))
     assert not [line for line in [*lines, *touched[1]] if "--pose-latency-ms" in line]
     last, same = (a[-1].contacts[0].fused for a in (answers, touched[0]))
     # The same poses at the same times, but for the rounding of time to nanoseconds: 1e-9 s at 13 mm/s.
@@ -185,7 +185,7 @@ def turned(estimator):
     return turning(estimator.model, 6.0)
 
 
-def test_a_free_probe_feels_nothing_however_it_is_turned(estimator, turned):
+def test_free_probe_has_no_contact_at_any_orientation(estimator, turned):
     """A mean of five samples that turn with 0.4 rad/s is off by a hundredth of its noise; the chance that one of 600
     free readings is called a contact is 1e-3."""
     time, wrench, poses = turned
@@ -206,7 +206,7 @@ def test_a_turning_base_without_poses_feels_its_own_weight(estimator, turned):
 
 def test_without_a_pose_there_is_no_number(estimator, motion):
     """Poses lack from 1.0 to 1.4 s and from 1.8 s on."""
-    all_poses = told_poses(motion)
+    all_poses = reported_poses(motion)
     stated = [
         TimedPose(t, tuple(all_poses.at(t)[:3, 3]), UPRIGHT)
         for t in all_poses.track.times
@@ -230,7 +230,7 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
 
 def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimator, motion):
     stream = (b for b in touch(motion) if b.time[-1] < 8.5)
-    _, lines, chain = run(estimator, stream, told_poses(motion), ask=[2.5, 2.7, 7.9])
+    _, lines, chain = run(estimator, stream, reported_poses(motion), ask=[2.5, 2.7, 7.9])
     stated = [line for line in lines if line.startswith("tare")]
     assert stated[0].startswith("tare from 200 readings in 0:2 s: Fx 30")
     assert stated[1] == "tare: keep the probe free and still for 2 s"
@@ -246,7 +246,7 @@ def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimat
 
 def test_a_tare_that_is_touched_meanwhile_is_refused(estimator, motion):
     stream = (b for b in touch(motion) if b.time[-1] < 8.5)
-    _, lines, chain = run(estimator, stream, told_poses(motion), ask=[4.9])
+    _, lines, chain = run(estimator, stream, reported_poses(motion), ask=[4.9])
     refused = [line for line in lines if line.startswith("tare refused: the probe is moving")]
     assert len(refused) == 1
     assert chain.tare.window == TareWindow(0.0, 2.0)

@@ -83,7 +83,7 @@ def test_comments_blank_lines_and_line_ends(path):
     assert (recording.frame, len(recording.time)) == ("base", 2)
 
 
-def test_gravity_comes_along(path):
+def test_gravity_columns_are_read(path):
     recording = read(path, f"{CSV_HEADER},gx_m_s2,gy_m_s2,gz_m_s2\n0,{ROW},9.81,0,-1\n")
     assert recording.gravity_base is not None
     assert recording.gravity_base.tolist() == [[9.81, 0.0, -1.0]]
@@ -180,7 +180,7 @@ def test_invalid_messages_are_reported(path):
 
 @given(st.binary(max_size=200))
 def test_any_bytes(path, junk):
-    recording_or_one_line(path, junk)
+    assert_recording_or_one_line(path, junk)
 
 
 @given(st.data())
@@ -193,10 +193,10 @@ def test_any_mutation_of_a_recording(path, data):
         start = data.draw(st.integers(0, len(text)))
         end = start + data.draw(st.integers(0, 12))
         text = text[:start] + data.draw(tokens | st.binary(max_size=4)) + text[end:]
-    recording_or_one_line(path, text)
+    assert_recording_or_one_line(path, text)
 
 
-def recording_or_one_line(path, content: bytes) -> None:
+def assert_recording_or_one_line(path, content: bytes) -> None:
     """Either a whole and plausible recording or a one-line error with the reason."""
     try:
         recording = read(path, content)

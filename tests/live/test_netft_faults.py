@@ -53,7 +53,7 @@ def test_a_storm_of_rubbish_is_survived(estimator):
     assert reader.error is None
 
 
-def told_in_order(reader) -> None:
+def assert_events_in_order(reader) -> None:
     """Silence is in the stream and reported, after the last reading before it and before the first after; the readings
     beyond it are of another stretch."""
     silences = [i for i, (_, what) in enumerate(reader.story) if isinstance(what, Block) and not len(what)]
@@ -77,7 +77,7 @@ def test_a_restart_is_survived_marked_and_not_mixed(estimator):
         peer.restart(0.3)
         reader.has_logged("previous tare is kept")
         reader.more()
-    told_in_order(reader)
+    assert_events_in_order(reader)
     assert reader.source.counts["restarts"] == 1
     assert (np.diff([r.time for r in reader.readings]) > 0.0).all()
     means = list(averaged(reader.blocks, 36))
@@ -90,6 +90,8 @@ def test_a_restart_soon_after_power_up_is_survived(estimator):
         peer.restart(0.2)
         reader.has_logged("previous tare is kept")
         reader.more()
+    assert reader.source.counts["restarts"] == 1
+    assert reader.error is None
 
 
 def test_the_tare_survives_a_restart(estimator):
@@ -114,7 +116,7 @@ def test_a_stall_is_stale_and_gives_no_readings(estimator):
         peer.stall(0.4)
         reader.has_logged("records resumed")
         reader.more()
-    told_in_order(reader)
+    assert_events_in_order(reader)
     assert reader.source.counts["interruptions"] >= 1
 
 
@@ -136,6 +138,7 @@ def test_a_stolen_stream_is_requested_again_and_reported(estimator):
             reader.wait(lambda: peer.client is not None)
             reader.more(20)
         reader.has_logged("another client")
+    assert reader.error is None
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def free_port() -> int:
         return trial.getsockname()[1]
 
 
-def until(happened, seconds=60.0):
+def assert_eventually(happened, seconds=60.0):
     deadline = time.monotonic() + seconds
     while not happened():
         assert time.monotonic() < deadline
@@ -160,7 +160,7 @@ def test_the_page_ends_with_the_run_however_that_ends(bundle, how):
         with socket.socket() as trial:
             return trial.connect_ex(("127.0.0.1", port)) != 0
 
-    until(gone)
+    assert_eventually(gone)
 
 
 def test_lines_of_json_stay_clean_beside_a_page(bundle, capfd):
@@ -189,7 +189,7 @@ def tab(view):
         browser.close()
 
 
-def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
+def test_a_browser_shows_status_and_sends_commands(view, tab):
     words = {log_lines.name: log_lines.text for log_lines in view.snapshot().status}
     for name in ("contact", "force", "point"):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
@@ -198,7 +198,7 @@ def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
     asked = []
     for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
         tab.locator("button", has_text=button).dispatch_event("click")
-        until(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023
+        assert_eventually(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023
     assert [request.name for request in asked] == ["tare", "mark", "start recording", "stop recording"]
     assert asked[1].text == "third card"
     assert tab.locator("text=Share").count() == 0
@@ -219,13 +219,13 @@ def test_a_browser_draws_the_probe(view, tab):
         dark = (picture.max(axis=2) < 200) & (np.ptp(picture, axis=2) < 40)
         return dark[:, 370:590].sum() > 500
 
-    until(drawn, 300.0)
+    assert_eventually(drawn, 300.0)
 
 
 def test_the_run_goes_on_without_its_page(estimator, view):
     """The last, since it spoils the page that the others share."""
     view._process.kill()
-    until(lambda: "the run continues" in view.log_lines[-1])
+    assert_eventually(lambda: "the run continues" in view.log_lines[-1])
     stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=1")
     assert (
         len(list(estimate_stream(estimator, stream, ProcessingOptions(), view.log_lines.append, view))) == 10

@@ -222,7 +222,7 @@ def robot(listener):
         yield udp
 
 
-def heard(listener, counted, seconds=10.0):
+def received(listener, counted, seconds=10.0):
     """Wait until so many datagrams are counted."""
     end = time.monotonic() + seconds
     while sum(listener.counts.values()) < counted:
@@ -232,7 +232,7 @@ def heard(listener, counted, seconds=10.0):
 
 def test_hostile_datagrams_are_rejected_and_counted(listener, robot):
     robot.send(json.dumps(GOOD).encode())
-    heard(listener, 1)
+    received(listener, 1)
     hostile = [
         b"", b"\xff\xfe", b"{", b"null", b"[" * 4000, b" " * (MAX_DATAGRAM + 1),
         *(json.dumps(GOOD | {"time_s": 1.01} | wrong).encode() for wrong in BAD.values()),
@@ -245,9 +245,9 @@ def test_hostile_datagrams_are_rejected_and_counted(listener, robot):
         time.sleep(0.002)  # slower than what counts as a flood
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.sendto(json.dumps(GOOD | {"time_s": 1.03}).encode(), listener.address)
-    heard(listener, 2 + len(hostile))
+    received(listener, 2 + len(hostile))
     robot.send(json.dumps(GOOD | {"time_s": 1.04}).encode())
-    heard(listener, 3 + len(hostile))
+    received(listener, 3 + len(hostile))
     assert [pose.time for _, pose, _ in listener.pop_poses()] == [1.0, 1.04]
     assert listener.counts == {
         "taken": 2, "invalid": 6 + len(BAD), "in another frame": 1, "not increasing in time": 2, "jumping in time": 1,
@@ -278,7 +278,7 @@ def test_udp_poses_go_by_the_clock_of_the_wrench(robot, listener):
     for i in range(10):
         robot.send(json.dumps(GOOD | {"time_s": time.monotonic() - robot_zero, "x_mm": float(i)}).encode())
         time.sleep(0.005)
-    heard(listener, 10)
+    received(listener, 10)
     now = np.array([time.monotonic()])
     poses.refresh(Block(now - wrench_zero, np.zeros((1, 6)), np.zeros(3), now))
     sent = time.monotonic() - wrench_zero

@@ -78,7 +78,7 @@ def test_gravity_of_the_recording_counts(estimator, tmp_path):
     assert untold[0] == "no_contact" and untold[1] != "no_contact"
 
 
-def test_means_say_so(estimator, recorded):
+def test_averaged_recordings_are_noted(estimator, recorded):
     estimates = estimate_recording(estimator, recorded[0], samples=7)
     assert len(estimates.rows) == 8
     assert "each estimate uses the mean of 7 readings; 4 readings at the end are not used" in estimates.notes

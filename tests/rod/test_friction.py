@@ -170,7 +170,7 @@ def test_a_ramp_sticks_then_slips_and_sticks_again_when_reversed():
         assert (sign * np.diff([contact.s for contact in slid]) > 0.0).all()
 
 
-def test_up_to_the_transition_it_is_the_contact_that_never_slips():
+def test_contact_equals_sticking_up_to_the_transition():
     friction = 0.4
     free, bound = (led_along(CoulombSolver(CYLINDER, mu, "reference"))[0] for mu in (friction, math.inf))
     assert {contact.state for contact in bound[1:]} == {"stick"}
@@ -181,7 +181,7 @@ def test_up_to_the_transition_it_is_the_contact_that_never_slips():
             assert np.allclose(one.force_base, other.force_base, rtol=1e-7, atol=1e-12)
 
 
-def test_what_sticks_remembers_nothing_of_its_way():
+def test_sticking_is_path_independent():
     """Without slip the force depends on the place alone: a loop leads back to it."""
     point, travel, _ = approach(CONE)
     begun = CoulombSolver(CONE, 0.5, "reference").press(GRAVITY, point, travel)
@@ -218,7 +218,7 @@ def test_a_round_probe_has_no_preferred_side():
     )
 
 
-def test_moving_away_loses_the_contact_and_nothing_holds():
+def test_moving_away_ends_the_contact():
     """No force at the end, at any step a push: there is no adhesion."""
     point, travel, _ = approach(CONE)
     solver = CoulombSolver(CONE, 0.5, "reference")

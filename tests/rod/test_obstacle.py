@@ -219,7 +219,7 @@ ENERGETIC = [
 
 
 @pytest.mark.parametrize("name", ENERGETIC)
-def test_the_force_is_what_the_energy_costs(name):
+def test_force_equals_energy_gradient(name):
     """dE = F · dq as the object moves by dq, whatever slides on whatever: without friction nothing is lost.
 
     With shear and stretch the contract's normal, which leans against the tangent and not against p', costs a
@@ -318,7 +318,7 @@ def test_a_point_slips_round_a_round_rod(offset):
     assert through == pytest.approx(2.0 * r * math.sqrt(1.0 - offset**2), rel=1e-3)  # bent little: 1 : 30
 
 
-def test_pressed_squarely_it_gives_way_where_it_stood():
+def test_an_axial_press_buckles_in_place():
     r = 3e-3
     press = press_against_point(CONE, (0, 0, 0), (-0.004, 0.0, 0.09), (-0.024, 0.0, 0.0))
     assert press.result == "unstable" and np.isnan(press.force_base).all()

@@ -45,7 +45,7 @@ def test_below_eulers_load_a_straight_column_is_stable(share, mode):
 
 @pytest.mark.parametrize("mode", ["fast", "reference"])
 @pytest.mark.parametrize("share", [1.001, 2.0, 8.9, 9.1, 30.0])
-def test_above_eulers_load_it_does_not(share, mode):
+def test_a_column_above_euler_load_is_unstable(share, mode):
     eq = ELASTICA.solve(force=(0, 0, -share * EULER), mode=mode)  # 9: the second critical load
     assert eq.result == "unstable"
     assert_no_numbers(eq)
@@ -57,7 +57,7 @@ def test_below_greenhills_weight_a_column_is_stable(share):
 
 
 @pytest.mark.parametrize("share", [1.001, 1.02, 1.5, 6.0, 8.0])
-def test_above_greenhills_weight_it_does_not(share):
+def test_a_column_above_greenhill_weight_is_unstable(share):
     assert upright(share * GREENHILL).result == "unstable"  # 7.1 times: the second critical weight
 
 
@@ -227,6 +227,6 @@ def test_a_bad_guess_costs_only_time():
         ({"radius": np.array([1e-3, np.nan])}, "radius"),
     ],
 )
-def test_a_rod_that_cannot_be_is_refused(change, message):
+def test_an_invalid_rod_is_refused(change, message):
     with pytest.raises(InputError, match=message):
         replace(CONE, **change)

@@ -161,7 +161,7 @@ def test_unloaded_the_rod_has_the_shape_it_is_made_in(curvature, factors, mode):
     assert eq.margin == pytest.approx(1.0, abs=1e-12)  # nothing pulls: the tip's turn is the base's
 
 
-def test_a_small_load_on_an_arc_moves_its_end_as_castigliano_says():
+def test_arc_deflection_matches_castigliano():
     """A quarter of a ring of radius R pushed at its end along the clamp's axis, and out of its plane.
 
     The arms about the end are R cos φ, and R (1 - sin φ) for the twist, φ from the clamp: ∫cos² = π/4,

@@ -97,7 +97,7 @@ def test_the_recording_is_complete_however_the_run_ends(bundle, estimator, strea
     assert recover(path, tmp_path / "unneeded.mcap").path is None
 
 
-def test_a_reader_that_goes_away_leaves_a_whole_recording(bundle, estimator, stream, tmp_path):
+def test_client_disconnect_keeps_recording_complete(bundle, estimator, stream, tmp_path):
     path = tmp_path / "ended.mcap"
     with started(bundle, stream, path) as process:
         process.stdout.readline()
