@@ -7,7 +7,7 @@ from scipy.special import chdtri
 MISFIT_CHANCE = 1e-3
 """Chance that a true single contact, or true touches of one fixed point, are called inconsistent."""
 FALSE_ALARM = 1.4e-6
-"""Chance that a free reading is called a contact: one an hour at 7000/36 readings a second."""
+"""Chance that a free reading is called a contact, or stationary readings moving: one an hour at 7000/36 readings/s."""
 RIVAL_CHI2 = 9.0
 """Solutions whose misfit χ² lies within 3² of the best explain the readings about as well."""
 

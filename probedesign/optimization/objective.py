@@ -215,6 +215,8 @@ class DesignMetrics:
         return asdict(self)
 
 
+COMPARED_FRACTIONS = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
+"""Contact fractions at which designs are compared."""
 METRICS = tuple(DesignMetrics.__dataclass_fields__)
 
 

@@ -24,12 +24,11 @@ from mcap.writer import Writer
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
-from probedesign.live.recordings.schemas import MCAP_MAGIC, Channel, Message
+from probedesign.live.recordings.schemas import MCAP_MAGIC, RECORD_PREFIX, Channel, Message
 
 MAX_RECORD = 256 * 1024 * 1024
 """Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images."""
 Record = TypeVar("Record", bound=records.McapRecord)
-_PREFIX = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 RawMessage = tuple[int, int, int, int, memoryview]
@@ -48,10 +47,10 @@ def walk(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """
     opcode, end = 0, os.fstat(file.fileno()).st_size
     while opcode != Opcode.FOOTER:
-        prefix = file.read(_PREFIX.size)
-        if len(prefix) < _PREFIX.size:
+        prefix = file.read(RECORD_PREFIX.size)
+        if len(prefix) < RECORD_PREFIX.size:
             raise DamagedError("it was cut off")
-        opcode, length = _PREFIX.unpack(prefix)
+        opcode, length = RECORD_PREFIX.unpack(prefix)
         if not 0 < opcode < 128 or length > MAX_RECORD:
             raise DamagedError(f"a record of kind {opcode} claims {length} bytes")
         if length > end - file.tell():
@@ -107,10 +106,10 @@ def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
     """
     at, view = 0, memoryview(data)
     while at < len(view):
-        if at + _PREFIX.size > len(view):
+        if at + RECORD_PREFIX.size > len(view):
             raise DamagedError("a chunk ends in part of a record")
-        opcode, length = _PREFIX.unpack_from(view, at)
-        at += _PREFIX.size
+        opcode, length = RECORD_PREFIX.unpack_from(view, at)
+        at += RECORD_PREFIX.size
         if length > len(view) - at:
             raise DamagedError("a chunk ends in part of a record")
         yield opcode, view[at : at + length]

@@ -18,6 +18,8 @@ from probedesign.live.processing.estimates import COLUMNS, WORLD_COLUMNS
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of an MCAP file."""
+RECORD_PREFIX = struct.Struct("<BQ")
+"""Opcode of a record and the length of its content, before the content."""
 
 
 class Channel(NamedTuple):

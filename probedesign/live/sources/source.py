@@ -165,6 +165,8 @@ def _value(what: str, text: str, parameter: SourceParameter) -> float:
     return value
 
 
+STALE_TIME = 0.040
+"""Time without a record of a sensor after which the last estimate is stale [s]; reported within 50 ms of the record."""
 FIRST_RECORD_TIMEOUT = 3.0
 """Maximum wait for the first record [s]."""
 REPORT_TIMES = (0.0, 2.0, 10.0, 60.0, 600.0)
