@@ -1,13 +1,11 @@
 """`probedesign demo`: run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from probedesign.cli.console import print_json, print_step, print_table, write_files
 from probedesign.cli.deploy import write_bundle
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
 
@@ -25,7 +23,7 @@ def demo(
     *,
     out: Path | None = None,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Run the whole chain on a built-in example: design, predict, export, deploy, simulate, estimate.
 

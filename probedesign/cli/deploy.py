@@ -1,12 +1,10 @@
 """`probedesign deploy`: freeze the estimator of a design with its geometry."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from probedesign.cli.console import json_bytes, print_json, show_progress
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.files import write_atomically
 
 if TYPE_CHECKING:
@@ -18,7 +16,7 @@ def deploy(
     /,
     *,
     out: Path | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Freeze the estimator of a design into one file.
 

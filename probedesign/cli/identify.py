@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def identify(
     force: bool = False,
     folder: Path | None = None,
     page: Annotated[bool, Parameter(negative="--no-page")] = True,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Identify E, G and other parameters from tests of a print by least squares on the full rod model.
 
