@@ -20,7 +20,6 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live.processing.control import CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
-from probedesign.live.view import sinks as module
 from probedesign.live.view.sinks import BrowserView
 
 pytest.importorskip("viser")
@@ -109,7 +108,7 @@ def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, exp
 
 
 def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
-    monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"probedesign\[view\]"):
         BrowserView(estimator, tmp_path, CommandQueue(), print)
 

@@ -13,7 +13,7 @@ from probedesign.core.csv_tables import plain, shown
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
-from probedesign.live.recordings import require
+from probedesign.live.recordings import require_mcap
 from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, Channel, Message, read_stamped
 
 SQLITE_MAGIC = b"SQLite format 3\0"
@@ -59,7 +59,7 @@ def open_bag(path: Path) -> Bag:
     """
     if path.suffix == ".db3" or path.is_dir():
         return RosBag(path)
-    require()
+    require_mcap()
     from probedesign.live.recordings.mcap_read import McapBag
 
     return McapBag(path)
