@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MM
+from probedesign.core.units import MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, FusedCondition, shown
-from probedesign.prediction.predict import Condition, Prediction
+from probedesign.prediction.predict import BUDGET_FORCE_N, Condition, Prediction
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
@@ -23,8 +23,6 @@ from probedesign.reports.html_page import HtmlTable, Section, report_page
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
-BUDGET_FORCE_N = 0.02
-"""Force of the shown budget of one reading; the grid's nearest force is taken."""
 GROUPS = {
     "noise": ("noise",),
     "drift": ("drift",),
@@ -450,4 +448,4 @@ def _sampled(prediction: Prediction) -> HtmlTable:
 
 
 def _mm(value: float | None) -> str:
-    return "none" if value is None else f"{value:.3g} mm"
+    return format_value(value, ".3g", "mm")

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MILLINEWTON, MM, N_MM
+from probedesign.core.units import MILLINEWTON, MM, N_MM, format_value
 from probedesign.estimation.model import ProbeModel
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, Section, report_page
@@ -197,8 +197,8 @@ def _table(validation: ValidationReport) -> HtmlTable:
         force, fraction = row["force_N"], row["contact_fraction"]
         rows.append([
             row["test"], "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
-            "—" if fraction is None else f"{fraction:.3f} L", row["direction"] or "—", _mm(row["shape_rms_mm"]),
-            "—" if row["shape_rms_percent"] is None else f"{row['shape_rms_percent']:.2f} %",
+            format_value(fraction, ".3f", "L", "—"), row["direction"] or "—", _mm(row["shape_rms_mm"]),
+            format_value(row["shape_rms_percent"], ".2f", "%", "—"),
             _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
             _mm(row["predicted_error_mm"]), inside, row["method"], row["result"],
         ])  # fmt: skip
@@ -212,7 +212,7 @@ def _table(validation: ValidationReport) -> HtmlTable:
 
 
 def _mm(value: float | None) -> str:
-    return "—" if value is None else f"{value:.3g} mm"
+    return format_value(value, ".3g", "mm", "—")
 
 
 def _figures(validation: ValidationReport) -> list[Section]:
