@@ -1,7 +1,9 @@
-"""Limits of test statistics, each named by the chance of a false decision."""
+"""Limits of test statistics, each named by the chance of a false decision, and whitening."""
 
 from functools import cache
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 MISFIT_CHANCE = 1e-3
@@ -14,5 +16,10 @@ RIVAL_CHI2 = 9.0
 
 @cache
 def max_chi2(dof: int, chance: float) -> float:
-    """Return the value that χ² with so many degrees of freedom exceeds with the given chance."""
+    """Return the value that χ² with `dof` degrees of freedom exceeds with the given chance."""
     return float(chdtri(dof, chance))
+
+
+def whiten(cov: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return lower triangular W with Wᵀ W = cov⁻¹, of each covariance, (..., n, n)."""
+    return np.linalg.inv(np.linalg.cholesky(cov))

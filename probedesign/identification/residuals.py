@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probedesign.core.frames import Array, skew
+from probedesign.core.statistics import whiten
 from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_ROTATION,
@@ -350,8 +351,8 @@ class SolvedTest:
         self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array
     ) -> ResidualBlock:
         """Return the whitened block; residuals are measured minus modelled, so the derivatives change their sign."""
-        whiten = np.linalg.inv(np.linalg.cholesky(cov))
-        return ResidualBlock(self.measured.name, kind, item, whiten @ residual, -whiten @ J, -whiten @ J_nuisance,
+        W = whiten(cov)
+        return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance,
                              residual)  # fmt: skip
 
 
