@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from probedesign.cli.console import json_bytes, print_json, show_progress
+from probedesign.cli.console import print_json, show_progress
 from probedesign.cli.options import EXPORTS, JsonOutput
-from probedesign.core.files import write_atomically
 
 if TYPE_CHECKING:
     from probedesign.probe import Probe
@@ -50,13 +49,12 @@ def write_bundle(probe: "Probe", out: Path | None) -> Path:
     Raises:
         InputError: another file has that name, or the parts exported beside it have another geometry.
     """
-    from probedesign import pipeline
-    from probedesign.frozen_probe import check_manifest, check_replaceable
+    from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
 
     path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
     check_replaceable(path)
     manifest = path.parent / "manifest.json"
     if manifest.exists():
         check_manifest(probe.geometry.fingerprint, manifest)
-    write_atomically(path, json_bytes(pipeline.freeze(probe), indent=2))
+    write_frozen(probe.model, path)
     return path
