@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
 from probedesign.cli.options import JsonOutput
+from probedesign.core.units import MM, MPA
 
 if TYPE_CHECKING:
     from probedesign.campaigns.photographs import PhotographedTest
@@ -54,7 +55,6 @@ def campaign(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.core.units import MM, MPA
     from probedesign.simulation.campaign_folder import make_campaign
     from probedesign.simulation.ground_truth import CampaignPlan
 

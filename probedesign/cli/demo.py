@@ -8,6 +8,7 @@ from probedesign.cli.deploy import write_bundle
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.units import MM
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -159,7 +160,6 @@ def _simulate(estimator: "Estimator", recording: Path, contacts: Path) -> "Sweep
     """Simulate and record readings, locate their contacts and return estimates and truth."""
     import numpy as np
 
-    from probedesign.core.units import MM
     from probedesign.live.processing.blocks import iter_readings
     from probedesign.live.recordings.csv import write_recording
     from probedesign.live.run import estimate_recording

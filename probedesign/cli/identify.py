@@ -1,6 +1,7 @@
 """`probedesign identify`: identify E, G and other parameters from tests of a print."""
 
 from collections.abc import Iterator, Sequence
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,7 @@ from cyclopts import Parameter
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
+from probedesign.core.files import backup
 
 if TYPE_CHECKING:
     from probedesign.design.io import Change
@@ -103,9 +105,6 @@ def _write_design(
     Returns:
         The changes; the file written, if any; the backup of the file `out`, if there was one.
     """
-    from datetime import date
-
-    from probedesign.core.files import backup
     from probedesign.design import load_design
     from probedesign.design.io import edit_text, write_design
     from probedesign.identification.identify import check_overwritable, design_changes

@@ -79,7 +79,8 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign import pipeline
-    from probedesign.live.outputs.sinks import OutputOptions, SinkGroup, StderrSink
+    from probedesign.live.outputs.options import OutputOptions
+    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.base_poses import open_poses
     from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_window
     from probedesign.live.run import warm_up

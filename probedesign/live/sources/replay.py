@@ -17,6 +17,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.recordings.csv import (
@@ -148,8 +149,6 @@ def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tupl
         if not options.other_probe:
             raise InputError(f"{bag.path}: {note}; use its own frozen probe, or allow it with other_probe")
         return (note,)
-    from probedesign.frozen_probe import freeze
-
     if probe.get("checksum") == freeze(model)["checksum"]:
         return ()
     return ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
@@ -288,7 +287,9 @@ class ReplaySource:
         recorded_from: source that was recorded, as stated in the recording; may be empty.
     """
 
-    def __init__(self, model: ProbeModel, path: Path, query: str = "", log: Log = lambda line: None) -> None:
+    def __init__(
+        self, model: ProbeModel, path: str | Path, query: str = "", log: Log = lambda line: None
+    ) -> None:
         """Open the file.
 
         Args:
@@ -301,6 +302,7 @@ class ReplaySource:
             InputError: a parameter is invalid, the file is not a recording, or it is of another probe.
             MissingDependencyError: the package that reads it is not installed.
         """
+        path = Path(path)
         if not path.name:
             raise InputError("replay: a file is required; write replay:FILE")
         numbers, texts = parse_parameters("replay:", query, PARAMETERS, TEXT_PARAMETERS)
