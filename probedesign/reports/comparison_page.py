@@ -23,7 +23,7 @@ from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
 from probedesign.prediction.predict import Prediction
 from probedesign.probe import build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
-from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 MAX_DESIGNS = 6
 SIDE = "+y"
@@ -111,7 +111,7 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
         _lines("Diameter", "Diameter along the undeformed axis.", compared,
                lambda one: ([s for s, _ in one.design.probe.knots_mm], [d for _, d in one.design.probe.knots_mm]),
                "arclength s [mm]", "diameter [mm]", from_zero=True),
-        Section("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
+        ReportFigure("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
                 _sag_chart(compared).svg()),
     ]  # fmt: skip
     assumed = [
@@ -131,7 +131,7 @@ _ERROR = "contact error, RMS [mm]"
 def _lines(
     heading: str, caption: str, compared: Sequence[ComparedDesign], line: Callable[[ComparedDesign], _Points],
     x: ChartAxis | str, y: str, from_zero: bool = False,
-) -> Section:  # fmt: skip
+) -> ReportFigure:  # fmt: skip
     """Return a figure with one line per design; its y axis is logarithmic unless it starts at zero."""
     lines = [line(one) for one in compared]
     along = (
@@ -141,7 +141,7 @@ def _lines(
     chart = Chart(along, replace(upwards, low=0.0) if from_zero else upwards)
     for one, points, colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):
         chart.line(*points, colour, dashes, mark, one.design.name)
-    return Section(heading, caption, chart.svg())
+    return ReportFigure(heading, caption, chart.svg())
 
 
 def _rows(rows: Sequence[Any], value: Callable[[Any], float | None], unit: float = 1.0) -> _Points:

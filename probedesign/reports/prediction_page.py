@@ -19,7 +19,7 @@ from probedesign.prediction.predict import BUDGET_FORCE_N, Condition, Prediction
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
-from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
@@ -129,7 +129,7 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
     )  # fmt: skip
 
 
-def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[Section] = ()) -> bytes:
+def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[ReportFigure] = ()) -> bytes:
     """Return the page of a prediction.
 
     Args:
@@ -147,7 +147,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         f"fused: {prediction.pressing.text}",
     ]
     sections = [
-        Section(figure.heading, figure.caption, figure.chart.svg())
+        ReportFigure(figure.heading, figure.caption, figure.chart.svg())
         for figure in prediction_figures(prediction, estimator)
         if figure.heading
     ]
