@@ -48,7 +48,7 @@ class RefusedError(PreFormError):
     """Signals that PreForm refuses a request with a reason: it was not carried out."""
 
 
-class NoAnswerError(PreFormError):
+class NoResponseError(PreFormError):
     """Signals a missing or incomplete answer: the request may or may not have been carried out."""
 
 
@@ -93,7 +93,7 @@ class Connection:
             The JSON object in the answer; empty for an empty answer.
 
         Raises:
-            NoAnswerError: nothing listens, or the answer is not complete in time.
+            NoResponseError: nothing listens, or the answer is not complete in time.
             RefusedError: PreForm refuses.
             PreFormError: the answer is not PreForm's.
         """
@@ -126,7 +126,7 @@ class Connection:
         except (OSError, HTTPException) as error:
             kind = getattr(error, "strerror", None) or str(error) or type(error).__name__
             how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({kind})"
-            raise NoAnswerError(one_line(f"{self.url} answers {what} {how}")) from None
+            raise NoResponseError(one_line(f"{self.url} answers {what} {how}")) from None
         finally:
             http.close()
 
@@ -136,10 +136,10 @@ class Connection:
             http.connect()
         except (OSError, UnicodeError) as error:  # UnicodeError: a host that no name server takes
             http.close()
-            reason = getattr(error, "strerror", None) or str(error) or "no answer"
-            raise NoAnswerError(
+            reason = getattr(error, "strerror", None) or str(error) or "no response"
+            raise NoResponseError(
                 one_line(
-                    f"{self.url}: nothing answers there ({reason}); start it: PreFormServer --port {self.port}"
+                    f"{self.url}: no server responds ({reason}); start it: PreFormServer --port {self.port}"
                 )
             ) from None
         return http
@@ -341,7 +341,7 @@ class PreForm:
                 )
             share = min(max(state.progress, 0.0), 1.0)
             if time.monotonic() > deadline:
-                raise NoAnswerError(
+                raise NoResponseError(
                     f"PreForm is not done with {what} after {self.operation_s:g} s ({share:.0%} done); "
                     "--timeout-s gives it more"
                 )
@@ -353,7 +353,7 @@ class PreForm:
         try:
             return self.connection.request(what, "GET", f"/operations/{quote(operation, safe='')}/")
         except RefusedError as error:  # a refused query does not show whether the operation ended
-            raise NoAnswerError(str(error)) from None
+            raise NoResponseError(str(error)) from None
 
     def _checked(self, kind: type[R], what: str, answer: dict[str, Any]) -> R:
         try:
