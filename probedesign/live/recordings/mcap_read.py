@@ -24,7 +24,7 @@ from mcap.writer import Writer
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
-from probedesign.live.recordings.schemas import MCAP_MAGIC, RECORD_PREFIX, Channel, Message
+from probedesign.live.recordings.schemas import MCAP_MAGIC, RECORD_PREFIX, BagTopic, Message
 
 MAX_RECORD = 256 * 1024 * 1024
 """Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images."""
@@ -152,7 +152,7 @@ class McapBag:
         self.path, self.damage = path, ""
         self.metadata: dict[str, dict[str, str]] = {}
         self.probe: dict[str, object] | None = None
-        self._channels: dict[int, Channel] = {}
+        self._channels: dict[int, BagTopic] = {}
         self._schemas: dict[int, str] = {}
         try:
             self._read_head()
@@ -161,7 +161,7 @@ class McapBag:
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[BagTopic]:
         """Return all channels, from the summary at the end or by reading the whole file; see `Bag`."""
         try:
             self._read_summary()
@@ -209,7 +209,7 @@ class McapBag:
         elif opcode == Opcode.CHANNEL:
             channel = parse(records.Channel, content)
             name = self._schemas.get(channel.schema_id, "")
-            self._channels[channel.id] = Channel(channel.topic, name, channel.message_encoding)
+            self._channels[channel.id] = BagTopic(channel.topic, name, channel.message_encoding)
 
     def _read_head(self) -> None:
         with self.path.open("rb") as file:

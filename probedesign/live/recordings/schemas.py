@@ -22,7 +22,7 @@ RECORD_PREFIX = struct.Struct("<BQ")
 """Opcode of a record and the length of its content, before the content."""
 
 
-class Channel(NamedTuple):
+class BagTopic(NamedTuple):
     """A topic of a bag, the type of its messages, as geometry_msgs/msg/WrenchStamped, and their encoding."""
 
     topic: str

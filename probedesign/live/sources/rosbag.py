@@ -14,7 +14,7 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
-from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, Channel, Message, read_stamped
+from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, BagTopic, Message, read_stamped
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 """The first bytes of a `.db3` file."""
@@ -31,7 +31,7 @@ class Bag(Protocol):
     probe: dict[str, object] | None
     """Attached frozen probe, if any."""
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[BagTopic]:
         """Return all channels."""
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -65,7 +65,7 @@ def open_bag(path: Path) -> Bag:
     return McapBag(path)
 
 
-def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
+def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopic:
     """Select the channel of one of these message types; `topic` may be empty if there is only one.
 
     Raises:
@@ -109,11 +109,11 @@ class RosBag:
         self._reader = Reader
         try:
             with Reader(path) as reader:
-                self._channels = [Channel(str(c.topic), str(c.msgtype)) for c in reader.connections]
+                self._channels = [BagTopic(str(c.topic), str(c.msgtype)) for c in reader.connections]
         except Exception as error:
             raise self._unreadable(error) from None
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[BagTopic]:
         """Return all channels; see `Bag`."""
         return list(dict.fromkeys(self._channels))
 
@@ -160,7 +160,7 @@ class RosWrenchTopic:
     """
 
     bag: Bag
-    channel: Channel
+    channel: BagTopic
     frame_id: str
     unstamped: bool
 
