@@ -182,8 +182,8 @@ class Column:
     """One column that is read.
 
     Attributes:
-        quantity: name of what it holds.
-        kind: of that quantity, a key of `UNITS` or a kind without unit.
+        quantity: name of the quantity.
+        kind: of the quantity, a key of `UNITS` or a kind without unit.
         index: its position in a row.
         factor: to SI.
         name: as the header spells it.

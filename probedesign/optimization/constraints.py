@@ -281,7 +281,7 @@ class OptimizationProblem:
     limits: tuple[Limit, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raises InputError where the options contradict."""
+        """Raise InputError if the options contradict each other."""
         if self.goal == "force-for-error" and self.error_mm is None:
             raise InputError("--goal force-for-error needs --error-mm, the error to be reached")
         if self.goal == "error-at-force" and self.error_mm is not None:

@@ -71,7 +71,7 @@ class Task:
     combine: Combine = "mean"
 
     def __post_init__(self) -> None:
-        """Raises InputError for a value out of range."""
+        """Raise InputError if a value is out of range."""
         if not self.forces_N:
             raise InputError("forces: a task needs at least one")
         for force in self.forces_N:
