@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from probedesign.core.csv_tables import Frame, plain, shown
+from probedesign.core.csv_tables import Frame, plain, quote_input
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -145,7 +145,8 @@ def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tupl
     probe = bag.probe or {}
     name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
     if fingerprint != model.fingerprint:
-        note = f"recorded with probe {shown(name)}, fingerprint {shown(fingerprint)}, not {model.fingerprint}"
+        recorded = f"probe {quote_input(name)}, fingerprint {quote_input(fingerprint)}"
+        note = f"recorded with {recorded}, not {model.fingerprint}"
         if not options.other_probe:
             raise InputError(f"{bag.path}: {note}; use its own frozen probe, or allow it with other_probe")
         return (note,)
@@ -159,7 +160,7 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
     named: Frame = "base" if published.frame_id == "base" else "sensor"
     frame = options.frame or named
     topic = f"topic {plain(published.channel.topic)}"
-    notes = [f"{topic}, frame {shown(published.frame_id)}, interpreted as the {frame} frame"]
+    notes = [f"{topic}, frame {quote_input(published.frame_id)}, interpreted as the {frame} frame"]
     if published.unstamped:
         notes.append("its headers have no time stamp: the time of recording is used")
     notes += _check_unit(published, model, options)

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from probedesign.core.csv_tables import plain, shown
+from probedesign.core.csv_tables import plain, quote_input
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
@@ -74,9 +74,9 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopi
     found = {channel.topic: channel for channel in bag.channels()}
     fit = [name for name, channel in found.items() if channel.type in types and channel.encoding == "cdr"]
     wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
-    listed = ", ".join(map(shown, fit[:10])) or "none"
+    listed = ", ".join(map(quote_input, fit[:10])) or "none"
     if topic and topic in found and topic not in fit:
-        other = shown(found[topic].type)
+        other = quote_input(found[topic].type)
         raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
@@ -199,7 +199,9 @@ def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...
         return read_stamped(message.data, 6)
     except ValueError as error:
         at = f"{message.logged / 1e9:.9g} s"
-        raise InputError(f"{bag.path}: a message of {shown(message.topic)} logged at {at}: {error}") from None
+        raise InputError(
+            f"{bag.path}: a message of {quote_input(message.topic)} logged at {at}: {error}"
+        ) from None
 
 
 TF = "tf2_msgs/msg/TFMessage"
