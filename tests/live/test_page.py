@@ -138,10 +138,13 @@ def live_process(bundle, port: int) -> "subprocess.Popen[str]":
         "--source",
         "sim:?seconds=1000000",
     ]
-    heard = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
+
+    def handle_sigint() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     return subprocess.Popen(
         [*command, "--view", "--view-port", str(port)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=handle_sigint,
     )  # fmt: skip
 
 
@@ -197,7 +200,7 @@ def test_a_browser_shows_the_words_and_asks_what_is_clicked(view, tab):
     asked = []
     for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
         tab.locator("button", has_text=button).dispatch_event("click")
-        until(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023
+        until(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023  # called within this pass only
     assert [request.name for request in asked] == ["tare", "mark", "start recording", "stop recording"]
     assert asked[1].text == "third card"
     assert tab.locator("text=Share").count() == 0

@@ -76,7 +76,7 @@ def fake(place):
         yield server
 
 
-def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008
+def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008  # immutable
     """What the command does, with quick timeouts."""
     server = PreForm(
         connection_to(fake.url, timeout_s),
