@@ -1,4 +1,4 @@
-"""`python -m benchmarks [PART ...]`: all parts or some; an unknown name is told which there are."""
+"""`python -m benchmarks [PART ...]`: all parts or some; for an unknown name it lists the parts."""
 
 import argparse
 import sys

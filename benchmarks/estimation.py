@@ -228,4 +228,4 @@ def print_negatives() -> None:
         rows.append([name, ", ".join(f"{code} {n}" for code, n in codes.most_common()), str(len(wrong)),
                      f"{reported / len(wrong):.0%}" if wrong else "-"])  # fmt: skip
     print_table(f"Where the model does not hold, {NEGATIVES} draws each",
-                ["what is wrong", "answers", "off by over 3 std", "of these told"], rows)  # fmt: skip
+                ["what is wrong", "results", "off by over 3 std", "of these reported"], rows)  # fmt: skip

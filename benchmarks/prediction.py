@@ -70,7 +70,7 @@ def _monte_carlo(probe: Probe, causes: str, estimates: int, target: str) -> list
     done = sum(row.draws for row in run_monte_carlo(few, prediction, None, workers=1))
     cpu = (
         (time.process_time() - cpu) / done * touches * plan.draws
-    )  # the workers' own is not told: from one process
+    )  # not known for the workers: from one process
     located = sum(row.located for row in found) / sum(row.draws for row in found)
     differ = sum(row.differs for row in found)
     what = (f"Monte Carlo, {touches * plan.draws} estimates, {causes} causes; {located:.0%} located, "

@@ -356,7 +356,7 @@ def _check_size(part: str, model: SceneModel, size: tuple[float, float, float]) 
 
 def _problems(scene: PrintScene, validation: PrintValidation, names: dict[str, str]) -> Iterator[str]:
     """Yield one line per problem that would spoil the print."""
-    # PreForm wraps ids into braces in some answers and not in others.
+    # PreForm wraps ids into braces in some responses and not in others.
     checked = {key.strip("{}"): value for key, value in validation.per_model_results.items()}
     for model in scene.models:
         part = names.get(model.id, model.id)
