@@ -1,4 +1,4 @@
-"""`python -m benchmarks [PART ...]`: all parts or some; an unknown name is told which there are."""
+"""`python -m benchmarks [PART ...]`: all parts or some; for an unknown name it lists the parts."""
 
 import argparse
 import sys
@@ -23,20 +23,20 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--bounds", action="store_true", help="coverage: the bounds of one touch instead")
     parser.add_argument("--workers", type=int, help="coverage: processes, default 2")
     parser.add_argument("--json", action="store_true", help="coverage: one JSON document")
-    said = parser.parse_args(arguments)
-    unknown = [name for name in said.parts if name not in PARTS]
+    args = parser.parse_args(arguments)
+    unknown = [name for name in args.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
-    if not said.json:
+    if not args.json:
         print_machine()
-    for name in said.parts or PARTS:
-        asked: dict[str, object] = {}
+    for name in args.parts or PARTS:
+        given: dict[str, object] = {}
         if name == "live":
-            asked = {"minutes": said.minutes, "view": said.view or None}
+            given = {"minutes": args.minutes, "view": args.view or None}
         elif name == "coverage":
-            asked = {"draws": said.draws, "only": said.only, "bounds_only": said.bounds or None,
-                     "as_json": said.json or None, "workers": said.workers}  # fmt: skip
-        options = {option: value for option, value in asked.items() if value is not None}
+            given = {"draws": args.draws, "only": args.only, "bounds_only": args.bounds or None,
+                     "as_json": args.json or None, "workers": args.workers}  # fmt: skip
+        options = {option: value for option, value in given.items() if value is not None}
         import_module(f"benchmarks.{name}").report(**options)
     return 0
 

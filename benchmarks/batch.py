@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.cases import GRAVITY, Cases, Load, bare_large, paper_loads, random_cases, random_loads
-from benchmarks.inside import SOUGHT, Asked, counted, solver
+from benchmarks.inside import SIMULTANEOUS, Request, counted, solver
 from benchmarks.plots import Cost, draw_cost, slope
 from benchmarks.timing import interleaved, print_table, shown
 from probedesign.core.frames import Array
@@ -193,18 +193,18 @@ def cut(rod: Rod, frusta: int) -> Rod:
 
 def step_costs(rod: Rod, load: Load) -> dict[str, Cost]:
     """Steps of a solve and what it takes, the best of nine, by finer steps and by more frusta."""
-    finer = _cost([rod] * len(FINER), load, [Asked(tol=tol) for tol in FINER])
-    longer = _cost([cut(rod, frusta) for frusta in KNOTS], load, [Asked()] * len(KNOTS))
+    finer = _cost([rod] * len(FINER), load, [Request(tol=tol) for tol in FINER])
+    longer = _cost([cut(rod, frusta) for frusta in KNOTS], load, [Request()] * len(KNOTS))
     return {"finer steps": finer, "more frusta": longer}
 
 
-def _cost(rods: Sequence[Rod], load: Load, asked: Sequence[Asked]) -> Cost:
+def _cost(rods: Sequence[Rod], load: Load, asked: Sequence[Request]) -> Cost:
     steps, seconds = [], []
     for rod, ask in zip(rods, asked, strict=True):
         solve = solver(rod, load, ask, 20)
         seconds.append(min(interleaved({"": solve}, 1)[""] for _ in range(9)) / 20)
         _operations, calls = counted(rod, rod.load(GRAVITY, load.force, load.s), ask)
-        steps.append(float(sum(calls.get(name, 0) for name in SOUGHT)))
+        steps.append(float(sum(calls.get(name, 0) for name in SIMULTANEOUS)))
     order = np.argsort(steps)
     return Cost(np.array(steps)[order], np.array(seconds)[order])
 

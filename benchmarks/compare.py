@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.cases import GRAVITY, Load, bare_large, paper_loads
-from benchmarks.inside import BESIDE, COPIES, NODES, Asked, solver
+from benchmarks.inside import BESIDE, COPIES, NODES, Request, solver
 from benchmarks.peers.collocation import solve_by_bvp
 from benchmarks.peers.shooting import shoot_rk45
 from benchmarks.timing import digits, interleaved, print_table, shown, spread
@@ -60,7 +60,7 @@ def ours(rod: Rod, load: Load) -> dict[str, Method]:
     fast = partial(rod.solve, GRAVITY, load.force, load.s)
     reference = partial(rod.solve, GRAVITY, load.force, load.s, mode="reference")
     return {
-        INSIDE: Method(solver(rod, load, Asked(room=NODES)), lambda: (s, fast().p_at(s)), COPIES),
+        INSIDE: Method(solver(rod, load, Request(room=NODES)), lambda: (s, fast().p_at(s)), COPIES),
         OURS: Method(fast, lambda: (s, fast().p_at(s))),
         'Rod.solve(mode="reference")': Method(reference, lambda: (s, reference().p_at(s))),
     }

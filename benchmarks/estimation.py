@@ -218,14 +218,14 @@ def print_table_one() -> None:
 
 
 def print_negatives() -> None:
-    """How often an answer that is off by more than three times what it says is told as wrong."""
+    """Print how often an estimate that errs by more than three times its stated error is reported as not ok."""
     rows = []
     for name, cases in negatives.KINDS.items():
         outcomes = list(islice(cases(np.random.default_rng(5)), NEGATIVES))
         wrong = [outcome for outcome in outcomes if outcome.off > 3.0]
-        told = sum(outcome.result != "ok" for outcome in wrong)
+        reported = sum(outcome.result != "ok" for outcome in wrong)
         codes = Counter(outcome.result for outcome in outcomes)
         rows.append([name, ", ".join(f"{code} {n}" for code, n in codes.most_common()), str(len(wrong)),
-                     f"{told / len(wrong):.0%}" if wrong else "-"])  # fmt: skip
+                     f"{reported / len(wrong):.0%}" if wrong else "-"])  # fmt: skip
     print_table(f"Where the model does not hold, {NEGATIVES} draws each",
-                ["what is wrong", "answers", "off by over 3 std", "of these told"], rows)  # fmt: skip
+                ["what is wrong", "results", "off by over 3 std", "of these reported"], rows)  # fmt: skip

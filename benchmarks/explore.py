@@ -47,7 +47,7 @@ TARGET = 2.0
 SYMMETRIC = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
 """Where a row of place and covariance has the covariance's entries."""
 STILL = ("--tilt-deg", "0", "--clocking-deg", "0")
-"""What `explore` is told of a base whose poses are told without a turn."""
+"""Options of `explore` for a base whose stated poses have no error of rotation."""
 
 
 @dataclass(frozen=True)
@@ -141,11 +141,11 @@ def _compared(rows: Array, truth: Array, missing: int) -> Found:
 
 
 def _run(arguments: list[str]) -> None:
-    told = io.StringIO()
-    with redirect_stdout(told), redirect_stderr(told):
+    output = io.StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
         status = run(arguments)
     if status:
-        raise InputError(f"probedesign {' '.join(arguments)}: {told.getvalue()}")
+        raise InputError(f"probedesign {' '.join(arguments)}: {output.getvalue()}")
 
 
 def _through_fuse(model: ProbeModel, house: SimulatedRun, rng: np.random.Generator) -> Found:

@@ -15,6 +15,7 @@ import math
 import sys
 import time
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -355,9 +356,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, help="JSON file, extended case by case")
     parser.add_argument("--convergence", action="store_true", help="solve two cases on three meshes as well")
     options = parser.parse_args(arguments)
-    try:
-        import skfem  # noqa: F401
-    except ImportError:
+    if find_spec("skfem") is None:
         print("finite elements need scikit-fem: pip install scikit-fem", file=sys.stderr)
         return 2
     old = json.loads(options.out.read_text()) if options.out.exists() else {}

@@ -51,14 +51,14 @@ BESIDE = 1.01
 STEPS = {"the state, sought": "round_lanes_step", "the tip's columns, sought": "round_tips_step",
          "the state, reported": "full_step", "the tip's columns, reported": "free_columns_step",
          "columns by loads, reported": "forced_columns_step"}  # fmt: skip
-SOUGHT = ("round_lanes_step", "round_tips_step")
-"""Those that take WIDE cases along in the time of one."""
+SIMULTANEOUS = ("round_lanes_step", "round_tips_step")
+"""Steps that take WIDE cases in the time of one."""
 TRIPS = 1000
 
 
-class Asked(NamedTuple):
-    """What is asked of a solve: how many derivatives, how many nodes of the shape, from a neighbour or cold, how many
-    cases side by side."""
+class Request(NamedTuple):
+    """Request of a solve: number of derivatives, number of nodes of the shape, start from a neighbour or cold, number
+    of cases side by side."""
 
     columns: int = 0
     room: int = 0
@@ -71,14 +71,14 @@ COLD = "cold: tip, base moment, contact"
 TOGETHER = f"the same, {WIDE} cases side by side: of each"
 SHAPE = "cold with the shape"
 JACOBIAN = "neighbouring load, with the Jacobian by force and s_contact"
-ASKED = {
-    COLD: Asked(),
-    TOGETHER: Asked(group=WIDE),
-    SHAPE: Asked(room=NODES),
-    "cold, with the Jacobian by force and s_contact": Asked(LOAD_COLUMNS),
-    "neighbouring load": Asked(warm=True),
-    JACOBIAN: Asked(LOAD_COLUMNS, warm=True),
-    "neighbouring load, with all 16 derivatives": Asked(ALL_COLUMNS + 2, warm=True),
+REQUESTS = {
+    COLD: Request(),
+    TOGETHER: Request(group=WIDE),
+    SHAPE: Request(room=NODES),
+    "cold, with the Jacobian by force and s_contact": Request(LOAD_COLUMNS),
+    "neighbouring load": Request(warm=True),
+    JACOBIAN: Request(LOAD_COLUMNS, warm=True),
+    "neighbouring load, with all 16 derivatives": Request(ALL_COLUMNS + 2, warm=True),
 }
 
 
@@ -97,15 +97,18 @@ class Part(NamedTuple):
     operations: int
 
 
-def solver(rod: Rod, load: Load, asked: Asked, copies: int = COPIES) -> Callable[[], int]:
+def solver(rod: Rod, load: Load, request: Request, copies: int = COPIES) -> Callable[[], int]:
     """Copies of one case, solved in one call of the kernel; from a neighbour, each of them from the same."""
     loads = np.tile(rod.load(GRAVITY, load.force, load.s), (copies, 1))
-    found, derivatives = np.empty(copies, dtype=SOLUTION), np.empty((copies, 15, asked.columns + 1))
-    which, work = np.zeros(copies, dtype=np.int64), scratch_buffers(asked.columns, asked.room, asked.group)
+    found, derivatives = np.empty(copies, dtype=SOLUTION), np.empty((copies, 15, request.columns + 1))
+    which, work = (
+        np.zeros(copies, dtype=np.int64),
+        scratch_buffers(request.columns, request.room, request.group),
+    )
     beside = rod.solve(GRAVITY, BESIDE * load.force, load.s).tip
-    start = newton.WARM_ONLY if asked.warm else newton.COLD
+    start = newton.WARM_ONLY if request.warm else newton.COLD
     tips = found["tip"]
-    case = (0, copies, rod.stacked, which, loads, rod.directed, start, False, asked.tol, asked.tol / 10.0)
+    case = (0, copies, rod.stacked, which, loads, rod.directed, start, False, request.tol, request.tol / 10.0)
 
     def solve() -> int:
         tips[:] = beside
@@ -118,31 +121,38 @@ def solver(rod: Rod, load: Load, asked: Asked, copies: int = COPIES) -> Callable
     return solve
 
 
-def counted(rod: Rod, load: Array, asked: Asked, beside: Array | None = None) -> tuple[int, dict[str, int]]:
-    """Operations of one solve as the source says them, and calls of each function; load as the kernels take it."""
+def counted(
+    rod: Rod, load: Array, request: Request, beside: Array | None = None
+) -> tuple[int, dict[str, int]]:
+    """Return the operations of one solve, and the calls of each function; the load as the kernels take it."""
     n = WIDE  # of the same case, so that no lane works on nothing
-    found, derivatives = np.zeros(n, dtype=SOLUTION), np.zeros((n, 15, asked.columns + 1))
+    found, derivatives = np.zeros(n, dtype=SOLUTION), np.zeros((n, 15, request.columns + 1))
     if beside is not None:
         found["tip"] = beside
     start = newton.COLD if beside is None else newton.WARM_ONLY
-    work = scratch_buffers(asked.columns, asked.room, n)
+    work = scratch_buffers(request.columns, request.room, n)
     for numbers in work:
         numbers[:] = 0.0  # memory as it comes may hold what is no number
-    done, calls = count(solve_cases, 0, n, rod.stacked, np.zeros(n, dtype=np.int64), np.tile(load, (n, 1)),
-                        rod.directed, start, False, asked.tol, asked.tol / 10.0, *work, found, derivatives)  # fmt: skip
-    return flops(done) // n, {name: times if name in SOUGHT else times // n for name, times in calls.items()}
+    which, tol = np.zeros(n, dtype=np.int64), request.tol
+    done, calls = count(solve_cases, 0, n, rod.stacked, which, np.tile(load, (n, 1)),
+                        rod.directed, start, False, tol, tol / 10.0, *work, found, derivatives)  # fmt: skip
+    return flops(done) // n, {
+        name: times if name in SIMULTANEOUS else times // n for name, times in calls.items()
+    }
 
 
 def measure(rod: Rod, loads: Sequence[Load]) -> dict[str, list[Work]]:
-    """Everything asked, of each load."""
-    found: dict[str, list[Work]] = {name: [] for name in ASKED}
+    """Return the work of each request, for each load."""
+    found: dict[str, list[Work]] = {name: [] for name in REQUESTS}
     for load in loads:
-        seconds = interleaved({name: solver(rod, load, asked) for name, asked in ASKED.items()}, ROUNDS)
+        seconds = interleaved(
+            {name: solver(rod, load, request) for name, request in REQUESTS.items()}, ROUNDS
+        )
         beside = rod.solve(GRAVITY, BESIDE * load.force, load.s).tip
-        for name, asked in ASKED.items():
+        for name, request in REQUESTS.items():
             given = rod.load(GRAVITY, load.force, load.s)
             found[name].append(
-                Work(seconds[name] / COPIES, *counted(rod, given, asked, beside if asked.warm else None))
+                Work(seconds[name] / COPIES, *counted(rod, given, request, beside if request.warm else None))
             )
     return found
 

@@ -54,8 +54,8 @@ CAMERAS = Kind("cameras", "markers to 3.6 mm", ((0.4, 0.2), (0.55, 0.1), (0.7, 0
              ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), 4, 3.6 * MM, 3.6 * MM, 1.0 * MM)  # fmt: skip
 STAGE = Kind("stage", "places to 0.05 mm", ((0.35, 0.2), (0.5, 0.1), (0.65, 0.05), (0.8, 0.025)),
              ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), 4, 0.0, 0.05 * MM, 0.05 * MM)  # fmt: skip
-"""The large probe bent by 5 to 70 mm. 3.6 mm is the paper's RMS of a marker, here on each axis, and of what its cameras
-say of the contact; a pencil mark tells where on the probe that is to a millimetre (assumed)."""
+"""The large probe bent by 5 to 70 mm. 3.6 mm is the paper's RMS of a marker, here on each axis, and of the contact by
+its cameras; a pencil mark gives the contact's position on the probe to a millimetre (assumed)."""
 DIMENSIONS = ("diameter", "diameter scatter", "length")
 MARKERS = np.linspace(10.0, 150.0, 15) * MM
 
@@ -67,10 +67,10 @@ class Truth:
     Attributes:
         rod: as perturbed_rod.
         factors: logarithms by which E, G, density, length and diameters differ from the design, (4 + K).
-        T_mount: of the base as told, (4, 4): where it is.
+        T_mount: true pose of the base relative to its stated pose, (4, 4).
         T_seat: of the base in its seat on the sensor.
-        gravity_base: as the base sees it.
-        gravity_mount: as the pose that was told sees it.
+        gravity_base: in the true base frame [m/s²].
+        gravity_mount: in the stated base frame [m/s²].
     """
 
     rod: Rod
@@ -151,7 +151,7 @@ def _tare(model: ProbeModel, truth: Truth) -> Array:
 
 def _measured(name: str, contact: FrictionlessContact | None, truth: Truth, shared: CommonParameters, kind: Kind,
               off: Array, rng: np.random.Generator) -> MeasuredTest:  # fmt: skip
-    """One test as read: in the world, which is the base as told."""
+    """Return one measured test in the world, which is the stated base frame."""
     model, T = shared.model, truth.T_mount
     eq = truth.rod.solve(truth.gravity_base) if contact is None else contact.equilibrium
     cov = model.noise_base() / ROWS + shared.drift_cov

@@ -132,8 +132,8 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
 
 
 def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
-    said: list[str] = []
-    source = open_source(spec, estimator.model, said.append)
+    events: list[str] = []
+    source = open_source(spec, estimator.model, events.append)
     assert isinstance(source, NetFTSource)
     watched = Watched(source)
     answers: list[EstimateUpdate] = list(
@@ -143,9 +143,9 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     after = Counter(a.estimate.result for a in answers if a.reading.stretch > 0)
     stretches = [a.reading.stretch for a in answers]
     rows = [
-        ["silence told after [ms]", ", ".join(f"{1e3 * s:.0f}" for s in watched.silences), "≤ 50"],
+        ["silence reported after [ms]", ", ".join(f"{1e3 * s:.0f}" for s in watched.silences), "≤ 50"],
         ["records again after the box is back [s]", back, "≤ 2"],
-        ["kept and told", str(sum("the tare is kept" in line for line in said)), str(len(watched.gaps))],
+        ["tare kept, and reported", str(sum("the tare is kept" in line for line in events)), str(len(watched.gaps))],
         ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
         ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
     ]  # fmt: skip

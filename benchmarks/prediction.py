@@ -44,15 +44,15 @@ def _map(probe: Probe) -> list[str]:
     """40 places, 40 forces, four sides: every cause, both radii; the least of a few warm runs."""
     lines = [(float(place), direction) for place in PLACES for direction in DIRECTIONS]
     forces = [float(force) for force in FORCES]
-    best, held = (np.inf, np.inf), 0
+    best, solved = (np.inf, np.inf), 0
     for _ in range(RUNS + 1):
         wall, cpu = time.perf_counter(), time.process_time()
         touches = touches_of(Estimator(probe.model, probe.tolerances), lines, forces)
         for touch in touches.values():
             _ = touch.within_95, touch.rms
-        held = sum(int(touch.ok.sum()) for touch in touches.values())
+        solved = sum(int(touch.ok.sum()) for touch in touches.values())
         best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
-    what = f"map of 40 × 40 × 4 with full budget ({held} of 6400 held), best of {RUNS}"
+    what = f"map of 40 × 40 × 4 with full budget ({solved} of 6400 solved), best of {RUNS}"
     return [what, shown(best[0]), shown(best[1]), "≤ 1 s"]
 
 
@@ -70,7 +70,7 @@ def _monte_carlo(probe: Probe, causes: str, estimates: int, target: str) -> list
     done = sum(row.draws for row in run_monte_carlo(few, prediction, None, workers=1))
     cpu = (
         (time.process_time() - cpu) / done * touches * plan.draws
-    )  # the workers' own is not told: from one process
+    )  # not known for the workers: from one process
     located = sum(row.located for row in found) / sum(row.draws for row in found)
     differ = sum(row.differs for row in found)
     what = (f"Monte Carlo, {touches * plan.draws} estimates, {causes} causes; {located:.0%} located, "

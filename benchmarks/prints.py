@@ -1,4 +1,4 @@
-"""One reading of probes that differ from their model as tolerances allow: taken as exact, and weighed by them."""
+"""One reading of probes that differ from their model as tolerances allow: taken as exact, and weighted by them."""
 
 import time
 
@@ -29,11 +29,11 @@ def report() -> None:
             rng, phi = np.random.default_rng(7), DIRECTIONS[direction] + np.pi
             wrenches, points = (of[:, 0] for of in samples.simulate_touches(fraction, phi, (force,), rng))
             read = wrenches + samples.draw_noise(DRAWS, 1, rng)[:, 0]
-            told = [_told(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
+            columns = [_statistics(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
             rows.append([f"{name}, {1e3 * force:g} mN at {fraction:g} L, {direction}",
-                         *(" / ".join(pair) for pair in zip(*told, strict=True))])  # fmt: skip
+                         *(" / ".join(pair) for pair in zip(*columns, strict=True))])  # fmt: skip
     head = [
-        "probe taken as exact / weighed by its tolerances",
+        "probe taken as exact / weighted by its tolerances",
         "ok",
         "RMS error",
         "stated",
@@ -43,8 +43,8 @@ def report() -> None:
     print_table(f"Prints drawn from their tolerances, {DRAWS} each", head, rows)
 
 
-def _told(estimator: Estimator, read: Array, points: Array) -> tuple[str, ...]:
-    """Share located, RMS error of the best places, RMS stated, share inside the 95 % ellipsoid, time."""
+def _statistics(estimator: Estimator, read: Array, points: Array) -> tuple[str, ...]:
+    """Return share located, RMS error of the best candidates, stated RMS, share inside the 95 % ellipsoid, time."""
     estimator.estimate(read[0])
     start = time.process_time()
     found = [estimator.estimate(wrench) for wrench in read]

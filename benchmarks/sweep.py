@@ -15,7 +15,7 @@ VARY = ("probe.base_d_mm=8:15.8:0.2", "probe.tip_d_mm=1.6:4:0.1")
 """40 times 25 designs, none of which gives way."""
 DESIGNS = 1000
 WORKERS = (1, 2)
-_LOOK_S = 0.5
+_POLL_PERIOD = 0.5
 
 
 def report() -> None:
@@ -29,27 +29,27 @@ def report() -> None:
 
 
 def counted(workers: int) -> str:
-    """So many workers."""
+    """Return the number of workers with its unit."""
     return f"{workers} worker{'' if workers == 1 else 's'}"
 
 
 def _run(workers: int) -> tuple[float, float]:
-    """Wall and CPU [s]."""
+    """Return wall and CPU time [s]."""
     with tempfile.TemporaryDirectory() as out:
         vary = [part for axis in VARY for part in ("--vary", axis)]
         command = [sys.executable, "-m", "probedesign.cli.main", "sweep", str(DESIGN), *vary,
                    "--workers", str(workers), "--out", out]  # fmt: skip
         wall = time.perf_counter()
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
-            cpu = _watched(run)
-            said = run.stdout.read() if run.stdout else ""
+            cpu = _cpu_time(run)
+            printed = run.stdout.read() if run.stdout else ""
         wall = time.perf_counter() - wall
-    assert f"{DESIGNS} designs, {DESIGNS} computed" in said, said
+    assert f"{DESIGNS} designs, {DESIGNS} computed" in printed, printed
     return wall, cpu
 
 
-def _watched(run: "subprocess.Popen[str]") -> float:
-    """CPU of a process and of all that it has brought forth, while it runs [s]: not all of them are waited for."""
+def _cpu_time(run: "subprocess.Popen[str]") -> float:
+    """Return the CPU time of a process and its descendants while it runs [s]; not all of them are waited for."""
     import psutil  # comes with dask.distributed
 
     first, used = psutil.Process(run.pid), dict[int, float]()
@@ -59,5 +59,5 @@ def _watched(run: "subprocess.Popen[str]") -> float:
                 with suppress(psutil.Error):
                     spent = process.cpu_times()
                     used[process.pid] = spent.user + spent.system
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_PERIOD)
     return sum(used.values())

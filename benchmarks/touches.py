@@ -170,10 +170,10 @@ def surface_point(one: Touch) -> Array:
 def presses(model: ProbeModel, gravity: Array, s: float, angle: float, forces: Array) -> Presses | None:
     """The probe pressed on against a sharp point, which stays where it is on the probe; None if that gives way."""
     touches = [touch(model, gravity, s, angle, float(force)) for force in forces]
-    held = tuple(one for one in touches if one is not None)
-    if len(held) < len(touches):
+    solved = tuple(one for one in touches if one is not None)
+    if len(solved) < len(touches):
         return None
-    return Presses(model, gravity, held, np.array([pose(np.eye(3), -surface_point(one)) for one in held]))
+    return Presses(model, gravity, solved, np.array([pose(np.eye(3), -surface_point(one)) for one in solved]))
 
 
 def random_presses(decade: tuple[float, float], rng: np.random.Generator) -> Iterator[Presses]:

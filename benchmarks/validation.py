@@ -31,11 +31,13 @@ def report() -> None:
             trials = [
                 trial for seed in range(CAMPAIGNS) for trial in _trials(model, CampaignPlan(kind, seed))
             ]
-            rows.append([f"{name}, {kind}", *_told([trial for trial in trials if trial.kind == "touch"])])
+            rows.append(
+                [f"{name}, {kind}", *_statistics([trial for trial in trials if trial.kind == "touch"])]
+            )
             for of in sorted({trial.test.name for trial in trials if trial.kind == "weight"}):
                 here = [trial for trial in trials if trial.test.name == of]
                 mean = np.mean([[trial.force / MILLINEWTON, trial.fraction] for trial in here], axis=0)
-                weights.append([f"{name}, {mean[0]:.3g} mN at {mean[1]:.1f} L", *_told(here)])
+                weights.append([f"{name}, {mean[0]:.3g} mN at {mean[1]:.1f} L", *_statistics(here)])
     head = ["probe, reference", "touches", "ok", "in 95 %", "of which tell", "squares", "RMS error", "stated"]
     print_table(f"Made-up campaigns, {CAMPAIGNS} prints each", head, rows)
     print_table("Weights of the same campaigns", ["probe, weight", "weights", *head[2:]], weights)
@@ -48,7 +50,7 @@ def _trials(model: ProbeModel, plan: CampaignPlan) -> tuple[ValidatedTest, ...]:
         return validate(Estimator(model), read_campaign(Path(folder) / "data")).tests
 
 
-def _told(trials: list[ValidatedTest]) -> list[str]:
+def _statistics(trials: list[ValidatedTest]) -> list[str]:
     misses = [trial.contact_error for trial in trials if trial.contact_error is not None]
     within = sum(miss.within_95 for miss in misses)
     share = binomtest(within, len(misses)).proportion_ci(0.95)

@@ -64,17 +64,17 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         return
     browser_path = shutil.which("chromium") or shutil.which("google-chrome")
     now = 0.0
-    keeper = ViewState(clock=lambda: now)
+    state = ViewState(clock=lambda: now)
     source = SimulatedSource(estimator.model, f"speed=max&rate_hz=20&seconds={until}")
-    keeper.on_event(now, source.title)
+    state.on_event(now, source.title)
     for answer in estimate_stream(estimator, source, ProcessingOptions(), print):
         now, one = answer.reading.time, np.array([answer.reading.time])
-        keeper.on_samples(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
-        keeper.on_estimate(answer)
+        state.on_samples(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
+        state.on_estimate(answer)
     page = ViewerPage(
         scene_setup(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None
     )
-    page.show(keeper.snapshot())
+    page.show(state.snapshot())
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=browser_path, args=SOFTWARE)

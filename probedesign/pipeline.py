@@ -84,7 +84,7 @@ def sample_prediction(
     checkpoint: Path | None,
     on_progress: "OnProgress",
 ) -> "Prediction":
-    """Return a prediction with a Monte Carlo check of so many draws of each of its conditions.
+    """Return a prediction with a Monte Carlo check of each of its conditions.
 
     An interrupted run resumes from the folder `checkpoint`; None keeps no checkpoint.
     """

@@ -242,8 +242,8 @@ def _frames(model: CadModel) -> str:
         "<p>The base of the flexible part (s = 0, the origin of the base frame) lies on the sensor's axis, "
         f"<b>{height:.2f} mm above the tool face</b>. Its axes are the sensor's: z out of the tool face towards the "
         "tip, x through the dowel hole at 0°, shown by the clocking mark of the flange and by the flat on the "
-        f"adapter's rim. {1e3 * mass:.3g} g hang on the sensor, the probe included. The manifest and the frozen probe "
-        "hold the numbers.</p>"
+        f"adapter's rim. {1e3 * mass:.3g} g are mounted on the sensor, the probe included. The manifest and the frozen "
+        "probe contain the numbers.</p>"
     )
 
 

@@ -124,7 +124,7 @@ def _base(model: CadModel) -> dict[str, Any]:
         f"{SQUEEZE / MM:g} mm",
         "root_rigid_radii": model.design.mount.root_rigid_radii,
         "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
-        f"bonded to a rigid part, this soft flange yields by about {exported_root_radii(model.geometry):.2f}, "
+        f"bonded to a rigid part, that of this soft flange is about {exported_root_radii(model.geometry):.2f}, "
         "computed for a full round probe, not measured: identify it on the bench",
         "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
     }

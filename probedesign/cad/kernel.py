@@ -126,7 +126,7 @@ def mass_properties(shape: cq.Shape, density: float) -> MassProperties:
     return MassProperties(volume, density * volume, p_com, density * inertia * MM**5)
 
 
-def section_properties(solid: cq.Solid, z: float) -> tuple[float, float, float]:
+def planar_section_properties(solid: cq.Solid, z: float) -> tuple[float, float, float]:
     """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m]."""
     box = solid.BoundingBox()
     width = 4.0 * max(box.xmax - box.xmin, box.ymax - box.ymin)

@@ -105,7 +105,7 @@ def _outlines(
 
 
 @njit(cache=True, error_model="numpy")
-def _fill(planes, first, last, owners, depth, owner, triangle):  # type: ignore[no-untyped-def]
+def _fill(planes, first, last, owners, depth, owner, triangle):  # type: ignore[no-untyped-def]  # numba infers the types
     """Keep, at each sample, the triangle nearest to the eye.
 
     Args:

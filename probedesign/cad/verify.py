@@ -10,7 +10,14 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.exploded_view import assembly_steps
-from probedesign.cad.kernel import cylinder, hexagon, mass_properties, placed, revolved, section_properties
+from probedesign.cad.kernel import (
+    cylinder,
+    hexagon,
+    mass_properties,
+    placed,
+    planar_section_properties,
+    revolved,
+)
 from probedesign.cad.mesh import Mesh, package_objects, read_back
 from probedesign.cad.model import (
     CadModel,
@@ -166,7 +173,7 @@ def _sections(model: CadModel) -> Findings:
         "section_second_moment_yy": ProbeGeometry.second_moment_yy_at,
     }
     stations = _stations(geometry)
-    drawn = np.array([section_properties(solid, s) for s in stations])
+    drawn = np.array([planar_section_properties(solid, s) for s in stations])
     wanted = np.column_stack([formula(geometry, stations) for formula in formulae.values()])
     worst = np.abs(drawn / wanted - 1.0).max(axis=0)
     what = f"relative, worst of {STATIONS} slices of the solid"

@@ -1,7 +1,7 @@
 """Former name of `probedesign.campaigns`; it can be imported from here for one release."""
 
 from probedesign.campaigns import Campaign, Markers, Test, Weighing, read_campaign
-from probedesign.core.renamed import warn_renamed
+from probedesign.core import warn_renamed
 
 __all__ = ["Campaign", "Markers", "Test", "Weighing", "read_campaign"]
 

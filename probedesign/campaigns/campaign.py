@@ -52,12 +52,12 @@ class Test:
         gravity_world: [m/s²], (3,).
         force_world: known force of the object on the probe [N], (3,); zero for a free probe; None if not known.
         s_contact: known arclength of the contact force on the axis [m]; NaN if not known.
-        std_s: standard deviation of it [m].
+        std_s: standard deviation of s_contact [m].
         p_contact_world: touched point of the surface by the reference [m], (3,); None if not measured.
-        std_contact: of it, on each axis [m].
+        std_contact: standard deviation of p_contact_world on each axis [m].
         direction: of the push, as +y; empty if not given.
         tip_sag: displacement of the tip along gravity from its undeformed place [m]; NaN if not measured.
-        std_sag: of it [m].
+        std_sag: standard deviation of tip_sag [m].
         wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
         frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
         markers: None if none were measured.
@@ -120,7 +120,7 @@ class Weighing:
 
     Attributes:
         mass: [kg].
-        std: of it [kg].
+        std: standard deviation of the mass [kg].
         of: "flexible", the soft part cut off at its base, or "probe", with its printed flange.
     """
 

@@ -114,7 +114,7 @@ def check_marker_order(
         marker_s: arclength of each of the campaign's markers [m].
         marker_side: as the campaign has it; on the surface a pair may be farther apart than along the axis.
         p_base: stated position of the base [m], (3,).
-        std_base: of it [m].
+        std_base: standard deviation of p_base on each axis [m].
 
     Raises:
         InputError: two markers are too far apart; their numbers are in another order, or their unit is another.

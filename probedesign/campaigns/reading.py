@@ -29,8 +29,8 @@ from probedesign.core.csv_tables import (
     Frame,
     TableRows,
     TableSchema,
+    quote_input,
     read_rows,
-    shown,
 )
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
@@ -101,7 +101,7 @@ def read_campaign(path: str | Path) -> Campaign:
     manifest = read_manifest(folder)
     tests = read_tests(folder, manifest)
     names = {test.name: i for i, test in enumerate(tests)}
-    wrenches, frame, assumptions = read_wrenches(folder, names)
+    wrenches, frame, assumptions = read_wrench_table(folder, names)
     markers, notes = _markers(folder, manifest, names)
     marker_s, side = np.zeros(0), None
     if manifest.markers is not None:
@@ -176,7 +176,7 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     for i, direction in enumerate(directions):
         if direction and direction not in PUSH_DIRECTIONS:
             allowed = ", ".join(PUSH_DIRECTIONS)
-            rows.fail(i, f"direction = {shown(direction)} is none of {allowed} of the base; write one, or leave "
+            rows.fail(i, f"direction = {quote_input(direction)} is none of {allowed} of the base; write one, or leave "
                          "it empty")  # fmt: skip
         if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
             rows.fail(
@@ -222,7 +222,7 @@ def indices_of_tests(rows: TableRows, names: dict[str, int]) -> NDArray[np.intp]
     return np.array(found, dtype=np.intp)
 
 
-def read_wrenches(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame, tuple[str, ...]]:
+def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame, tuple[str, ...]]:
     """Return readings of each test [N, N·m], (n, 6), their frame, and notes on assumptions, from `wrenches.csv` if any.
 
     Args:

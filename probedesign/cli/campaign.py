@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
+from probedesign.cli.options import JsonOutput
+from probedesign.core.units import MM, MPA
 
 if TYPE_CHECKING:
     from probedesign.campaigns.photographs import PhotographedTest
@@ -28,7 +30,7 @@ def campaign(
     friction: float = 0.0,
     friction_spread: float = 0.2,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Simulate a measurement campaign of a print: tests, wrenches, markers and two calibrated cameras.
 
@@ -53,7 +55,6 @@ def campaign(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.core.units import MM, MPA
     from probedesign.simulation.campaign_folder import make_campaign
     from probedesign.simulation.ground_truth import CampaignPlan
 
@@ -81,7 +82,7 @@ def markers(
     overlays: Annotated[bool, Parameter(negative="--no-overlays")] = True,
     skip: bool = False,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Detect the markers of a probe in the photographs of a campaign, and write DATA/pixels.csv.
 
@@ -99,7 +100,7 @@ def markers(
     """
     from probedesign import vision
 
-    vision.require()
+    vision.require_opencv()
     from probedesign.campaigns.photographs import check_free, find_all, write_pixels
 
     check_free(data, force)

@@ -2,14 +2,15 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_note, show_progress
-from probedesign.cli.options import EXPORTS, TaskOptions
+from probedesign.cli.options import EXPORTS, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
+from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
     from probedesign.optimization.sweep import SweepResult
@@ -22,7 +23,7 @@ def compare(
     out: Path | None = None,
     page: Annotated[bool, Parameter(negative="--no-page")] = True,
     options: TaskOptions | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Compare several designs in a table and on a page with common axes.
 
@@ -69,7 +70,7 @@ def sweep(
     scheduler: str | None = None,
     workers: int | None = None,
     options: TaskOptions | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Evaluate every combination of values of some keys of a design.
 
@@ -124,13 +125,9 @@ def _print_sweep(swept: "SweepResult", keys: list[str], task: str) -> None:
         wide = {key: max(16, len(key.rpartition(".")[2]) + 2) for key in [*keys, *SHOWN]}
         print("".join(f"{key.rpartition('.')[2]:>{width}}" for key, width in wide.items()))
         for record in good[:8]:
-            print("".join(f"{_cell(record[key]):>{width}}" for key, width in wide.items()))
+            print("".join(f"{format_value(record[key]):>{width}}" for key, width in wide.items()))
     for record in failed[:5]:
         print(f"  point {record['point']}: {record['result']}: {record['reason']}")
     if len(failed) > 5:
         print(f"  and {len(failed) - 5} more failed designs; the reasons are in the tables")
     print("wrote", ", ".join(map(str, swept.files)))
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, int | float) else str(value)

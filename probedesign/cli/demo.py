@@ -1,15 +1,14 @@
 """`probedesign demo`: run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from probedesign.cli.console import print_json, print_step, print_table, write_files
 from probedesign.cli.deploy import write_bundle
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.units import MM
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -25,7 +24,7 @@ def demo(
     *,
     out: Path | None = None,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Run the whole chain on a built-in example: design, predict, export, deploy, simulate, estimate.
 
@@ -161,7 +160,6 @@ def _simulate(estimator: "Estimator", recording: Path, contacts: Path) -> "Sweep
     """Simulate and record readings, locate their contacts and return estimates and truth."""
     import numpy as np
 
-    from probedesign.core.units import MM
     from probedesign.live.processing.blocks import iter_readings
     from probedesign.live.recordings.csv import write_recording
     from probedesign.live.run import estimate_recording

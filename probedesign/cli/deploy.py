@@ -1,13 +1,10 @@
 """`probedesign deploy`: freeze the estimator of a design with its geometry."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from probedesign.cli.console import json_bytes, print_json, show_progress
-from probedesign.cli.options import EXPORTS
-from probedesign.core.files import write_atomically
+from probedesign.cli.console import print_json, show_progress
+from probedesign.cli.options import EXPORTS, JsonOutput
 
 if TYPE_CHECKING:
     from probedesign.probe import Probe
@@ -18,7 +15,7 @@ def deploy(
     /,
     *,
     out: Path | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Freeze the estimator of a design into one file.
 
@@ -52,13 +49,12 @@ def write_bundle(probe: "Probe", out: Path | None) -> Path:
     Raises:
         InputError: another file has that name, or the parts exported beside it have another geometry.
     """
-    from probedesign import pipeline
-    from probedesign.frozen_probe import check_manifest, check_replaceable
+    from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
 
     path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
     check_replaceable(path)
     manifest = path.parent / "manifest.json"
     if manifest.exists():
         check_manifest(probe.geometry.fingerprint, manifest)
-    write_atomically(path, json_bytes(pipeline.freeze(probe), indent=2))
+    write_frozen(probe.model, path)
     return path

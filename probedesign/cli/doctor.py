@@ -5,11 +5,10 @@ import platform
 import re
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from probedesign.cli.console import print_json, print_table
+from probedesign.cli.options import JsonOutput
 
 ENABLES = {
     "": "everything",
@@ -25,7 +24,7 @@ ENABLES = {
 """Features that each extra enables; "" is for the required packages."""
 
 
-def doctor(*, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
+def doctor(*, as_json: JsonOutput = False) -> int:
     """Report installed and missing packages, and the features that need them.
 
     Exit status 1 if a required package is missing.

@@ -3,11 +3,10 @@
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 from probedesign.cli.console import print_json, print_note, show_progress
+from probedesign.cli.options import JsonOutput, Method
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
@@ -30,9 +29,9 @@ def estimate(
     other_probe: bool = False,
     manifest: Path | None = None,
     exact_model: bool = False,
-    method: Literal["ml", "force_moment", "paper"] = "ml",
+    method: Method = "ml",
     friction: float | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Locate the contacts of a recording, one estimate per row.
 
@@ -107,7 +106,7 @@ def recover(
     *,
     out: Path | None = None,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Copy the readable part of an MCAP recording that was cut off into a new file.
 
@@ -120,9 +119,9 @@ def recover(
         force: replace an existing output file.
         as_json: print one JSON document.
     """
-    from probedesign.live.recordings import require
+    from probedesign.live.recordings import require_mcap
 
-    require()
+    require_mcap()
     from probedesign.live.recordings.mcap_read import recover as write_recovered
 
     recovered = write_recovered(

@@ -1,9 +1,7 @@
 """`probedesign explore`: locate touches from a moving base as points of the world."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from probedesign.cli.console import (
     interrupt_on_termination,
@@ -13,7 +11,7 @@ from probedesign.cli.console import (
     show_progress,
     write_files,
 )
-from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
+from probedesign.cli.options import BaseOptions, JsonOutput, ReadingOptions, RehearsalOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 
@@ -45,7 +43,7 @@ def explore(
     reading: ReadingOptions | None = None,
     base: BaseOptions | None = None,
     rehearsal: RehearsalOptions | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Turn touches from a moving base into points of the world with their ellipsoids.
 

@@ -1,11 +1,10 @@
 """`probedesign export`: write the parts to print."""
 
 from pathlib import Path
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from probedesign.cli.console import print_json, print_step, print_table
+from probedesign.cli.options import JsonOutput
 
 USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg": "view", ".png": "view",
         ".csv": "record", ".json": "record"}  # fmt: skip
@@ -17,7 +16,7 @@ def export(
     /,
     *,
     out: Path | None = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Write the parts to print: STL, STEP, 3MF and their manifest. Needs the extra 'cad'.
 

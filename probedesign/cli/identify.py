@@ -1,14 +1,16 @@
 """`probedesign identify`: identify E, G and other parameters from tests of a print."""
 
 from collections.abc import Iterator, Sequence
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
+from probedesign.core.files import backup
 
 if TYPE_CHECKING:
     from probedesign.design.io import Change
@@ -26,7 +28,7 @@ def identify(
     force: bool = False,
     folder: Path | None = None,
     page: Annotated[bool, Parameter(negative="--no-page")] = True,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Identify E, G and other parameters from tests of a print by least squares on the full rod model.
 
@@ -103,9 +105,6 @@ def _write_design(
     Returns:
         The changes; the file written, if any; the backup of the file `out`, if there was one.
     """
-    from datetime import date
-
-    from probedesign.core.files import backup
     from probedesign.design import load_design
     from probedesign.design.io import edit_text, write_design
     from probedesign.identification.identify import check_overwritable, design_changes

@@ -5,11 +5,10 @@ import sys
 from contextlib import closing, suppress
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from probedesign.cli.console import interrupt_on_termination
+from probedesign.cli.options import JsonOutput, Method
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -39,10 +38,10 @@ def live(
     view_port: int = 8080,
     manifest: Path | None = None,
     exact_model: bool = False,
-    method: Literal["ml", "force_moment", "paper"] = "ml",
+    method: Method = "ml",
     friction: float | None = None,
     lines: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Locate contacts in real time: a live table on a terminal, otherwise one line per estimate.
 
@@ -80,7 +79,8 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign import pipeline
-    from probedesign.live.outputs.sinks import OutputOptions, SinkGroup, StderrSink
+    from probedesign.live.outputs.options import OutputOptions
+    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.base_poses import open_poses
     from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_window
     from probedesign.live.run import warm_up

@@ -6,6 +6,7 @@ of another.
 
 import os
 import sys
+import traceback
 from importlib.metadata import version
 
 from cyclopts import App, CycloptsError, Parameter
@@ -101,8 +102,6 @@ def run(arguments: list[str]) -> int:
 def _fail(message: str, status: int) -> int:
     """Print one line on stderr, after the traceback if the environment requests it, and return the status."""
     if os.environ.get(DEBUG):
-        import traceback
-
         traceback.print_exc()
     print("probedesign: error:", " ".join(message.split()), file=sys.stderr)
     return status

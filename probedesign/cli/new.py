@@ -1,11 +1,10 @@
 """`probedesign new`: write a design file from a few dimensions, and predict its performance."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
+from probedesign.cli.options import JsonOutput
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 
@@ -48,7 +47,7 @@ def new(
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Write designs/NAME.toml from a few dimensions; print mass, sag, print fit and the expected error.
 

@@ -3,14 +3,15 @@
 import math
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, show_progress, write_files
-from probedesign.cli.options import TaskOptions
+from probedesign.cli.options import JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
+from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
     from probedesign.core.parallel import OnProgress
@@ -41,7 +42,7 @@ def optimize(
     seed: int = 1,
     out: Path | None = None,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Optimize the shape of a probe for a task, and write the optimum as a design file.
 
@@ -143,7 +144,7 @@ def _print(
     print(f"  {'':<16}{'start':>12}{'optimum':>12}")
     before, after = found.before.as_dict(), found.after.as_dict()
     for name in after:
-        print(f"  {name:<16}{_cell(before[name]):>12}{_cell(after[name]):>12}")
+        print(f"  {name:<16}{format_value(before[name]):>12}{format_value(after[name]):>12}")
     if confirmed is not None:
         for name, one in zip(("start", "optimum"), confirmed, strict=True):
             if one is None:
@@ -170,7 +171,3 @@ def _print(
         print("".join(f"{name:>12}" for name in front.rows[0]))
         for row in front.rows[:: max(1, len(front.rows) // 12)]:
             print("".join(f"{value:>12.4g}" for value in row.values()))
-
-
-def _cell(value: Any) -> str:
-    return "none" if value is None else f"{value:.4g}"

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
 EXPORTS = Path("exports")
 """Default folder of the files: exports/NAME."""
+JsonOutput = Annotated[bool, Parameter(name="--json")]
+"""The option --json of a command."""
+Method = Literal["ml", "force_moment", "paper"]
+"""Values of --method."""
 Origin = Literal["sensor", "base"]
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
     from probedesign.prediction.fused import FusedCondition
@@ -20,10 +21,8 @@ if TYPE_CHECKING:
 
     AnyCondition = Condition | FusedCondition
 
-BUDGET_FORCE_N = 0.02
-"""Contact force of the printed error budget of one reading; the nearest force of the grid is used."""
 FUSED_BUDGET_FORCE_N = 0.005
-"""Same for fused touches, which are located at lower forces."""
+"""Contact force of the printed error budget of fused touches, which are located at lower forces."""
 LIMITS = {"gives_way": "buckling", "sensor": "sensor", "slips_off": "slips off", "none": "none"}
 """Printed name of what limits the contact force."""
 MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
@@ -41,7 +40,7 @@ def predict(
     forces_too: bool = False,
     table1: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Predict sensitivity and contact error of a design; write prediction.json, .csv, .html and .png.
 
@@ -139,6 +138,8 @@ def _print_properties(prediction: "Prediction") -> None:
 
 def print_tables(prediction: "Prediction") -> None:
     """Print the tables of a prediction: errors, sensitivity, error budgets, Monte Carlo, forces and workspace."""
+    from probedesign.prediction.predict import BUDGET_FORCE_N
+
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     print(_error_table(prediction, "predicted_error_mm"))
     print("\nContact error of one reading [mm], sensor noise only, for a probe that equals its model")
@@ -293,7 +294,7 @@ def _max(rows: "Sequence[Any]", name: str) -> float | None:
 
 
 def _cell(value: float | None, width: int) -> str:
-    return f"{'none' if value is None else f'{value:.3g}':>{width}}"
+    return f"{format_value(value, '.3g'):>{width}}"
 
 
 def _small_cell(value: float | None, width: int) -> str:

@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,7 +13,7 @@ if TYPE_CHECKING:
     from probedesign.printing.preform_job import PreparedJob
 
 
-def check(design: Path, /, *, as_json: Annotated[bool, Parameter(name="--json")] = False) -> int:
+def check(design: Path, /, *, as_json: JsonOutput = False) -> int:
     """Check a design against the rules of its printer and its resins, before any CAD.
 
     Exit status 1 if a rule finds an error; warnings do not change it. The rules, their sources and their confidence:
@@ -66,7 +64,7 @@ def print_job(
     send: str | None = None,
     timeout_s: float = 600.0,
     force: bool = False,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> int:
     """Prepare the exported parts in PreForm: oriented upright, supported, laid out and validated.
 

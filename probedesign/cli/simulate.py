@@ -1,10 +1,13 @@
 """`probedesign simulate`: simulate a Net F/T box with a probe."""
 
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from probedesign.cli.console import show_progress
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
@@ -57,8 +60,6 @@ def simulate(
         friction: median friction coefficient of the objects; contacts stick and slip. 0 is without friction.
         friction_spread: standard deviation of the friction coefficient's logarithm from object to object.
     """
-    from contextlib import ExitStack
-
     from probedesign.frozen_probe import load_estimator
     from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
     from probedesign.simulation.robot import BaseMotion, SimulatedRobot
@@ -90,7 +91,6 @@ def _configuration(
     Raises:
         InputError: an option is out of range.
     """
-    from probedesign.core.errors import InputError
     from probedesign.live.sources.netft.rdt import MAX_RECORDS, SAMPLES_PER_SECOND
     from probedesign.simulation.netft_box import NATIVE
 
@@ -111,7 +111,6 @@ def _solved_scene(
     model: "ProbeModel", scene: str, friction: float, spread: float, seed: int
 ) -> "tuple[PressedObject, ...]":
     """Return the objects of the scene, each with the solved readings of the probe that is pressed onto it."""
-    from probedesign.cli.console import show_progress
     from probedesign.simulation.scenes import press_scene
 
     with show_progress(f"solving the contacts of --scene {scene}"):

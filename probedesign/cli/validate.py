@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_note, show_progress, write_files
-from probedesign.cli.options import EXPORTS
+from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_writable
+from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
     from probedesign.validation.validate import ValidationReport
@@ -21,7 +22,7 @@ def validate(
     out: Path | None = None,
     exact_model: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
-    as_json: Annotated[bool, Parameter(name="--json")] = False,
+    as_json: JsonOutput = False,
 ) -> None:
     """Compare estimates with a reference: shape RMS, contact error and coverage of the stated covariance.
 
@@ -134,8 +135,8 @@ def _print_summary(report: "ValidationReport", prefix: str) -> None:
 
 
 def _cell(value: Any, width: int) -> str:
-    return f"{'-' if value is None else f'{value:.3g}':>{width}}"
+    return f"{format_value(value, '.3g', missing='-'):>{width}}"
 
 
 def _mm(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g} mm"
+    return format_value(value, ".3g", "mm", "-")

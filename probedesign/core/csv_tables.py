@@ -108,7 +108,7 @@ class CsvLines:
                 case "base":
                     frames.add("base")
                 case other:
-                    self.fail(number, f"frame {shown(other)} is not known; use sensor or base")
+                    self.fail(number, f"frame {quote_input(other)} is not known; use sensor or base")
         if len(frames) > 1:
             raise InputError(f"{self.path}: names two frames; a recording has one")
         return frames.pop() if frames else None
@@ -163,7 +163,7 @@ def read_text(path: Path, what: str, max_bytes: int | None = None, kind: str = "
     return text
 
 
-def shown(text: str) -> str:
+def quote_input(text: str) -> str:
     """Return a piece of a file for a message: quoted, escaped, at most 40 characters."""
     quoted = repr(text)
     return quoted if len(quoted) <= 40 else quoted[:37] + "..."
@@ -182,8 +182,8 @@ class Column:
     """One column that is read.
 
     Attributes:
-        quantity: name of what it holds.
-        kind: of that quantity, a key of `UNITS` or a kind without unit.
+        quantity: name of the quantity.
+        kind: of the quantity, a key of `UNITS` or a kind without unit.
         index: its position in a row.
         factor: to SI.
         name: as the header spells it.
@@ -223,7 +223,7 @@ def find_columns(
         if column is None:
             continue
         if column.quantity in found:
-            pair = f"{shown(found[column.quantity].name)} and {shown(name)}"
+            pair = f"{quote_input(found[column.quantity].name)} and {quote_input(name)}"
             lines.fail(lines.header_number, f"columns {pair} are the same; keep one")
         found[column.quantity] = column
     return found
@@ -251,9 +251,11 @@ def _column(
         return None if unit else Column(quantity, kind, index, 1.0, name)
     factor = {_letters(known): factor for known, factor in UNITS[kind].items()}.get(_letters(unit))
     if factor is None:
-        problem = f"unit {shown(unit)} is not known" if unit else "names no unit"
+        problem = f"unit {quote_input(unit)} is not known" if unit else "names no unit"
         endings = ", ".join(f"_{known}" for known in UNITS[kind])
-        lines.fail(lines.header_number, f"column {shown(name)}: {problem}; end its name in one of {endings}")
+        lines.fail(
+            lines.header_number, f"column {quote_input(name)}: {problem}; end its name in one of {endings}"
+        )
     return Column(quantity, kind, index, factor, name)
 
 
@@ -330,7 +332,7 @@ class TableRows:
             return float("nan")
         if not NUMBER.fullmatch(text) or abs(value := float(text)) == float("inf"):
             remedy = "write a number with a decimal point, or leave an optional cell empty"
-            self.fail(row, f"{column.name} = {shown(text.strip())} is not a finite number; {remedy}")
+            self.fail(row, f"{column.name} = {quote_input(text.strip())} is not a finite number; {remedy}")
         if abs(value * column.factor) > column.ceiling:
             self.fail(row, f"{column.name} = {value:g} is implausibly large; raw counts or a wrong unit?")
         return value
@@ -427,9 +429,9 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
     for index, name in enumerate(lines.header):
         if index not in read and name and name.lower() not in NOTES:
             near = difflib.get_close_matches(name, schema.like.split(","), 1, 0.5)
-            hint = f"did you mean {shown(near[0])}?" if near else f"known are {schema.like}"
+            hint = f"did you mean {quote_input(near[0])}?" if near else f"known are {schema.like}"
             lines.fail(
-                lines.header_number, f"column {shown(name)} is not known; {hint} (for free text: note)"
+                lines.header_number, f"column {quote_input(name)} is not known; {hint} (for free text: note)"
             )
     missing = [name for name in schema.required if name not in columns]
     if missing:
@@ -441,7 +443,7 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
         alike = [column for column in columns.values() if column.kind == kind]
         for other in alike[1:]:
             if other.factor != alike[0].factor:
-                pair = f"{shown(alike[0].name)} and {shown(other.name)}"
+                pair = f"{quote_input(alike[0].name)} and {quote_input(other.name)}"
                 lines.fail(lines.header_number, f"mixed units: {pair}; keep to one unit of {kind} in a table")
 
 
@@ -463,7 +465,7 @@ def _cells(lines: CsvLines) -> list[list[str]]:
             lines.fail(number, f"{len(fields)} fields where the header names {len(lines.header)}")
         for name, text in zip(lines.header, fields, strict=True):
             if not name and text.strip():
-                lines.fail(number, f"{shown(text.strip())} is in a column without a name; name the column, or "
+                lines.fail(number, f"{quote_input(text.strip())} is in a column without a name; name the column, or "
                                    "empty the cell")  # fmt: skip
         cells.append(fields)
     return cells

@@ -6,6 +6,7 @@ an `InputError` with a message of one line: the value, its place and the remedy.
 
 import difflib
 from collections.abc import Iterable
+from importlib.util import find_spec
 
 
 class ProbeDesignError(Exception):
@@ -29,6 +30,22 @@ class MissingDependencyError(ProbeDesignError, ImportError):
             extra: the extra that installs it.
         """
         return cls(f"{feature} needs {package}: pip install 'probedesign[{extra}]'")
+
+
+def require(module: str, feature: str, extra: str, package: str = "") -> None:
+    """Check that a module of one of this project's extras is installed, without importing it.
+
+    Args:
+        module: name of the module.
+        feature: what needs it.
+        extra: the extra that installs it.
+        package: name of its package, if it differs.
+
+    Raises:
+        MissingDependencyError: it is not installed.
+    """
+    if find_spec(module) is None:
+        raise MissingDependencyError.of_extra(feature, package or module, extra)
 
 
 class CheckFailedError(ProbeDesignError):

@@ -186,7 +186,7 @@ class Journal:
             different = [key for key in request if records[0].get(key) != request[key]]
             what = f"other {', '.join(different)}" if different else "of another version"
             raise InputError(
-                f"{path}: holds results of another sweep ({what}); name another folder with --out"
+                f"{path}: contains results of another sweep ({what}); name another folder with --out"
             )
         if valid < len(content):
             notes.append(f"{path}: an incomplete record at the end was dropped; its design is computed again")

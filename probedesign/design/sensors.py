@@ -182,14 +182,12 @@ class SensorModel:
         name: as written in a design file.
         product: maker and type, for documents.
         interface: mechanical.
-        rate_hz: of the sensor's own clock.
         calibrations: the finest first.
     """
 
     name: str
     product: str
     interface: SensorInterface
-    rate_hz: float
     calibrations: tuple[Calibration, ...]
 
     def calibration(self, name: str) -> Calibration:
@@ -232,7 +230,6 @@ NANO17 = SensorModel(
         source="drawing and specifications published by ATI; the free sector of the cable and the least entry of the "
         "screws are assumed",
     ),
-    rate_hz=7000.0,
     calibrations=(_si(12, 17, 120, 320, 64), _si(25, 35, 250, 160, 32), _si(50, 70, 500, 80, 16)),
 )
 

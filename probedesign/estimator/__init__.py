@@ -1,6 +1,6 @@
 """Former name of `probedesign.estimation`; its documented modules can be imported from here for one release."""
 
-from probedesign.core.renamed import warn_renamed
+from probedesign.core import warn_renamed
 
 NAMES = ("detector", "estimate", "estimator", "model", "tolerances", "tracker")
 """Modules whose former import path the documentation named and whose own name stays."""

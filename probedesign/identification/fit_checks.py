@@ -178,7 +178,7 @@ class OutlierCount:
 
     @property
     def too_many(self) -> bool:
-        """Whether gross errors make so many with a chance below one in a thousand, or it is a majority."""
+        """Whether gross errors make this number of outliers with a chance below 0.001, or outliers are a majority."""
         chance = float(binom.sf(self.outliers - 1, self.count, GROSS_ERROR_RATE))
         return self.majority or chance < REJECTION_CHANCE
 

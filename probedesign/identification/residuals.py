@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probedesign.core.frames import Array, skew
+from probedesign.core.statistics import whiten
 from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_ROTATION,
@@ -38,11 +39,11 @@ class MeasuredTest:
         gravity_world: [m/s²], (3,).
         force_world: a known dead load [N], (3,); None for a touch whose force is not known.
         s_contact: arclength of the load [m].
-        std_s: of it [m]; 0 if it is exact.
+        std_s: standard deviation of s_contact [m]; 0 if it is exact.
         p_touch_world: touched point of the surface, or of the centreline under a dead load [m], (3,).
-        std_touch: of it on each axis [m].
+        std_touch: standard deviation of p_touch_world on each axis [m].
         wrench_base: mean reading, about the base [N, N·m], (6,).
-        cov_wrench: of it, (6, 6).
+        cov_wrench: covariance of wrench_base, (6, 6).
         marker_s: arclengths of the markers that were seen [m], (m,).
         p_markers_world: [m], (m, 3).
         cov_markers: (m, 3, 3).
@@ -350,8 +351,8 @@ class SolvedTest:
         self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array
     ) -> ResidualBlock:
         """Return the whitened block; residuals are measured minus modelled, so the derivatives change their sign."""
-        whiten = np.linalg.inv(np.linalg.cholesky(cov))
-        return ResidualBlock(self.measured.name, kind, item, whiten @ residual, -whiten @ J, -whiten @ J_nuisance,
+        W = whiten(cov)
+        return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance,
                              residual)  # fmt: skip
 
 
@@ -398,7 +399,7 @@ class MassMeasurement:
 
     Attributes:
         mass: measured [kg].
-        std: of it [kg].
+        std: standard deviation of the mass [kg].
         flange_volume: of printed material that was weighed with the flexible part, as drawn [m³].
     """
 

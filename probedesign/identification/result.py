@@ -126,7 +126,7 @@ class SystematicEffect:
     Attributes:
         cause: description of the error.
         of: the number.
-        percent: change of it.
+        percent: change of the number.
     """
 
     cause: str

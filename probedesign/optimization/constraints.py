@@ -18,7 +18,7 @@ from probedesign.optimization.design_space import (
     DesignEvaluator,
     DesignSpace,
     FreeParameter,
-    differences,
+    finite_differences,
 )
 from probedesign.optimization.objective import Task
 
@@ -178,7 +178,9 @@ class NonlinearProgram:
             left = (1.0 - outermost) * metrics(x)["length_mm"] + _SLIP_ALLOWANCE_MM
             return np.array([np.log(left / metrics(x)["slide_mm"]) - SPARE])
 
-        return Constraint("does not slip off", margin, lambda x: differences(margin, x, central=False).T)
+        return Constraint(
+            "does not slip off", margin, lambda x: finite_differences(margin, x, central=False).T
+        )
 
     @property
     def _buckling_constraint(self) -> Constraint:
@@ -188,7 +190,7 @@ class NonlinearProgram:
         def margin(x: Array) -> Array:
             return np.array([np.log(metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
 
-        return Constraint(name, margin, lambda x: differences(margin, x, central=False).T)
+        return Constraint(name, margin, lambda x: finite_differences(margin, x, central=False).T)
 
     def _limit(self, limit: Limit) -> Constraint:
         # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
@@ -205,7 +207,7 @@ class NonlinearProgram:
         def margin(x: Array) -> Array:
             return space.printable(x[: space.size])[name]
 
-        return Constraint(name, margin, lambda x: differences(margin, x, central=True).T)
+        return Constraint(name, margin, lambda x: finite_differences(margin, x, central=True).T)
 
     def solve(self, x0: Array) -> Array:
         """Return the local optimum reached from a start, feasible or not."""
@@ -281,7 +283,7 @@ class OptimizationProblem:
     limits: tuple[Limit, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raises InputError where the options contradict."""
+        """Raise InputError if the options contradict each other."""
         if self.goal == "force-for-error" and self.error_mm is None:
             raise InputError("--goal force-for-error needs --error-mm, the error to be reached")
         if self.goal == "error-at-force" and self.error_mm is not None:

@@ -348,7 +348,7 @@ class DesignEvaluator:
             exact = self._sag_and_reach_gradients(x)
             if exact is not None:
                 return np.pad(exact[name], (0, len(x) - self.space.controls))
-        return differences(lambda y: self.metrics(y)[name], x, central=name in ("mass_g", "length_mm"))
+        return finite_differences(lambda y: self.metrics(y)[name], x, central=name in ("mass_g", "length_mm"))
 
     def _sag_and_reach_gradients(self, x: Array) -> dict[str, Array] | None:
         """Return the gradients of sag and reach by the control diameters [mm/mm]; None without a stable free
@@ -367,7 +367,7 @@ class DesignEvaluator:
         return {"sag_mm": down @ by_control, "reach_mm": tip @ by_control / np.linalg.norm(tip)}
 
 
-def differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:
+def finite_differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:
     """Return finite differences of a function of n numbers, (n,), or (n, m) of m functions."""
     found, here = list[Array](), 0.0 if central else f(x)
     for i in range(len(x)):

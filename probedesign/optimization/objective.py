@@ -71,7 +71,7 @@ class Task:
     combine: Combine = "mean"
 
     def __post_init__(self) -> None:
-        """Raises InputError for a value out of range."""
+        """Raise InputError if a value is out of range."""
         if not self.forces_N:
             raise InputError("forces: a task needs at least one")
         for force in self.forces_N:
@@ -215,6 +215,8 @@ class DesignMetrics:
         return asdict(self)
 
 
+COMPARED_FRACTIONS = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
+"""Contact fractions at which designs are compared."""
 METRICS = tuple(DesignMetrics.__dataclass_fields__)
 
 

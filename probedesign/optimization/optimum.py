@@ -5,13 +5,12 @@ import io
 import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, require
 from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, process_map
 from probedesign.core.units import MM
@@ -21,6 +20,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
 from probedesign.optimization.design_space import DIGITS, DesignEvaluator, DesignSpace, design_dict
 from probedesign.optimization.objective import (
+    COMPARED_FRACTIONS,
     DesignMetrics,
     Task,
     Vector,
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 STARTS = (1.0, 0.6)
 """Factors on the diameters of the design, one start each."""
-PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
-"""Contact fractions at which start and optimum are compared."""
 AROUND = (0.5, 1.0, 2.0)
 """Factors on the task's forces at which they are compared."""
 _THICKER, _TIMES = 1.25, 8
@@ -118,7 +116,7 @@ def optimum(search: OptimizationProblem, name: str, on_progress: OnProgress) -> 
 def _worse(start: Design, best: Design, task: Task) -> tuple[WorseCase, ...]:
     """Return the cases, at and around the task's, in which the optimum has a larger error than the start."""
     forces = tuple(sorted({factor * force for force in task.forces_N for factor in AROUND}))
-    wide = replace(task, fractions=tuple(sorted({*PLACES, *task.fractions})), forces_N=forces)
+    wide = replace(task, fractions=tuple(sorted({*COMPARED_FRACTIONS, *task.fractions})), forces_N=forces)
     before, after = (
         predict_task(build_probe(design).model, wide, slipping=False) for design in (start, best)
     )
@@ -306,8 +304,7 @@ def check_installed() -> None:
     Raises:
         MissingDependencyError: optuna is not installed.
     """
-    if find_spec("optuna") is None:
-        raise MissingDependencyError.of_extra("--pareto", "optuna", "optimize")
+    require("optuna", "--pareto", "optimize")
 
 
 def pareto_front(

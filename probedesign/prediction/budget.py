@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, erf
 
 from probedesign.core.frames import Array
+from probedesign.core.statistics import whiten
 from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
@@ -126,14 +127,14 @@ class _LinearizedTouches:
 
     def split(self, friction: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return the covariance by source, total, of the centreline point and by noise alone, and std of s_contact."""
-        whiten = np.linalg.inv(np.linalg.cholesky(self._known(self.noise)))
-        known, root, gain = self._solve(whiten, friction)
+        W = whiten(self._known(self.noise))
+        known, root, gain = self._solve(W, friction)
         total = self._total(self.X, self.Q, root, gain)
         centre = self._total(self.X_centre, self.Q_centre, root, gain)
         std_s = np.linalg.norm(np.einsum("ni,nij->nj", self.by_s, root), axis=1)
-        noise_root = self.X @ self._solve(np.linalg.inv(np.linalg.cholesky(self.noise)), friction)[1]
+        noise_root = self.X @ self._solve(whiten(self.noise), friction)[1]
         noise = noise_root @ np.swapaxes(noise_root, 1, 2)
-        without = self._solve(whiten, 0.0)[2]
+        without = self._solve(W, 0.0)[2]
         parts = dict(self._parts(self.X @ without))
         cov = np.stack([parts[name] for name in SOURCES], axis=1)
         whole = np.trace(cov.sum(axis=1), axis1=1, axis2=2)
@@ -162,11 +163,11 @@ class _LinearizedTouches:
             found.append((name, here @ np.swapaxes(here, 1, 2)))
         return found
 
-    def _solve(self, whiten: Array, friction: float) -> tuple[NDArray[np.bool_], Array, Array]:
+    def _solve(self, W: Array, friction: float) -> tuple[NDArray[np.bool_], Array, Array]:
         """Return whether the touch is observable, a root of its covariance C, (n, 5, 5), and its gain, (n, 5, 6)."""
         n = len(self.H)
         J = np.zeros((n, 6 + 2, UNKNOWNS))
-        J[:, :6] = whiten @ self.H
+        J[:, :6] = W @ self.H
         if math.isfinite(friction):
             J[:, 6, ALONG - 1] = J[:, 7, ALONG] = 1.0 / max(friction, MIN_FRICTION)
         scale = np.linalg.norm(J, axis=1)
@@ -175,7 +176,7 @@ class _LinearizedTouches:
         known = np.asarray(np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1) >= 1e-12)
         R = np.where(known[:, None, None], R, np.eye(UNKNOWNS))
         root = np.linalg.inv(R) / scale[:, :, None]
-        gain = root @ np.swapaxes(J[:, :6] @ root, 1, 2) @ whiten
+        gain = root @ np.swapaxes(J[:, :6] @ root, 1, 2) @ W
         return known, root, gain
 
 
@@ -191,8 +192,7 @@ def unweighted_error_budget(lin: Array, D: Array, sources: ErrorSources, frictio
     """
     touches = _LinearizedTouches.of(np.zeros((len(lin), UNKNOWNS)), lin, D, sources)
     touches = replace(touches, X=touches.X_centre, Q=touches.Q_centre)
-    whiten = np.linalg.inv(np.linalg.cholesky(touches.noise))
-    gain = touches.X @ touches._solve(whiten, math.inf)[2]
+    gain = touches.X @ touches._solve(whiten(touches.noise), math.inf)[2]
     parts = dict(touches._parts(gain))
     by_friction = min(friction, 1.0) * (gain @ touches.H - touches.X)[:, :, ALONG - 1 :]
     cov = [*(parts[name] for name in SOURCES), by_friction @ np.swapaxes(by_friction, 1, 2)]

@@ -50,7 +50,7 @@ class PressSchedule:
     moments_about: MomentsAbout | None = "sensor"
 
     def __post_init__(self) -> None:
-        """Raises InputError for a number of touches out of range."""
+        """Raise InputError if the number of touches is out of range."""
         if not 2 <= self.touches <= MAX_TOUCHES:
             raise InputError(f"touches = {self.touches} must lie in 2 ... {MAX_TOUCHES} to be fused")
 

@@ -246,7 +246,7 @@ class MonteCarloPlan:
     pressing: PressSchedule = PRESSING
 
     def __post_init__(self) -> None:
-        """Raises InputError for a number of draws or a seed out of range."""
+        """Raise InputError if the number of draws or the seed is out of range."""
         if not 2 <= self.draws <= MAX_DRAWS:
             raise InputError(f"--monte-carlo {self.draws} must lie in 2 ... {MAX_DRAWS} draws per condition")
         if self.seed < 0:

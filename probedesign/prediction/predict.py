@@ -49,6 +49,8 @@ __all__ = [
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+BUDGET_FORCE_N = 0.02
+"""Contact force of the shown error budget of one reading; the nearest force of the grid is used."""
 PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
 _WEAK_N = 1e-6  # small enough for the response to be linear
 

@@ -2,7 +2,7 @@
 
 Source: Formlabs Local API 0.9, github.com/Formlabs/formlabs-api-python (local-api/formlabs-api-local-openapi.yaml).
 Python's own HTTP client suffices: a dozen calls to one address, without proxies, redirects or kept connections. The
-answering server is not trusted: the time, size and text of its answers are bounded.
+responding server is not trusted: the time, size and text of its responses are bounded.
 """
 
 import ipaddress
@@ -37,19 +37,19 @@ from probedesign.printing.preform_settings import (
 PORT = 44388
 CONNECT_S = 5.0
 MAX_REPLY = 16 * 2**20
-"""Maximum size of an answer [bytes]; the longest one, the list of materials, has half a million."""
+"""Maximum size of a response [bytes]; the longest one, the list of materials, has half a million."""
 
 
 class PreFormError(InputError):
-    """Signals that PreForm refuses a request, or that the answer is not PreForm's."""
+    """Signals that PreForm refuses a request, or that the response is not PreForm's."""
 
 
 class RefusedError(PreFormError):
     """Signals that PreForm refuses a request with a reason: it was not carried out."""
 
 
-class NoAnswerError(PreFormError):
-    """Signals a missing or incomplete answer: the request may or may not have been carried out."""
+class NoResponseError(PreFormError):
+    """Signals a missing or incomplete response: the request may or may not have been carried out."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Connection:
 
     Attributes:
         host, port: of the machine where PreFormServer runs.
-        timeout_s: of one answer, from request to last byte.
+        timeout_s: of one response, from request to last byte.
     """
 
     host: str
@@ -81,7 +81,7 @@ class Connection:
     def request(
         self, what: str, method: str, path: str, body: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        """Send one request and return its answer.
+        """Send one request and return its response.
 
         Args:
             what: name of the request, for errors.
@@ -90,12 +90,12 @@ class Connection:
             body: sent as JSON.
 
         Returns:
-            The JSON object in the answer; empty for an empty answer.
+            The JSON object in the response; empty for an empty response.
 
         Raises:
-            NoAnswerError: nothing listens, or the answer is not complete in time.
+            NoResponseError: nothing listens, or the response is not complete in time.
             RefusedError: PreForm refuses.
-            PreFormError: the answer is not PreForm's.
+            PreFormError: the response is not PreForm's.
         """
         status, reason, content = self._exchange(what, method, path, body)
         answer = _parsed(content)
@@ -126,7 +126,7 @@ class Connection:
         except (OSError, HTTPException) as error:
             kind = getattr(error, "strerror", None) or str(error) or type(error).__name__
             how = f"not within {self.timeout_s:g} s" if late.is_set() else f"not to the end ({kind})"
-            raise NoAnswerError(one_line(f"{self.url} answers {what} {how}")) from None
+            raise NoResponseError(one_line(f"{self.url} answers {what} {how}")) from None
         finally:
             http.close()
 
@@ -136,10 +136,10 @@ class Connection:
             http.connect()
         except (OSError, UnicodeError) as error:  # UnicodeError: a host that no name server takes
             http.close()
-            reason = getattr(error, "strerror", None) or str(error) or "no answer"
-            raise NoAnswerError(
+            reason = getattr(error, "strerror", None) or str(error) or "no response"
+            raise NoResponseError(
                 one_line(
-                    f"{self.url}: nothing answers there ({reason}); start it: PreFormServer --port {self.port}"
+                    f"{self.url}: no server responds ({reason}); start it: PreFormServer --port {self.port}"
                 )
             ) from None
         return http
@@ -150,7 +150,7 @@ class Connection:
             raise PreFormError(
                 f"{self.url} is not PreForm: its answer to {what} is longer than {MAX_REPLY} bytes"
             )
-        # A connection cut within the headers reads like an empty answer, which would mean success.
+        # A connection cut within the headers reads like an empty response, which would mean success.
         silent = not content and response.length is None and not response.chunked
         if response.length or silent or late.is_set():
             raise IncompleteRead(content)
@@ -195,7 +195,7 @@ def _deadline(sock: socket.socket, after_s: float, late: Event) -> Iterator[None
 
 
 def _parsed(content: bytes) -> Any:
-    """Return the JSON of an answer: an empty object for an empty answer, None for what is not JSON."""
+    """Return the JSON of a response: an empty object for an empty response, None for what is not JSON."""
     if not content.strip():
         return {}
     try:
@@ -205,7 +205,7 @@ def _parsed(content: bytes) -> Any:
 
 
 def error_message(answer: Any) -> str | None:
-    """Return PreForm's error message in an answer, if there is one."""
+    """Return PreForm's error message in a response, if there is one."""
     error = answer.get("error") if isinstance(answer, dict) else None
     if not isinstance(error, dict):
         return None
@@ -341,7 +341,7 @@ class PreForm:
                 )
             share = min(max(state.progress, 0.0), 1.0)
             if time.monotonic() > deadline:
-                raise NoAnswerError(
+                raise NoResponseError(
                     f"PreForm is not done with {what} after {self.operation_s:g} s ({share:.0%} done); "
                     "--timeout-s gives it more"
                 )
@@ -353,7 +353,7 @@ class PreForm:
         try:
             return self.connection.request(what, "GET", f"/operations/{quote(operation, safe='')}/")
         except RefusedError as error:  # a refused query does not show whether the operation ended
-            raise NoAnswerError(str(error)) from None
+            raise NoResponseError(str(error)) from None
 
     def _checked(self, kind: type[R], what: str, answer: dict[str, Any]) -> R:
         try:

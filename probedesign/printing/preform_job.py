@@ -23,7 +23,7 @@ from probedesign.design import Design
 from probedesign.design.diagnostics import quoted
 from probedesign.geometry import build_geometry
 from probedesign.printing.check import print_scale
-from probedesign.printing.preform_client import NoAnswerError, PreForm, PreFormError, RefusedError
+from probedesign.printing.preform_client import NoResponseError, PreForm, PreFormError, RefusedError
 from probedesign.printing.preform_settings import (
     Extent,
     PrintScene,
@@ -196,7 +196,7 @@ def path_mapping(folder: Path, server_folder: str | None, local: bool, url: str)
             return PathMapping(folder)
         raise InputError(
             f"--preform {url}: PreForm reads files on its own machine; --server-folder names the folder there "
-            f"that holds the files of {folder} (shared or copied)"
+            f"that contains the files of {folder} (shared or copied)"
         )
     for kind in (PureWindowsPath, PurePosixPath):
         if kind(server_folder).is_absolute():
@@ -356,7 +356,7 @@ def _check_size(part: str, model: SceneModel, size: tuple[float, float, float]) 
 
 def _problems(scene: PrintScene, validation: PrintValidation, names: dict[str, str]) -> Iterator[str]:
     """Yield one line per problem that would spoil the print."""
-    # PreForm wraps ids into braces in some answers and not in others.
+    # PreForm wraps ids into braces in some responses and not in others.
     checked = {key.strip("{}"): value for key, value in validation.per_model_results.items()}
     for model in scene.models:
         part = names.get(model.id, model.id)
@@ -384,7 +384,7 @@ def _send(server: PreForm, scene: str, printer: str, name: str) -> str:
     except RefusedError:
         raise
     except PreFormError as error:
-        raise NoAnswerError(
+        raise NoResponseError(
             f"{error}; whether {printer} has received the job is unknown; check its queue"
         ) from None
     except KeyboardInterrupt:

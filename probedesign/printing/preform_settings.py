@@ -1,4 +1,4 @@
-"""Schemas of PreForm's answers, and the choice of material and settings for a job.
+"""Schemas of PreForm's responses, and the choice of material and settings for a job.
 
 Only the fields in use are validated; others are ignored. Materials and settings are found in PreForm's own list.
 """
@@ -23,7 +23,7 @@ Extent = tuple[float, float, float]
 
 
 class Reply(BaseModel):
-    """Base of all answers."""
+    """Base of all responses."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.units import MM
+from probedesign.core.units import MM, format_value
 from probedesign.design import Design
 from probedesign.optimization.objective import (
+    COMPARED_FRACTIONS,
     METRICS,
     DesignMetrics,
     Task,
@@ -22,10 +23,9 @@ from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
 from probedesign.prediction.predict import Prediction
 from probedesign.probe import build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
-from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 MAX_DESIGNS = 6
-PLACES = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
 SIDE = "+y"
 """Direction across gravity for a horizontal mount, as in the task."""
 FORCES_N = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
@@ -38,7 +38,7 @@ class ComparedDesign:
     Attributes:
         design: the design.
         metrics: its metrics for the task.
-        along: its touches at `PLACES`.
+        along: its touches at `COMPARED_FRACTIONS`.
         by_force: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
         prediction: for pushes across gravity with the task's force.
     """
@@ -73,7 +73,9 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
         task.combined(predict_task(model, replace(task, forces_N=(f,)), slipping=False).errors)
         for f in FORCES_N
     )
-    along = replace(task, fractions=PLACES, forces_N=(task.force_N,), gravities=task.gravities[:1])
+    along = replace(
+        task, fractions=COMPARED_FRACTIONS, forces_N=(task.force_N,), gravities=task.gravities[:1]
+    )
     return ComparedDesign(
         design, design_metrics(design, task), predict_task(model, along, slipping=False), rms, prediction
     )
@@ -81,7 +83,7 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
 
 def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
     """Return one row per metric, one column per design."""
-    rows = [[name, *(_cell(getattr(one.metrics, name)) for one in compared)] for name in METRICS]
+    rows = [[name, *(format_value(getattr(one.metrics, name)) for one in compared)] for name in METRICS]
     return HtmlTable(["", *(one.design.name for one in compared)], rows)
 
 
@@ -91,7 +93,7 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     sections = [
         _lines("Error along the probe",
                f"{task.touches_text}, all error sources. A line ends where the probe buckles.", compared,
-               lambda one: (PLACES, _in_mm(one.along.errors)), _PLACE, _ERROR),
+               lambda one: (COMPARED_FRACTIONS, _in_mm(one.along.errors)), _PLACE, _ERROR),
         _lines("Error by force", "As before, over the task's positions, by the largest force.", compared,
                lambda one: ([1e3 * f for f in FORCES_N], _in_mm(one.by_force)), force, _ERROR),
         _lines("Error of fused touches",
@@ -109,7 +111,7 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
         _lines("Diameter", "Diameter along the undeformed axis.", compared,
                lambda one: ([s for s, _ in one.design.probe.knots_mm], [d for _, d in one.design.probe.knots_mm]),
                "arclength s [mm]", "diameter [mm]", from_zero=True),
-        Section("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
+        ReportFigure("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
                 _sag_chart(compared).svg()),
     ]  # fmt: skip
     assumed = [
@@ -129,7 +131,7 @@ _ERROR = "contact error, RMS [mm]"
 def _lines(
     heading: str, caption: str, compared: Sequence[ComparedDesign], line: Callable[[ComparedDesign], _Points],
     x: ChartAxis | str, y: str, from_zero: bool = False,
-) -> Section:  # fmt: skip
+) -> ReportFigure:  # fmt: skip
     """Return a figure with one line per design; its y axis is logarithmic unless it starts at zero."""
     lines = [line(one) for one in compared]
     along = (
@@ -139,7 +141,7 @@ def _lines(
     chart = Chart(along, replace(upwards, low=0.0) if from_zero else upwards)
     for one, points, colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):
         chart.line(*points, colour, dashes, mark, one.design.name)
-    return Section(heading, caption, chart.svg())
+    return ReportFigure(heading, caption, chart.svg())
 
 
 def _rows(rows: Sequence[Any], value: Callable[[Any], float | None], unit: float = 1.0) -> _Points:
@@ -164,7 +166,3 @@ def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
 
 def _in_mm(errors: Sequence[float]) -> list[float]:
     return [error / MM if math.isfinite(error) else math.nan for error in errors]
-
-
-def _cell(value: float | int | None) -> str:
-    return "none" if value is None else f"{value:.4g}"

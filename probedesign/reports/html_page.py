@@ -33,7 +33,7 @@ th:first-child, td:first-child, .last td:last-child { text-align: left } .last t
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportFigure:
     """A figure of a report.
 
     Attributes:
@@ -100,7 +100,7 @@ def report_page(
     title: str,
     about: Sequence[str],
     table: HtmlTable,
-    sections: Sequence[Section],
+    sections: Sequence[ReportFigure],
     after: Sequence[tuple[str, HtmlTable]] = (),
 ) -> bytes:
     """Return the page of a report.
@@ -123,7 +123,7 @@ def report_page(
     return html_document(title, [escape(line) for line in about], body, REPORT_STYLE)
 
 
-def _labelled(section: Section) -> str:
+def _labelled(section: ReportFigure) -> str:
     """Return the figure with its heading as text alternative."""
     return section.svg.decode().replace(
         "<svg ", f'<svg role="img" aria-label="{escape(section.heading)}" ', 1

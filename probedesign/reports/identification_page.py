@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from probedesign.identification.result import Identification, Identified
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
-from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 MAX_TEST_NAMES = 36
 """Maximum number of test names along an axis; of more tests, every second or third is named."""
@@ -70,7 +70,7 @@ def _row(one: Identified) -> list[str]:
     return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.words]
 
 
-def _by_test(found: Identification) -> Section:
+def _by_test(found: Identification) -> ReportFigure:
     """Return the RMS of each test's normalised residuals by kind."""
     tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
     each = math.ceil(len(tests) / MAX_TEST_NAMES)
@@ -87,10 +87,10 @@ def _by_test(found: Identification) -> Section:
         chart.points(range(1, len(tests) + 1), line, colour, mark, KINDS[kind])
     chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="noise alone")
     caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
-    return Section("Residuals by test", caption, chart.svg())
+    return ReportFigure("Residuals by test", caption, chart.svg())
 
 
-def _normal(found: Identification) -> Section:
+def _normal(found: Identification) -> ReportFigure:
     """Return the normalised residuals against their quantiles under normal noise."""
     sizes = {"markers": 3, "wrenches": 6, "touches": 3}
     lines = {}
@@ -108,11 +108,15 @@ def _normal(found: Identification) -> Section:
     for kind, (x, y) in lines.items():
         colour, mark = _SIGNS[kind]
         chart.points(x, y, colour, mark, KINDS[kind])
-    return Section("Quantiles of the residuals", "On the line the noise is as assumed; outliers are above its end. "
-                   "Slightly below it is expected, since the parameters are fitted.", chart.svg())  # fmt: skip
+    return ReportFigure(
+        "Quantiles of the residuals",
+        "On the line the noise is as assumed; outliers are above its end. "
+        "Slightly below it is expected, since the parameters are fitted.",
+        chart.svg(),
+    )
 
 
-def _along(found: Identification) -> Section:
+def _along(found: Identification) -> ReportFigure:
     """Return the markers' residuals along the probe: mean over the tests and its scatter."""
     rows = [one for one in found.residuals if one.kind == "markers" and one.s_mm is not None]
     places = sorted({one.s_mm for one in rows if one.s_mm is not None})
@@ -134,10 +138,10 @@ def _along(found: Identification) -> Section:
         "Mean over the tests with two standard deviations of it. A curve common to all tests indicates that the "
         "taper, the root or a camera differs from its model."
     )
-    return Section("Residuals along the probe", caption, chart.svg())
+    return ReportFigure("Residuals along the probe", caption, chart.svg())
 
 
-def _wrenches(found: Identification, what: str) -> Section:
+def _wrenches(found: Identification, what: str) -> ReportFigure:
     """Return each reading's residual by channel: the forces, or the moments."""
     first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
     off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
@@ -150,11 +154,15 @@ def _wrenches(found: Identification, what: str) -> Section:
     spread = 0.7 * (np.arange(len(off)) / max(len(off) - 1, 1) - 0.5)
     for channel in range(3):
         chart.points(channel + 1 + spread, off[:, channel], colour, mark)
-    return Section(f"Residuals of the {what}", "At the base, from the first test at the left of each channel to the "
-                   "last at its right: a slope indicates drift.", chart.svg())  # fmt: skip
+    return ReportFigure(
+        f"Residuals of the {what}",
+        "At the base, from the first test at the left of each channel to the "
+        "last at its right: a slope indicates drift.",
+        chart.svg(),
+    )
 
 
-def _correlation(found: Identification) -> Section:
+def _correlation(found: Identification) -> ReportFigure:
     """Return the correlation matrix of the parameters' errors."""
     n, names = len(found.correlated), list(found.correlated)
     chart = Chart(ChartAxis.named("", names), ChartAxis.named("", names[::-1]))
@@ -168,8 +176,12 @@ def _correlation(found: Identification) -> Section:
             chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.6 and i != j else "#111")
     for name, colour in (("positive", "#ff0000"), ("negative", "#0000ff"), ("itself", _SELF)):
         chart.legend.append(LegendEntry(name, colour))
-    return Section("Correlation", "Correlation of the errors, with the print's dimensions as designed except those "
-                   "identified; near ±1 the tests determine a combination better than each.", chart.svg())  # fmt: skip
+    return ReportFigure(
+        "Correlation",
+        "Correlation of the errors, with the print's dimensions as designed except those "
+        "identified; near ±1 the tests determine a combination better than each.",
+        chart.svg(),
+    )
 
 
 def _noise(found: Identification) -> HtmlTable:

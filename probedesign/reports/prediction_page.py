@@ -12,19 +12,17 @@ from typing import Any
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MM
+from probedesign.core.units import MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, FusedCondition, shown
-from probedesign.prediction.predict import Condition, Prediction
+from probedesign.prediction.predict import BUDGET_FORCE_N, Condition, Prediction
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
-from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
-BUDGET_FORCE_N = 0.02
-"""Force of the shown budget of one reading; the grid's nearest force is taken."""
 GROUPS = {
     "noise": ("noise",),
     "drift": ("drift",),
@@ -131,7 +129,7 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
     )  # fmt: skip
 
 
-def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[Section] = ()) -> bytes:
+def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[ReportFigure] = ()) -> bytes:
     """Return the page of a prediction.
 
     Args:
@@ -149,7 +147,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         f"fused: {prediction.pressing.text}",
     ]
     sections = [
-        Section(figure.heading, figure.caption, figure.chart.svg())
+        ReportFigure(figure.heading, figure.caption, figure.chart.svg())
         for figure in prediction_figures(prediction, estimator)
         if figure.heading
     ]
@@ -450,4 +448,4 @@ def _sampled(prediction: Prediction) -> HtmlTable:
 
 
 def _mm(value: float | None) -> str:
-    return "none" if value is None else f"{value:.3g} mm"
+    return format_value(value, ".3g", "mm")

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MILLINEWTON, MM, N_MM
+from probedesign.core.units import MILLINEWTON, MM, N_MM, format_value
 from probedesign.estimation.model import ProbeModel
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
-from probedesign.reports.html_page import HtmlTable, Section, report_page
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
 from probedesign.validation.validated_test import ValidatedTest
@@ -197,8 +197,8 @@ def _table(validation: ValidationReport) -> HtmlTable:
         force, fraction = row["force_N"], row["contact_fraction"]
         rows.append([
             row["test"], "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
-            "—" if fraction is None else f"{fraction:.3f} L", row["direction"] or "—", _mm(row["shape_rms_mm"]),
-            "—" if row["shape_rms_percent"] is None else f"{row['shape_rms_percent']:.2f} %",
+            format_value(fraction, ".3f", "L", "—"), row["direction"] or "—", _mm(row["shape_rms_mm"]),
+            format_value(row["shape_rms_percent"], ".2f", "%", "—"),
             _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
             _mm(row["predicted_error_mm"]), inside, row["method"], row["result"],
         ])  # fmt: skip
@@ -212,25 +212,25 @@ def _table(validation: ValidationReport) -> HtmlTable:
 
 
 def _mm(value: float | None) -> str:
-    return "—" if value is None else f"{value:.3g} mm"
+    return format_value(value, ".3g", "mm", "—")
 
 
-def _figures(validation: ValidationReport) -> list[Section]:
+def _figures(validation: ValidationReport) -> list[ReportFigure]:
     """Return measured error against stated error, and the NEES against its distribution."""
     located = [trial for trial in validation.tests if trial.contact_error is not None]
     if not located:
         return []
     return [
-        Section("Stated and measured error", "Distance of each contact from the reference against the RMS "
+        ReportFigure("Stated and measured error", "Distance of each contact from the reference against the RMS "
                 "distance stated by estimate and reference. About two of three should lie below the line.",
                 error_size_chart(located).svg()),
-        Section("Consistency of the stated covariance", "Normalised estimation error squared, sorted, against "
+        ReportFigure("Consistency of the stated covariance", "Normalised estimation error squared, sorted, against "
                 "the quantiles of its distribution. Above the line the stated covariance is too small.",
                 nees_chart(located).svg()),
     ]  # fmt: skip
 
 
-def _internal_loads(validation: ValidationReport) -> list[Section]:
+def _internal_loads(validation: ValidationReport) -> list[ReportFigure]:
     """Return internal force and moment of the free probe and of the middle one of the located touches."""
     free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
     located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]
@@ -245,7 +245,7 @@ def _internal_loads(validation: ValidationReport) -> list[Section]:
             )
         for what in ("force", "moment"):
             heading = f"Internal {what}: {trial.test.name}, {_words(trial)}"
-            sections.append(Section(heading, caption, internal_load_chart(trial.shape, what).svg()))
+            sections.append(ReportFigure(heading, caption, internal_load_chart(trial.shape, what).svg()))
     return sections
 
 
@@ -257,7 +257,7 @@ def _words(trial: ValidatedTest) -> str:
     return f"{force}{place}{', ' if trial.test.direction else ''}{trial.test.direction}"
 
 
-def _shape(trial: ValidatedTest, model: ProbeModel) -> Section:
+def _shape(trial: ValidatedTest, model: ProbeModel) -> ReportFigure:
     """Return the figure of one probe as measured and as estimated."""
     parts = []
     if not math.isnan(trial.shape_rms):
@@ -275,4 +275,4 @@ def _shape(trial: ValidatedTest, model: ProbeModel) -> Section:
     elif trial.result != "ok":
         parts.append(f"{trial.result}: {WHY[trial.result]}")
     heading = f"{trial.test.name}: {_words(trial)}"
-    return Section(heading, "; ".join(parts) + ".", shape_chart(trial, model).svg())
+    return ReportFigure(heading, "; ".join(parts) + ".", shape_chart(trial, model).svg())

@@ -1,0 +1,1 @@
+"""Statics of the flexible part as a Cosserat rod: equilibria, their sensitivities, and contacts."""

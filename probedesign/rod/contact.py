@@ -249,7 +249,8 @@ def solve_surface_force(
         step *= 0.25
         if step < 1e-3:
             return SurfaceForce(found, eq, none, none)
-    point = eq.p_contact_base + radius * (_axes(eq.sensitivity.frame) @ e)  # type: ignore[union-attr]
+    assert eq is not None and eq.sensitivity is not None  # the last step was solved
+    point = eq.p_contact_base + radius * (_axes(eq.sensitivity.frame) @ e)
     return SurfaceForce("ok", eq, load[0:3], np.asarray(point))
 
 

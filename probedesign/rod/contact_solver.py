@@ -146,13 +146,13 @@ class _Linear:
         piece: of the surface.
         direction: of the line; None for a point.
         inputs: of the equations: [8 unknowns, 12 of the frame, 3 of the point].
-        answer: derivative of the frame by the unknowns, (12, 8).
+        frame_by_unknowns: derivative of the frame by the unknowns, (12, 8).
     """
 
     piece: SurfacePiece
     direction: Array | None
     inputs: Array
-    answer: Array
+    frame_by_unknowns: Array
 
     @property
     def misfit(self) -> Array:
@@ -163,7 +163,7 @@ class _Linear:
     def by_unknowns(self) -> Array:
         """Return the Jacobian by the unknowns, (8, 8)."""
         d = self._derived[1]
-        return d[:, :8] + d[:, 8:20] @ self.answer
+        return d[:, :8] + d[:, 8:20] @ self.frame_by_unknowns
 
     @property
     def by_point(self) -> Array:
@@ -196,7 +196,7 @@ class _Linear:
         d[:, 6] = self._derived[1][:, 6]  # at an edge the place is the direction of the force,
         if self.piece.where == "face":  # along a flush line the way is where the force acts
             d[:, 7] = self._derived[1][:, 7]
-        return d[:, :8] + d[:, 8:20] @ self.answer
+        return d[:, :8] + d[:, 8:20] @ self.frame_by_unknowns
 
     @cached_property
     def _derived(self) -> tuple[Array, Array]:
@@ -293,15 +293,20 @@ class ContactSolver:
         loads = np.array([force] * 3 + [length] + [force * length] * 3)
         d = eq.sensitivity.d_contact
         columns = lengths[:, None] * d * loads[: d.shape[1]]
-        answer = np.zeros((12, UNKNOWNS))
-        answer[:, 0:3], answer[:, 6] = columns[:, 0:3], columns[:, 3] * _rate(piece, x[6])
+        frame_by_unknowns = np.zeros((12, UNKNOWNS))
+        frame_by_unknowns[:, 0:3], frame_by_unknowns[:, 6] = (
+            columns[:, 0:3],
+            columns[:, 3] * _rate(piece, x[6]),
+        )
         if d.shape[1] == 7:
-            answer[:, 3:6] = columns[:, 4:7]
-        return self._linear(piece, lengths * eq.sensitivity.frame, answer, part, x)
+            frame_by_unknowns[:, 3:6] = columns[:, 4:7]
+        return self._linear(piece, lengths * eq.sensitivity.frame, frame_by_unknowns, part, x)
 
-    def _linear(self, piece: SurfacePiece, frame: Array, answer: Array, part: float, x: Array) -> _Linear:
+    def _linear(
+        self, piece: SurfacePiece, frame: Array, frame_by_unknowns: Array, part: float, x: Array
+    ) -> _Linear:
         inputs = np.concatenate([x, frame, self.obstacle.at(part) / self.rod.length])
-        return _Linear(piece, self.obstacle.direction, inputs, answer)
+        return _Linear(piece, self.obstacle.direction, inputs, frame_by_unknowns)
 
     def _fits(self, misfit: Array, x: Array) -> bool:
         """Return whether the residuals of lengths and forces are within tolerance."""
@@ -325,10 +330,10 @@ def on_rod(piece: SurfacePiece, place: float) -> float:
 def solved(matrix: Array, right: Array) -> Array:
     """Solve linear equations; return the solution of least norm where they are singular."""
     try:
-        answer = np.linalg.solve(matrix, right)
+        solution = np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError:
-        answer = np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
-    return np.asarray(answer, dtype=float)
+        solution = np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
+    return np.asarray(solution, dtype=float)
 
 
 def _station(piece: SurfacePiece, place: float) -> float:

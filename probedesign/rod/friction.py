@@ -1,7 +1,7 @@
 """Contact with Coulomb friction between the rod and an object: stick and slip.
 
 A force F acts at the point x = p(s) + r(s) e(φ) of the deformed surface, e(φ) = R(s) [cos φ, sin φ, 0], whose outward
-unit normal is N = cos α e + sin α t with tan α = -dr/ds. The rod bears F on its centreline at s together with the
+unit normal is N = cos α e + sin α t with tan α = -dr/ds. On the centreline at s the force F acts together with the
 couple C = (x - p) × F. The couple depends on the deformed section and the section on the couple, so both are solved
 for together by Newton's method with the rod's exact sensitivities.
 
@@ -392,10 +392,11 @@ class CoulombSolver:
             allowed = np.array([of_force] * 3 + [close] * 4 + [close if stiffness is None else of_force] * 2)
             if (np.abs(off) <= allowed).all():
                 return self._contact(goal, x, before, eq, "stick" if stiffness is None else "slip")
-            answer = np.zeros((12, _U))
-            answer[:, 0:3], answer[:, 3:6], answer[:, 6] = d[:, 0:3], d[:, 4:7], d[:, 3]
+            frame_by_unknowns = np.zeros((12, _U))
+            frame_by_unknowns[:, 0:3], frame_by_unknowns[:, 3:6] = d[:, 0:3], d[:, 4:7]
+            frame_by_unknowns[:, 6] = d[:, 3]
             try:
-                change = np.linalg.solve(by[:, :_U] + by[:, _U:] @ answer, off)
+                change = np.linalg.solve(by[:, :_U] + by[:, _U:] @ frame_by_unknowns, off)
             except np.linalg.LinAlgError:
                 return "not_converged"
             if not np.isfinite(change).all():

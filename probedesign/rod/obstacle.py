@@ -112,22 +112,6 @@ class ObstacleContact:
         """Return the derivative of the force by the object's position [N/m], (3, 3)."""
         return self._d_load[0:3]
 
-    @property
-    def d_s_contact(self) -> Array:
-        """Return the derivative of s_contact by the object's position, (3,)."""
-        column: Array = self._d_load[3]
-        return column
-
-    @property
-    def d_couple(self) -> Array:
-        """Return the derivative of the couple by the object's position [N], (3, 3)."""
-        return self._d_load[4:7]
-
-    @property
-    def d_surface(self) -> Array:
-        """Return the derivative of the touched point by the object's position, (3, 3); the identity for a point."""
-        return self.touch.d_point if self.touch else np.full((3, 3), np.nan)
-
     @cached_property
     def d_wrench(self) -> Array:
         """Return the derivative of the base wrench by the object's position [N/m, N], (6, 3).

@@ -31,8 +31,8 @@ from probedesign.simulation.scenes import PressedObject
 
 REST_TIME = 5.0
 """Free time at the start of a cycle [s], for a tare."""
-MOVE_TIME, PRESS_TIME, HOLD_TIME = 1.0, 1.5, 3.0
-"""Durations of the move to the next object, of the press and of the retraction, and of the hold [s]."""
+MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME = 1.0, 1.5, 3.0
+"""Durations of the move to the next object, of the press and of the retraction, and of the dwell [s]."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class BaseMotion:
 
     @property
     def _object_time(self) -> float:
-        return MOVE_TIME + 2.0 * PRESS_TIME + HOLD_TIME
+        return MOVE_TIME + 2.0 * PRESS_TIME + CYCLE_DWELL_TIME
 
     def wrench_sensor(self, time: Array) -> Array:
         """Return the wrench at the sensor without bias and noise [N, N·m], (n, 6), at times [s], (n,)."""
@@ -85,10 +85,10 @@ class BaseMotion:
         index = np.floor(since / self._object_time).astype(int)
         index = np.where(since < 0.0, -1, np.minimum(index, len(self.objects) - 1))
         phase = since - index * self._object_time
-        knots = np.cumsum([0.0, MOVE_TIME, PRESS_TIME, HOLD_TIME, PRESS_TIME])
+        knots = np.cumsum([0.0, MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME, PRESS_TIME])
         share = np.interp(phase, knots, [0.0, 0.0, 1.0, 1.0, 0.0])
         ends = np.array([obj.travel[-1] for obj in self.objects] + [0.0])  # index -1 selects the last entry
-        return index, share * ends[index], phase > MOVE_TIME + PRESS_TIME + HOLD_TIME
+        return index, share * ends[index], phase > MOVE_TIME + PRESS_TIME + CYCLE_DWELL_TIME
 
     @cached_property
     def _free(self) -> Array:

@@ -182,7 +182,7 @@ def press_scene(
     friction_spread: float = ASSUMED_SPREAD,
     seed: int = 1,
 ) -> tuple[PressedObject, ...]:
-    """Press every object of a scene with the force that the probe can safely bear, in reference mode.
+    """Press every object of a scene with a force below the limit of the probe, in reference mode.
 
     Args:
         model: the probe.

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.simulation.ground_truth import GroundTruth, SimulatedTest, marker_arclengths
-from probedesign.vision import require
+from probedesign.vision import require_opencv
 from probedesign.vision.camera import Camera
 from probedesign.vision.markers import write_png
 
@@ -425,7 +425,7 @@ def take_photographs(
     on_progress: Callable[[str, float | None], None],
 ) -> None:
     """Render one photograph of each test by each camera, TEST-CAMERA.png; OpenCV must be installed."""
-    require()
+    require_opencv()
 
     folder.mkdir()
     total = len(tests) * len(rig.cameras)

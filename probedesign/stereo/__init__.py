@@ -1,6 +1,6 @@
 """Former name of `probedesign.vision`; its documented modules can be imported from here for one release."""
 
-from probedesign.core.renamed import warn_renamed
+from probedesign.core import warn_renamed
 
 NAMES = ("calibrate", "camera", "triangulate")
 """Modules whose former import path the documentation named."""

@@ -101,11 +101,6 @@ class Camera:
         directions = _homogeneous(seen) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
-    def undistorted(self, pixels: ArrayLike) -> Array:
-        """Return the pixels of the same points without distortion [px], (..., 2)."""
-        seen = self.rays(pixels) @ self.R_camera_world.T
-        return np.asarray(self._pixels(seen[..., :2] / seen[..., 2:]))
-
     def by_point(self, points_world: Array) -> Array:
         """Return derivatives of the pixels by the points [px/m], (n, 3) -> (n, 2, 3)."""
         return self._by_axes(points_world) @ self.R_camera_world

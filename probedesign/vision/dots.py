@@ -124,16 +124,16 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array, along: Array) -
     start = _start(offsets, levels, shape)
     if start is None or len(levels) < len(start) + 10:
         return None
-    sight, radius = _sight(shape, along), float(1 / np.sqrt(np.linalg.det(shape)))
+    view, radius = _view(shape, along), float(1 / np.sqrt(np.linalg.det(shape)))
     weight = ROBUST / SUNK
 
     def residual(values: Array) -> Array:
         """Return the grey levels' residuals and the prior's."""
-        return np.append(_model(values, offsets, sight) - levels, weight * values[SINK])
+        return np.append(_model(values, offsets, view) - levels, weight * values[SINK])
 
     def by_values(values: Array) -> Array:
         """Return the derivatives of the residuals."""
-        return np.vstack([_by_values(values, offsets, sight), weight * np.eye(len(values))[SINK]])
+        return np.vstack([_by_values(values, offsets, view), weight * np.eye(len(values))[SINK]])
 
     found = least_squares(residual, start, by_values, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1,
                           xtol=1e-5, ftol=1e-6, max_nfev=60)  # fmt: skip
@@ -174,7 +174,7 @@ def patch_of(residual: Array, offsets: Array) -> float:
     return max(float(correlation[lag < end].sum()), 1.0)
 
 
-def _sight(shape: Array, along: Array) -> tuple[Array, Array]:
+def _view(shape: Array, along: Array) -> tuple[Array, Array]:
     """Return the view of a dot on a round probe: the vector whose product with an offset is its distance round the
     probe, in radii of the dot [1/px], (2,), and the displacement of a point that sinks by the dot's radius
     [px], (2,)."""
@@ -208,17 +208,17 @@ def _start(offsets: Array, levels: Array, shape: Array) -> Array | None:
     return np.array([*values, np.median(inner), np.median(outer), *(7 if large else 5) * [0.0]])
 
 
-def _model(values: Array, offsets: Array, sight: tuple[Array, Array]) -> Array:
+def _model(values: Array, offsets: Array, view: tuple[Array, Array]) -> Array:
     """Return the grey levels of a dot with a soft edge on a smooth ground."""
-    share = 0.5 * erfc(_outline_distance(values, offsets, sight)[0] / (np.sqrt(2) * _softness(values)))
+    share = 0.5 * erfc(_outline_distance(values, offsets, view)[0] / (np.sqrt(2) * _softness(values)))
     ground, inked = _greys(values, offsets)
     return np.asarray(ground + share * (inked - ground))
 
 
-def _by_values(values: Array, offsets: Array, sight: tuple[Array, Array]) -> Array:
+def _by_values(values: Array, offsets: Array, view: tuple[Array, Array]) -> Array:
     """Return derivatives of the grey levels by the values, (n, k); differences would cost k times the model."""
     soft = _softness(values)
-    beyond, by_outline = _outline_distance(values, offsets, sight)
+    beyond, by_outline = _outline_distance(values, offsets, view)
     share = 0.5 * erfc(beyond / (np.sqrt(2) * soft))
     ground, inked = _greys(values, offsets)
     by_beyond = (ground - inked) * np.exp(-0.5 * (beyond / soft) ** 2) / (np.sqrt(2 * np.pi) * soft)
@@ -242,10 +242,10 @@ def _greys(values: Array, offsets: Array) -> tuple[Array, Array]:
     return ground, inked
 
 
-def _outline_distance(values: Array, offsets: Array, sight: tuple[Array, Array]) -> tuple[Array, Array]:
+def _outline_distance(values: Array, offsets: Array, view: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the distance of points beyond the outline, to first order [px], (n,), and its derivatives by centre, shape
     and sink, (n, 6). The outline is an ellipse whose points sink with the square of their distance round the probe."""
-    around, down = sight
+    around, down = view
     away = offsets - values[:2]
     round_ = away @ around
     sunk = away + (values[SINK] * round_**2)[:, None] * down

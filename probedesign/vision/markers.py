@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array
-from probedesign.vision import require
+from probedesign.vision import require_opencv
 from probedesign.vision.dots import DetectedSpots, Dot, detect_spots, fit_dot
 
 ImageSide = Literal["left", "right", "top", "bottom"]
@@ -47,7 +47,7 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
     Raises:
         InputError: it is missing, or not an image.
     """
-    require()
+    require_opencv()
     import cv2
 
     try:
@@ -72,7 +72,7 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 
 def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
     """Write an image, grey (height, width) or blue, green, red (height, width, 3), atomically."""
-    require()
+    require_opencv()
     import cv2
 
     write_atomically(path, cv2.imencode(".png", picture)[1].tobytes())
@@ -260,7 +260,7 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
 
     The picture is blue, green, red (height, width, 3).
     """
-    require()
+    require_opencv()
     import cv2
 
     low, high = _part(grey, found)

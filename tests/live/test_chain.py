@@ -21,7 +21,7 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.simulation import scenes
 from probedesign.simulation.robot import (
-    HOLD_TIME,
+    CYCLE_DWELL_TIME,
     MOVE_TIME,
     PRESS_TIME,
     REST_TIME,
@@ -108,7 +108,7 @@ def test_the_phases_are_those_of_figure_8(motion, touched):
     pressed = REST_TIME + MOVE_TIME + PRESS_TIME  # where the base begins to hold
     # The whole span must be still; a mean lies half its length, 5 ms, before its last sample.
     assert pressed + SPAN - 0.01 <= time["settled"][0] <= pressed + 1.5 * SPAN
-    assert time["settled"][-1] <= pressed + HOLD_TIME + SPAN
+    assert time["settled"][-1] <= pressed + CYCLE_DWELL_TIME + SPAN
     assert any(line.startswith("touch 1, ") and "mm in world" in line for line in lines)
     assert not chain.contacts[0].ongoing
 

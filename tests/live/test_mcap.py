@@ -339,7 +339,7 @@ def test_values_out_of_range_are_refused_unless_marked_as_faults(model, tmp_path
 
 
 def test_without_the_package_one_line_names_what_to_install(whole, model, tmp_path, monkeypatch):
-    monkeypatch.setattr("probedesign.live.recordings.find_spec", lambda name: None)
+    monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     for attempt in (lambda: read(whole, model), lambda: McapRecorder(tmp_path / "new.mcap", model)):
         with pytest.raises(MissingDependencyError, match=r"pip install 'probedesign\[live\]'"):
             attempt()

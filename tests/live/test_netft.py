@@ -257,7 +257,7 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
 
 def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.simulation.robot import HOLD_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.robot import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
     from probedesign.simulation.scenes import press_scene
 
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s
@@ -265,7 +265,10 @@ def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     for friction in (0.0, 0.5):
         things = press_scene(model, "edges", friction)[:1]
         motion = BaseMotion(model, things)
-        on, off = motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + HOLD_TIME + before)
+        on, off = (
+            motion.wrench_sensor(begun - before),
+            motion.wrench_sensor(begun + CYCLE_DWELL_TIME + before),
+        )
         apart = np.abs(on - off).max(axis=1)
         assert (apart > 1e-3).all() if friction else (apart < 1e-9).all()
         free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)

@@ -20,7 +20,6 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live.processing.control import CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
-from probedesign.live.view import sinks as module
 from probedesign.live.view.sinks import BrowserView
 
 pytest.importorskip("viser")
@@ -109,7 +108,7 @@ def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, exp
 
 
 def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
-    monkeypatch.setattr(module.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"probedesign\[view\]"):
         BrowserView(estimator, tmp_path, CommandQueue(), print)
 
@@ -139,10 +138,13 @@ def live_process(bundle, port: int) -> "subprocess.Popen[str]":
         "--source",
         "sim:?seconds=1000000",
     ]
-    heard = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
+
+    def handle_sigint() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
     return subprocess.Popen(
         [*command, "--view", "--view-port", str(port)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=handle_sigint,
     )  # fmt: skip
 
 
@@ -198,6 +200,7 @@ def test_a_browser_shows_status_and_sends_commands(view, tab):
     asked = []
     for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
         tab.locator("button", has_text=button).dispatch_event("click")
+        # The lambda is called within this pass only.
         assert_eventually(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023
     assert [request.name for request in asked] == ["tare", "mark", "start recording", "stop recording"]
     assert asked[1].text == "third card"

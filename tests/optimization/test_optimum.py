@@ -17,7 +17,7 @@ from probedesign.optimization.design_space import (
     DesignSpace,
     critical_load_factor,
     design_dict,
-    differences,
+    finite_differences,
 )
 from probedesign.optimization.objective import Task, design_metrics, predict_task
 from probedesign.optimization.optimum import confirm, optimum
@@ -86,7 +86,7 @@ def test_sag_and_reach_have_exact_slopes(large, free):
         # the fast solver's own rounding over the step
         np.testing.assert_allclose(
             trial.gradient(name, x),
-            differences(lambda y, name=name: trial.metrics(y)[name], x, central=True),
+            finite_differences(lambda y, name=name: trial.metrics(y)[name], x, central=True),
             rtol=2e-3, atol=2e-3 * np.abs(trial.gradient(name, x)).max(),
         )  # fmt: skip
 

@@ -23,7 +23,7 @@ from probedesign.printing import preform_client as client
 from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 from probedesign.printing.preform_client import (
     Connection,
-    NoAnswerError,
+    NoResponseError,
     PreForm,
     PreFormError,
     connection_to,
@@ -76,7 +76,7 @@ def fake(place):
         yield server
 
 
-def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008
+def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008  # immutable
     """What the command does, with quick timeouts."""
     server = PreForm(
         connection_to(fake.url, timeout_s),
@@ -531,7 +531,7 @@ def test_an_operation_that_the_server_forgot(fake, place):
 def test_an_operation_that_does_not_end(fake, place):
     fake.polls = 10**9
     with pytest.raises(
-        NoAnswerError, match=r"not done with the import of probe after 0\.2 s \(0% done\); --timeout-s"
+        NoResponseError, match=r"not done with the import of probe after 0\.2 s \(0% done\); --timeout-s"
     ):
         prepared(fake, place, operation_s=0.2)
     assert fake.scenes == {}
@@ -558,7 +558,7 @@ def forgets(handler):
 )
 def test_an_unanswered_upload_has_an_unknown_outcome(fake, place, fault):
     fake.faults["print"] = fault
-    with pytest.raises(NoAnswerError, match="whether Form3-TestyTest has received the job is unknown"):
+    with pytest.raises(NoResponseError, match="whether Form3-TestyTest has received the job is unknown"):
         prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
 
 
@@ -642,7 +642,7 @@ def test_a_missing_server_error_names_the_start_command(host):
         taken.bind(("127.0.0.1", 0))  # bound and not listening: no other process takes the port meanwhile
         port = taken.getsockname()[1]
         with pytest.raises(
-            NoAnswerError, match=rf"nothing answers there .*; start it: PreFormServer --port {port}$"
+            NoResponseError, match=rf"no server responds .*; start it: PreFormServer --port {port}$"
         ):
             Connection(host, port, 5.0).request("the version", "GET", "/")
 

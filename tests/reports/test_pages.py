@@ -15,7 +15,7 @@ from probedesign.design import check_design, load_design
 from probedesign.prediction.fused import FUSED_CAUSES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
-from probedesign.reports.html_page import Section, html_document
+from probedesign.reports.html_page import ReportFigure, html_document
 from probedesign.reports.prediction_page import GROUPS, prediction_page, shares_of
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -47,7 +47,7 @@ def assert_whole(page: str) -> Elements:
 def test_the_prediction_page_has_all_figures_and_added_sections():
     probe = build_probe(load_design(DESIGNS / "small.toml"))
     prediction = probe.predict(fractions=(0.5, 0.8), forces_N=(0.02,), directions=("+y",))
-    more = Section("Budget & causes", "what each costs", b'<svg id="budget"></svg>')
+    more = ReportFigure("Budget & causes", "what each costs", b'<svg id="budget"></svg>')
     page = prediction_page(prediction, probe.estimator(), [more]).decode()
     assert assert_whole(page).seen["svg"] == page.count('<svg role="img" aria-label="') > 1
     assert "Budget &amp; causes" in page and prediction.fingerprint in page

@@ -8,21 +8,21 @@ import pytest
 from scene import SIZE, camera, probe
 from scipy.ndimage import gaussian_filter
 
-cv2 = pytest.importorskip("cv2")
-
-from probedesign.core.errors import InputError  # noqa: E402
-from probedesign.simulation.stereo_rig import (  # noqa: E402
+from probedesign.core.errors import InputError
+from probedesign.simulation.stereo_rig import (
     PaintedDots,
     RenderStyle,
     render,
 )
-from probedesign.vision.dots import fit_dot, patch_of  # noqa: E402
-from probedesign.vision.markers import (  # noqa: E402
+from probedesign.vision.dots import fit_dot, patch_of
+from probedesign.vision.markers import (
     find_markers,
     overlay,
     read_grey,
     write_png,
 )
+
+cv2 = pytest.importorskip("cv2")
 
 SIGHT = camera("left", focal=2300.0, size=SIZE)
 TUBE, DOTS = probe()

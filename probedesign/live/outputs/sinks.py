@@ -1,24 +1,16 @@
-"""Sinks of a run: the interface, a group, standard error, JSON datagrams by UDP, and the options that select them."""
+"""Sinks of a run: the interface, a group, standard error, and JSON datagrams by UDP."""
 
 import math
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from collections.abc import Callable
 from typing import Protocol
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_overwrite
-from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log, split_address
-from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.control import CommandQueue
 from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row
-from probedesign.live.sources.source import Source
 
 
 class Sink(Protocol):
@@ -178,80 +170,3 @@ def time_stamps(received: float) -> Row:
         "sent_unix_s": wall,
         "latency_ms": 1e3 * (monotonic - received),
     }
-
-
-@dataclass(frozen=True)
-class OutputOptions:
-    """Outputs that the user selected.
-
-    Attributes:
-        record: file to record to; None records nothing until it is requested during the run.
-        force: whether that file may be replaced.
-        publish: udp://HOST:PORT to which estimates are sent.
-        page: host and port of the page in the browser.
-        terminal: whether a live table is shown on the terminal.
-        parts_folder: folder of the exported parts, which the page shows.
-        metadata: options of the run, stored in the recording.
-    """
-
-    record: Path | None
-    force: bool
-    publish: str | None
-    page: tuple[str, int] | None
-    terminal: bool
-    parts_folder: Path
-    metadata: Mapping[str, str]
-
-    def check(self, source: str) -> None:
-        """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
-
-        Raises:
-            InputError: this would happen, or the suffix of the file is unknown.
-        """
-        from probedesign.live.outputs.recording import check_suffix
-
-        record = self.record
-        if record is None:
-            return
-        check_suffix(record)
-        replayed = Path(source.partition("?")[0].removeprefix("replay:"))
-        if record.exists() and replayed.exists() and record.samefile(replayed):
-            raise InputError(f"--record {record} is the recording being replayed; choose another file")
-        check_overwrite(record, self.force)
-
-    def publisher(self, log: Log) -> UdpPublisher | None:
-        """Return the publisher; separate from the other sinks because an invalid address is reported first."""
-        return None if self.publish is None else UdpPublisher(self.publish, log)
-
-    def connect(
-        self,
-        sinks: SinkGroup,
-        commands: CommandQueue,
-        estimator: Estimator,
-        source: Source,
-        poses: BasePoses | None,
-        publisher: UdpPublisher | None,
-    ) -> None:
-        """Add the selected sinks to a run and register their commands.
-
-        Raises:
-            InputError: the file cannot be written, or the page has no port.
-        """
-        from probedesign.live.outputs.recording import RecordingSink
-        from probedesign.live.view.sinks import BrowserView, TerminalView
-
-        counts = partial(getattr, source, "counts", {})
-        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, dict(self.metadata))
-        commands.register("start recording", lambda _: recordings.try_start())
-        commands.register("stop recording", lambda _: recordings.stop())
-        sinks.add(recordings)
-        if poses is not None:
-            poses.on_pose = recordings.on_pose
-        if publisher is not None:
-            sinks.add(publisher)
-        if self.page is not None:
-            sinks.add(BrowserView(estimator, self.parts_folder, commands, sinks.log, *self.page, counts))
-        if self.terminal:
-            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
-        if self.record is not None:  # after the views, which show recording by its events
-            recordings.start()

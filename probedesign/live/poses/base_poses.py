@@ -15,6 +15,7 @@ from probedesign.live import LOOPBACK, Log, split_address
 from probedesign.live.poses.pose_sources import PoseListener, read_pose_file
 from probedesign.live.poses.track import MAX_GAP, MAX_POSES, ClockOffset, PoseTrack, TimedPose
 from probedesign.live.processing.blocks import Block
+from probedesign.live.sources.source import SourceParameter, parse_parameters
 
 POSE_WAIT = 2.0
 """Maximum wait of an estimate for the next pose, in units of the maximum gap."""
@@ -157,7 +158,6 @@ def open_poses(
     target, _, query = spec.partition("?")
     # imported here, since the recordings import this module
     from probedesign.live.sources.rosbag import is_bag_path, read_bag_poses
-    from probedesign.live.sources.source import SourceParameter, parse_parameters
 
     path, by_udp = Path(target), target.startswith("udp:")
     in_bag = not by_udp and is_bag_path(path)

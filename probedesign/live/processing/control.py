@@ -40,14 +40,12 @@ class Tare:
 
     Attributes:
         bias_sensor: bias to subtract from every reading, in the sensor frame [N, N·m], (6,).
-        std_sensor: standard deviation of the readings in the window [N, N·m], (6,).
         readings: number of readings.
         window: the window.
         time: time of the last reading, by the source's clock [s].
     """
 
     bias_sensor: Array
-    std_sensor: Array
     readings: int
     window: TareWindow
     time: float
@@ -118,7 +116,7 @@ def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Esti
             f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
         )
         raise InputError(f"{label} is not steady: {scatter}; touched, moving or not averaged?")
-    return Tare(bias, std, len(readings), window, readings[-1].time)
+    return Tare(bias, len(readings), window, readings[-1].time)
 
 
 def _free_wrench(reading: WrenchReading, estimator: Estimator) -> Array:

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from probedesign.core.frames import Array
+from probedesign.core.statistics import FALSE_ALARM
 from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
@@ -34,8 +35,6 @@ Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 
 SPAN = 0.25
 """Length of the interval that is tested [s]; a soft probe of the paper's size oscillates 1.5 times in it. Assumed."""
-FALSE_ALARM = 1.4e-6
-"""Probability that stationary readings fail a test: once per hour at 7000/36 readings per second."""
 MAX_TRAVEL = 50e-6
 """Maximum travel of a stationary base within `SPAN` [m]: five times the scatter of a robot's poses
 (`Tolerances.robot_mm`, assumed). Rotations count over `LEVER`."""

@@ -1,21 +1,19 @@
 """Recordings: CSV with raw readings, and MCAP with standard ROS 2 messages in a file that survives a crash."""
 
 import os
-from importlib.util import find_spec
 from pathlib import Path
 
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, require
 from probedesign.core.files import exists_already
 
 
-def require() -> None:
+def require_mcap() -> None:
     """Check that the package that reads and writes MCAP is installed.
 
     Raises:
         MissingDependencyError: it is not installed.
     """
-    if find_spec("mcap") is None:
-        raise MissingDependencyError.of_extra("an MCAP recording", "mcap", "live")
+    require("mcap", "an MCAP recording", "live")
 
 
 class AppendFile:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core import csv_tables
-from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, shown
+from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, quote_input
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose
@@ -102,7 +102,9 @@ def read_recording(path: str | Path) -> Recording:
 def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
     """Return the rows without an incomplete last line, and notes; every row has the right number of fields."""
     rows, notes = table.rows, []
-    ignored = [shown(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}]
+    ignored = [
+        quote_input(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}
+    ]
     if ignored:
         notes.append(f"columns not read: {', '.join(ignored)[:200]}")
     if rows and not table.ends_whole:
@@ -156,7 +158,7 @@ def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) ->
             text = fields[column.index].strip()
             if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
                 remedy = "correct the value or delete the line"
-                table.fail(number, f"{column.name} = {shown(text)} is not a finite number; {remedy}")
+                table.fail(number, f"{column.name} = {quote_input(text)} is not a finite number; {remedy}")
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
 
 
@@ -361,7 +363,7 @@ def _counts(path: Path, head: dict[str, str], name: str) -> float:
     except (KeyError, ValueError):
         counts = 0.0
     if not 0.0 < counts < np.inf:
-        raise InputError(f"{path}: {name} {shown(head.get(name, ''))} must be a positive number")
+        raise InputError(f"{path}: {name} {quote_input(head.get(name, ''))} must be a positive number")
     return counts
 
 
@@ -372,12 +374,14 @@ def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
             raise ValueError
         numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
     except ValueError:
-        text = shown(",".join(fields))
+        text = quote_input(",".join(fields))
         raise InputError(
             f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo"
         ) from None
     if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
-        raise InputError(f"{path}:{number}: {shown(','.join(fields))} contains a number that no box sends")
+        raise InputError(
+            f"{path}:{number}: {quote_input(','.join(fields))} contains a number that no box sends"
+        )
     return numbers
 
 

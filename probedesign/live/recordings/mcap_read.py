@@ -24,12 +24,11 @@ from mcap.writer import Writer
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
-from probedesign.live.recordings.schemas import MCAP_MAGIC, Channel, Message
+from probedesign.live.recordings.schemas import MCAP_MAGIC, RECORD_PREFIX, BagTopic, Message
 
 MAX_RECORD = 256 * 1024 * 1024
 """Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images."""
 Record = TypeVar("Record", bound=records.McapRecord)
-_PREFIX = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 RawMessage = tuple[int, int, int, int, memoryview]
@@ -48,10 +47,10 @@ def walk(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """
     opcode, end = 0, os.fstat(file.fileno()).st_size
     while opcode != Opcode.FOOTER:
-        prefix = file.read(_PREFIX.size)
-        if len(prefix) < _PREFIX.size:
+        prefix = file.read(RECORD_PREFIX.size)
+        if len(prefix) < RECORD_PREFIX.size:
             raise DamagedError("it was cut off")
-        opcode, length = _PREFIX.unpack(prefix)
+        opcode, length = RECORD_PREFIX.unpack(prefix)
         if not 0 < opcode < 128 or length > MAX_RECORD:
             raise DamagedError(f"a record of kind {opcode} claims {length} bytes")
         if length > end - file.tell():
@@ -107,10 +106,10 @@ def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
     """
     at, view = 0, memoryview(data)
     while at < len(view):
-        if at + _PREFIX.size > len(view):
+        if at + RECORD_PREFIX.size > len(view):
             raise DamagedError("a chunk ends in part of a record")
-        opcode, length = _PREFIX.unpack_from(view, at)
-        at += _PREFIX.size
+        opcode, length = RECORD_PREFIX.unpack_from(view, at)
+        at += RECORD_PREFIX.size
         if length > len(view) - at:
             raise DamagedError("a chunk ends in part of a record")
         yield opcode, view[at : at + length]
@@ -153,7 +152,7 @@ class McapBag:
         self.path, self.damage = path, ""
         self.metadata: dict[str, dict[str, str]] = {}
         self.probe: dict[str, object] | None = None
-        self._channels: dict[int, Channel] = {}
+        self._channels: dict[int, BagTopic] = {}
         self._schemas: dict[int, str] = {}
         try:
             self._read_head()
@@ -162,7 +161,7 @@ class McapBag:
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[BagTopic]:
         """Return all channels, from the summary at the end or by reading the whole file; see `Bag`."""
         try:
             self._read_summary()
@@ -210,7 +209,7 @@ class McapBag:
         elif opcode == Opcode.CHANNEL:
             channel = parse(records.Channel, content)
             name = self._schemas.get(channel.schema_id, "")
-            self._channels[channel.id] = Channel(channel.topic, name, channel.message_encoding)
+            self._channels[channel.id] = BagTopic(channel.topic, name, channel.message_encoding)
 
     def _read_head(self) -> None:
         with self.path.open("rb") as file:

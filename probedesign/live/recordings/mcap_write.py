@@ -27,10 +27,11 @@ from probedesign.frozen_probe import freeze
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block, joined
 from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
-from probedesign.live.recordings import AppendFile, require, schemas
+from probedesign.live.recordings import AppendFile, require_mcap, schemas
 from probedesign.live.recordings.schemas import (
     MCAP_MAGIC,
     METADATA_NAME,
+    RECORD_PREFIX,
     Bytes,
     Nanoseconds,
     nanoseconds,
@@ -38,7 +39,6 @@ from probedesign.live.recordings.schemas import (
     texts,
 )
 
-_PREFIX = struct.Struct("<BQ")
 _HEAD = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("logged", "<u8"),
          ("published", "<u8")]  # fmt: skip
 _BEFORE_DATA = 22
@@ -137,7 +137,7 @@ class McapWriter:
         summary = b"".join(
             map(_bytes, [*self._schemas.values(), *self._channels, statistics, *self._indexes])
         )
-        metadata = _PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
+        metadata = RECORD_PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
         self._file.write(summary)
         self._write(records.Footer(start, 0, zlib.crc32(metadata, zlib.crc32(summary))))
         self._file.write(MCAP_MAGIC)
@@ -164,7 +164,7 @@ class McapWriter:
         for channel, index in entries.items():
             offsets[channel] = self._file.tell()
             content = struct.pack("<HI", channel, index.nbytes) + index.astype("<u8").tobytes()
-            self._file.write(_PREFIX.pack(Opcode.MESSAGE_INDEX, len(content)) + content)
+            self._file.write(RECORD_PREFIX.pack(Opcode.MESSAGE_INDEX, len(content)) + content)
         self._indexes.append(
             records.ChunkIndex(
                 chunk_length=length,
@@ -226,7 +226,7 @@ class McapRecorder:
             InputError: the file exists and `force` is not set, or it cannot be written.
             MissingDependencyError: the MCAP package is not installed.
         """
-        require()
+        require_mcap()
         self._file = AppendFile(path, force)
         self._pending: list[Block] = []
         self._updates: list[EstimateUpdate] = []

@@ -18,9 +18,11 @@ from probedesign.live.processing.estimates import COLUMNS, WORLD_COLUMNS
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of an MCAP file."""
+RECORD_PREFIX = struct.Struct("<BQ")
+"""Opcode of a record and the length of its content, before the content."""
 
 
-class Channel(NamedTuple):
+class BagTopic(NamedTuple):
     """A topic of a bag, the type of its messages, as geometry_msgs/msg/WrenchStamped, and their encoding."""
 
     topic: str

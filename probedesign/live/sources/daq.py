@@ -33,6 +33,7 @@ from probedesign.live.sources.netft.configuration import (
     unit_of,
 )
 from probedesign.live.sources.source import (
+    STALE_TIME,
     DropoutMonitor,
     SourceParameter,
     parse_parameters,
@@ -158,8 +159,6 @@ BUFFER_DURATION = 10.0
 """Duration of the driver's buffer [s]."""
 MAX_READ = 0.1
 """Maximum duration of the samples read at once [s]."""
-STALE_TIME = 0.040
-"""Time without a sample after which the last estimate is stale [s]; reported within 50 ms of the last sample."""
 
 DRIVER = "NI-DAQmx; get it from ni.com/downloads and restart"
 NOT_YET_AVAILABLE = -200284  # SAMPLES_NOT_YET_AVAILABLE

@@ -12,11 +12,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from probedesign.core.csv_tables import Frame, plain, shown
+from probedesign.core.csv_tables import Frame, plain, quote_input
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.recordings.csv import (
@@ -144,12 +145,11 @@ def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tupl
     probe = bag.probe or {}
     name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
     if fingerprint != model.fingerprint:
-        note = f"recorded with probe {shown(name)}, fingerprint {shown(fingerprint)}, not {model.fingerprint}"
+        recorded = f"probe {quote_input(name)}, fingerprint {quote_input(fingerprint)}"
+        note = f"recorded with {recorded}, not {model.fingerprint}"
         if not options.other_probe:
             raise InputError(f"{bag.path}: {note}; use its own frozen probe, or allow it with other_probe")
         return (note,)
-    from probedesign.frozen_probe import freeze
-
     if probe.get("checksum") == freeze(model)["checksum"]:
         return ()
     return ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
@@ -160,7 +160,7 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
     named: Frame = "base" if published.frame_id == "base" else "sensor"
     frame = options.frame or named
     topic = f"topic {plain(published.channel.topic)}"
-    notes = [f"{topic}, frame {shown(published.frame_id)}, interpreted as the {frame} frame"]
+    notes = [f"{topic}, frame {quote_input(published.frame_id)}, interpreted as the {frame} frame"]
     if published.unstamped:
         notes.append("its headers have no time stamp: the time of recording is used")
     notes += _check_unit(published, model, options)
@@ -288,7 +288,9 @@ class ReplaySource:
         recorded_from: source that was recorded, as stated in the recording; may be empty.
     """
 
-    def __init__(self, model: ProbeModel, path: Path, query: str = "", log: Log = lambda line: None) -> None:
+    def __init__(
+        self, model: ProbeModel, path: str | Path, query: str = "", log: Log = lambda line: None
+    ) -> None:
         """Open the file.
 
         Args:
@@ -301,6 +303,7 @@ class ReplaySource:
             InputError: a parameter is invalid, the file is not a recording, or it is of another probe.
             MissingDependencyError: the package that reads it is not installed.
         """
+        path = Path(path)
         if not path.name:
             raise InputError("replay: a file is required; write replay:FILE")
         numbers, texts = parse_parameters("replay:", query, PARAMETERS, TEXT_PARAMETERS)

@@ -9,12 +9,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from probedesign.core.csv_tables import plain, shown
+from probedesign.core.csv_tables import plain, quote_input
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
-from probedesign.live.recordings import require
-from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, Channel, Message, read_stamped
+from probedesign.live.recordings import require_mcap
+from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, BagTopic, Message, read_stamped
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 """The first bytes of a `.db3` file."""
@@ -31,7 +31,7 @@ class Bag(Protocol):
     probe: dict[str, object] | None
     """Attached frozen probe, if any."""
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[BagTopic]:
         """Return all channels."""
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -59,13 +59,13 @@ def open_bag(path: Path) -> Bag:
     """
     if path.suffix == ".db3" or path.is_dir():
         return RosBag(path)
-    require()
+    require_mcap()
     from probedesign.live.recordings.mcap_read import McapBag
 
     return McapBag(path)
 
 
-def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> Channel:
+def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopic:
     """Select the channel of one of these message types; `topic` may be empty if there is only one.
 
     Raises:
@@ -74,9 +74,9 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> Channel
     found = {channel.topic: channel for channel in bag.channels()}
     fit = [name for name, channel in found.items() if channel.type in types and channel.encoding == "cdr"]
     wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
-    listed = ", ".join(map(shown, fit[:10])) or "none"
+    listed = ", ".join(map(quote_input, fit[:10])) or "none"
     if topic and topic in found and topic not in fit:
-        other = shown(found[topic].type)
+        other = quote_input(found[topic].type)
         raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
@@ -109,11 +109,11 @@ class RosBag:
         self._reader = Reader
         try:
             with Reader(path) as reader:
-                self._channels = [Channel(str(c.topic), str(c.msgtype)) for c in reader.connections]
+                self._channels = [BagTopic(str(c.topic), str(c.msgtype)) for c in reader.connections]
         except Exception as error:
             raise self._unreadable(error) from None
 
-    def channels(self) -> list[Channel]:
+    def channels(self) -> list[BagTopic]:
         """Return all channels; see `Bag`."""
         return list(dict.fromkeys(self._channels))
 
@@ -160,7 +160,7 @@ class RosWrenchTopic:
     """
 
     bag: Bag
-    channel: Channel
+    channel: BagTopic
     frame_id: str
     unstamped: bool
 
@@ -199,7 +199,9 @@ def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...
         return read_stamped(message.data, 6)
     except ValueError as error:
         at = f"{message.logged / 1e9:.9g} s"
-        raise InputError(f"{bag.path}: a message of {shown(message.topic)} logged at {at}: {error}") from None
+        raise InputError(
+            f"{bag.path}: a message of {quote_input(message.topic)} logged at {at}: {error}"
+        ) from None
 
 
 TF = "tf2_msgs/msg/TFMessage"

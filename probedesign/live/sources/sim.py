@@ -9,6 +9,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
 from probedesign.live.processing.blocks import NO_CONTACT, Block, TrueContact, WrenchReading
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 from probedesign.rod.friction import MAX_FRICTION
@@ -29,6 +30,13 @@ PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
 POSITION = (0.3, 0.30, 0.30, OUTERMOST, 0.30, 0.30, 0.3)
 LOAD = (0.0, 0.00, 1.00, 1.00, 1.00, 0.00, 0.0)
 """One period: free, loaded at 0.3 of the length, moved to 0.95 and back, released, free. Linear in between."""
+
+
+def open_simulation(model: ProbeModel, target: str, query: str, log: Log) -> "SimulatedSource":
+    """Open the source `sim:`, which has no target; see `SimulatedSource`."""
+    if target:
+        raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {target!r}")
+    return SimulatedSource(model, query)
 
 
 class SimulatedSource:

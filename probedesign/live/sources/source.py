@@ -5,9 +5,9 @@ A new source is a module with a class like `Source`, an entry in `SOURCES`, and 
 
 import difflib
 import math
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pkgutil import resolve_name
 from time import monotonic
 from typing import Protocol
 from urllib.parse import parse_qsl
@@ -33,39 +33,14 @@ class Source(Protocol):
         """
 
 
-def _netft(model: ProbeModel, target: str, query: str, log: Log) -> Source:
-    from probedesign.live.sources.netft.source import NetFTSource
-
-    return NetFTSource(model, target, query, log)
-
-
-def _daq(model: ProbeModel, target: str, query: str, log: Log) -> Source:
-    from probedesign.live.sources.daq import DaqSource
-
-    return DaqSource(model, target, query, log)
-
-
-def _replay(model: ProbeModel, target: str, query: str, log: Log) -> Source:
-    from probedesign.live.sources.replay import ReplaySource
-
-    return ReplaySource(model, Path(target), query, log)
-
-
-def _sim(model: ProbeModel, target: str, query: str, log: Log) -> Source:
-    from probedesign.live.sources.sim import SimulatedSource
-
-    if target:
-        raise InputError(f"sim: takes parameters only, as sim:?force_mN=20; found {target!r}")
-    return SimulatedSource(model, query)
-
-
-SOURCES: dict[str, tuple[str, Callable[[ProbeModel, str, str, Log], Source]]] = {
-    "netft": ("netft://HOST", _netft),
-    "daq": ("daq://DEVICE/ai0:5?cal=FILE", _daq),
-    "replay": ("replay:FILE", _replay),
-    "sim": ("sim:", _sim),
+SOURCES = {
+    "netft": ("netft://HOST", "probedesign.live.sources.netft.source:NetFTSource"),
+    "daq": ("daq://DEVICE/ai0:5?cal=FILE", "probedesign.live.sources.daq:DaqSource"),
+    "replay": ("replay:FILE", "probedesign.live.sources.replay:ReplaySource"),
+    "sim": ("sim:", "probedesign.live.sources.sim:open_simulation"),
 }
-"""By scheme: an example, and the function that opens the source. Packages are imported only for the source in use."""
+"""By scheme: an example, and module and name of the function or class that opens the source from model, target, query
+and log. It is imported when the source is used, because each needs packages of its own."""
 
 
 def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> Source:
@@ -85,7 +60,8 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
         *examples, last = (example for example, _ in SOURCES.values())
         raise InputError(f"source {spec!r} is unknown; available are {', '.join(examples)} and {last}")
     target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
-    return SOURCES[scheme][1](model, target, query, log)
+    opened: Source = resolve_name(SOURCES[scheme][1])(model, target, query, log)
+    return opened
 
 
 @dataclass(frozen=True)
@@ -165,6 +141,8 @@ def _value(what: str, text: str, parameter: SourceParameter) -> float:
     return value
 
 
+STALE_TIME = 0.040
+"""Time without a record of a sensor after which the last estimate is stale [s]; reported within 50 ms of the record."""
 FIRST_RECORD_TIMEOUT = 3.0
 """Maximum wait for the first record [s]."""
 REPORT_TIMES = (0.0, 2.0, 10.0, 60.0, 600.0)

@@ -1,6 +1,5 @@
 """Sinks of `live` that show the run: on a page that another process serves, or as a table on the terminal."""
 
-import importlib.util
 import json
 import os
 import pickle
@@ -12,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
 
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import LOOPBACK, Log
 from probedesign.live.processing.control import CommandName, CommandQueue
@@ -62,8 +61,7 @@ class BrowserView(ViewState):
             InputError: the address cannot be used.
             MissingDependencyError: viser is not installed.
         """
-        if importlib.util.find_spec("viser") is None:
-            raise MissingDependencyError.of_extra("--view", "viser", "view")
+        require("viser", "--view", "view")
         _check_address(host, port)
         self._commands, self._log = commands, log
         super().__init__(counts)

@@ -37,7 +37,7 @@ class Body(NamedTuple):
         volume_by_knot: its derivative by the logarithm of each knot's radius [m³], (K, K).
         rest: curvature and twist of the unloaded rod at the knots, in section axes, linear between [1/m],
             (3 K,).
-        constants: see the indices below, (CONSTANTS,).
+        constants: see the indices below, (12,).
     """
 
     knots: Array
@@ -48,7 +48,6 @@ class Body(NamedTuple):
     constants: Array
 
 
-CONSTANTS = 12
 BEND_X, BEND_Y, TWIST, SHEAR, STRETCH, DENSITY, CONE, GENERAL = range(8)
 """Compliances of a section of half-width 1 m in bending about x and about y, twist [m²/N], shear and stretch [m²/N];
 density [kg/m³]; volume of a cone over r² h; 1 where bending is anisotropic or the rod is curved at rest, 0 where it

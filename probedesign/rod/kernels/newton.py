@@ -113,7 +113,7 @@ def is_clamped(t, d, general, most):
 
 
 @inlined
-def wanted_turn(t, d, general, inverse):
+def target_rotation(t, d, general, inverse):
     """Return the rotation of the tip by Newton's method."""
     r = misfit(t, d, general)
     return (-dot(take(inverse, 0), r), -dot(take(inverse, 3), r), -dot(take(inverse, 6), r))
@@ -131,7 +131,7 @@ def begin_newton(state, until, reach):
     """Start Newton's method from the stored tip, until the next rotation would be below `until` [rad].
 
     Gives up as soon as the tip has left its guess by more than `reach` [rad]; a guess that nothing predicted
-    (`reach` negative) is first turned once, which is the linear answer, and that is what must not be left.
+    (`reach` negative) is first turned once, which is the linear solution, and that is what must not be left.
     """
     for q in range(6):
         state.guess[q] = state.tip[q]
@@ -173,7 +173,7 @@ def newton(lanes, lane, state, general):
     tip = (take(state.tip, 0), take(state.tip, 3))
     if not prepare(tip, t, d, thetas, general, state.inverse):
         return LOST
-    turn = wanted_turn(t, d, general, state.inverse)
+    turn = target_rotation(t, d, general, state.inverse)
     angle = math.sqrt(dot(turn, turn))
     if not math.isfinite(angle):
         return LOST
@@ -217,7 +217,7 @@ def set_load_fraction(state, share):
 def _extrapolate(state):
     """Predict the tip's section at the fraction tried by the parabola through the last three solutions.
 
-    Equal shares stand for points that are not there yet.
+    Equal shares represent points that are not there yet.
     """
     goal, at, at_old, at_older = state.goal, state.fraction, state.fraction_1, state.fraction_2
     w0, w1, w2 = 1.0, 0.0, 0.0
@@ -452,7 +452,7 @@ def polish(lanes, lane, state, body, until, near_enough):
         begin_newton(state, 1e-6, 0.1)  # the tip is NEAR: a tenth of a radian from there is another branch
         state.phase = RETAKE
         return _again(state, 1.0, 1.0)
-    turn_tip(state.tip, wanted_turn(t, d, general, state.inverse))
+    turn_tip(state.tip, target_rotation(t, d, general, state.inverse))
     if residual < near_enough * size and not _is_unsure(state):
         return _done(state, OK)
     return _again(state, size, 0.0)

@@ -1,4 +1,4 @@
-"""Solve many cases: lanes take up the next case as they finish one; then one last sweep with all outputs asked for.
+"""Solve many cases: lanes take up the next case as they finish one; then one last sweep with all requested outputs.
 
 `solve_cases` is the entry point of the kernels from Python; `ScratchBuffers` is the memory that it works in.
 """
@@ -27,8 +27,8 @@ from probedesign.rod.kernels.newton import (
     misfit,
     polish,
     seek,
+    target_rotation,
     turn_tip,
-    wanted_turn,
 )
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK, D, M, P, T
 from probedesign.rod.kernels.sweep import sensitivities, sweep
@@ -41,7 +41,7 @@ SOLUTION = np.dtype([
 ])  # fmt: skip
 """Result of one case: status, margin of stability, residual at the base [rad], number of nodes filled, section of the
 tip, base moment [N·m], and tangent and position from the base [m] of the contact."""
-NEAR_ENOUGH = 200.0
+INITIAL_TOLERANCE = 200.0
 """Times the tolerance, the residual from which one more turn of the tip is enough: Newton's matrix, computed NEAR the
 equilibrium, leaves a thousandth of it."""
 
@@ -57,7 +57,7 @@ def _wants_tips(lanes, seats):
 
 @inline_always
 def through(
-    stage, count, lanes, seats, states, bodies, which, loads, directed, start, tol, until, near_enough
+    stage, count, lanes, seats, states, bodies, which, loads, directed, start, tol, until, initial_tolerance
 ):
     """Run all cases of a group through one stage.
 
@@ -99,7 +99,7 @@ def through(
                     else:
                         for q in range(STATE):
                             state.base[q] = lanes[WIDE * q + lane]
-                        over = polish(lanes, lane, state, body, until, near_enough)
+                        over = polish(lanes, lane, state, body, until, initial_tolerance)
                     lanes[WIDE * rows.EVENT + lane] = READY
                     if over:
                         seats[lane] = -1.0
@@ -140,7 +140,7 @@ def report(state, work, body, load, tol, until, nodes, blocks, y, contact):
         if is_clamped(t, d, general, max(max(until, tol) * size, ROUNDING * growth)):
             stable = margin > 0.0 or not is_judged(load)
             return (OK if stable else UNSTABLE), count, margin, residual
-        turn_tip(state.tip, wanted_turn(t, d, general, state.inverse))
+        turn_tip(state.tip, target_rotation(t, d, general, state.inverse))
     return NOT_CONVERGED, 0, margin, residual
 
 
@@ -168,7 +168,7 @@ def solve_cases(
         loads: (n, LOAD).
         directed: None if all rods are round and straight, else 0.
         start: COLD, WARM or WARM_ONLY; from a guess: the tip in the case's row of `found`.
-        chained: whether each case starts from the one before it, until one has no answer. If not, the answers do
+        chained: whether each case starts from the one before it, until one has no solution. If not, the solutions do
             not depend on their order.
         tol: error allowed a step [rad]; until: residual allowed at the base [rad]; both relative to how far the rod
             turns.
@@ -178,7 +178,7 @@ def solve_cases(
         nodes, blocks, y, contact: see `report`; those of the last case on return. With neither nodes nor blocks
             there is no last sweep, no section axes, and `y` and `contact` stay as they are.
         turns: scratch, (3, k).
-        found: answers, SOLUTION, (n,).
+        found: solutions, SOLUTION, (n,).
         derivatives: of the base moment (3) and the contact's [t, x axis, position, y axis] (12), by k parameters,
             and in the last column those twelve themselves, (n, 15, k + 1); filled if k > 0.
 
@@ -187,7 +187,7 @@ def solve_cases(
     """
     seats, work = lanes[WIDE * ROWS : WIDE * ROWS + WIDE], lanes[WIDE * ROWS + WIDE :]
     reports = nodes.shape[0] > 0 or blocks.shape[0] > 0
-    near_enough = NEAR_ENOUGH * tol if reports else 0.0
+    initial_tolerance = INITIAL_TOLERANCE * tol if reports else 0.0
     case = first
     while case < last:
         count = 1 if chained else min(last - case, states.shape[0])
@@ -199,7 +199,8 @@ def solve_cases(
         group, of = loads[case : case + count], which[case : case + count]
         for stage in (SEEKING, POLISHING):
             through(
-                stage, count, lanes, seats, states, bodies, of, group, directed, from_where, tol, until, near_enough
+                stage, count, lanes, seats, states, bodies, of, group, directed, from_where, tol, until,
+                initial_tolerance,
             )  # fmt: skip
         for k in range(count):
             state, row, filled = states[k], found[case + k], 0

@@ -153,7 +153,7 @@ MAX_STEPS = 1000
 """Most steps of one sweep at an error of 1e-7 a step, more where it is smaller: usual sweeps take tens of steps, so
 a load that needs more ends as STEP_LIMIT instead of blocking its caller."""
 MAX_TRIES = 60
-"""Tries of one step: each refusal shortens it to 0.1 to 0.9 of itself, so that so many in a row are no progress."""
+"""Tries of one step: each refusal shortens it to 0.1 to 0.9 of itself, so that this number in a row is no progress."""
 MIN_STEP = 1e-10
 """Shortest step over the length: below it, rounding of the arclength exceeds the errors that the step control sees."""
 COLUMN = 9

@@ -110,7 +110,7 @@ def _reshape(s, h, i, in_root, blocks, chunks, body, work):
     for j in range(STAGES):
         height = above - (s + C[j] * h)
         y = 1.0 - (above - height) / reach
-        # The root reaches so many base radii: δf = -3 depth y² (1 - y) δ log r₀.
+        # The reach of the root is a number of base radii: δf = -3 depth y² (1 - y) δ log r₀.
         by_base = -3.0 * depth * y * y * (1.0 - y) / (1.0 - depth * y * y * y)
         x = height / (above - below)
         r = r1 + (r0 - r1) * x
@@ -140,7 +140,7 @@ def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
     if chunks * WIDE > L_DENSITY:
         _reshape(s, h, i, in_root, blocks, chunks, body, work)
     for c in range(1, chunks):
-        # Where gravity is not asked for, the last block has the couple alone, beside lanes that nobody reads.
+        # Where gravity is not requested, the last block has the couple alone, beside lanes that nobody reads.
         zero = on == 0.0 and ((c + 1) * WIDE <= L_GRAVITY or chunks * WIDE < L_E)
         if not zero:
             forced_columns_step(h, blocks[c * BLOCK : (c + 1) * BLOCK], work, gravity)
@@ -336,7 +336,7 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
 
 @inlined
 def _column_at(lane, stride):
-    """Return the offset of a lane's column in blocks of so many numbers."""
+    """Return the offset of a lane's column in blocks of `stride` numbers."""
     return lane // WIDE * stride + lane % WIDE
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
+from probedesign.live.sources.source import STALE_TIME
 
 if TYPE_CHECKING:
     from pynetft import Client
@@ -116,8 +117,6 @@ MAX_RECORDS_AT_ONCE = 700
 """Maximum number of records read at once: 0.1 s."""
 GATHER_TIME = 0.001
 """Time in which records are gathered, if there is time [s]: waking up for a record costs more than reading it."""
-STALE_TIME = 0.040
-"""Time without a record after which the last estimate is stale [s]; reported within 50 ms of the last record."""
 RENEW_AFTER = 0.5
 """Time after which a client that rejects all records, as after a restart of the box, is replaced [s]."""
 RECONNECT_DELAY = 0.010

@@ -23,14 +23,13 @@ from probedesign.live.sources.netft.rdt import (
     HARMLESS,
     HTTP_PORT,
     RDT_PORT,
-    STALE_TIME,
     RdtRecords,
     RdtSession,
     SensorClock,
     fault_of,
     steps,
 )
-from probedesign.live.sources.source import DropoutMonitor, SourceParameter, parse_parameters
+from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 COUNT_INTERVAL = 1.0
 """Interval at which the counts are updated [s]."""

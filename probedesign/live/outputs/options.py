@@ -1,0 +1,89 @@
+"""The outputs that the user of a run selected, and their sinks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_overwrite
+from probedesign.estimation.estimator import Estimator
+from probedesign.live import Log
+from probedesign.live.outputs.recording import RecordingSink, check_suffix
+from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.processing.control import CommandQueue
+from probedesign.live.sources.source import Source
+from probedesign.live.view.sinks import BrowserView, TerminalView
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """Outputs that the user selected.
+
+    Attributes:
+        record: file to record to; None records nothing until it is requested during the run.
+        force: whether that file may be replaced.
+        publish: udp://HOST:PORT to which estimates are sent.
+        page: host and port of the page in the browser.
+        terminal: whether a live table is shown on the terminal.
+        parts_folder: folder of the exported parts, which the page shows.
+        metadata: options of the run, stored in the recording.
+    """
+
+    record: Path | None
+    force: bool
+    publish: str | None
+    page: tuple[str, int] | None
+    terminal: bool
+    parts_folder: Path
+    metadata: Mapping[str, str]
+
+    def check(self, source: str) -> None:
+        """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
+
+        Raises:
+            InputError: this would happen, or the suffix of the file is unknown.
+        """
+        record = self.record
+        if record is None:
+            return
+        check_suffix(record)
+        replayed = Path(source.partition("?")[0].removeprefix("replay:"))
+        if record.exists() and replayed.exists() and record.samefile(replayed):
+            raise InputError(f"--record {record} is the recording being replayed; choose another file")
+        check_overwrite(record, self.force)
+
+    def publisher(self, log: Log) -> UdpPublisher | None:
+        """Return the publisher; separate from the other sinks because an invalid address is reported first."""
+        return None if self.publish is None else UdpPublisher(self.publish, log)
+
+    def connect(
+        self,
+        sinks: SinkGroup,
+        commands: CommandQueue,
+        estimator: Estimator,
+        source: Source,
+        poses: BasePoses | None,
+        publisher: UdpPublisher | None,
+    ) -> None:
+        """Add the selected sinks to a run and register their commands.
+
+        Raises:
+            InputError: the file cannot be written, or the page has no port.
+        """
+        counts = partial(getattr, source, "counts", {})
+        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, dict(self.metadata))
+        commands.register("start recording", lambda _: recordings.try_start())
+        commands.register("stop recording", lambda _: recordings.stop())
+        sinks.add(recordings)
+        if poses is not None:
+            poses.on_pose = recordings.on_pose
+        if publisher is not None:
+            sinks.add(publisher)
+        if self.page is not None:
+            sinks.add(BrowserView(estimator, self.parts_folder, commands, sinks.log, *self.page, counts))
+        if self.terminal:
+            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+        if self.record is not None:  # after the views, which show recording by its events
+            recordings.start()
