@@ -192,7 +192,8 @@ def check_target(folder: Path) -> None:
     """Check, before any work, that a folder can be written or created."""
     nearest = next(path for path in (folder, *folder.parents) if path.exists())
     if not nearest.is_dir():
-        raise InputError(f"{folder}: {nearest} is a file; name a folder to export into")
+        inside = "" if nearest == folder else f"{folder}: "
+        raise InputError(f"{inside}{nearest} is a file; name a folder to export into")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
 

@@ -142,7 +142,9 @@ def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
         ".csv": "parts to print and to buy",
         ".json": "manifest with the results of all checks",
     }
-    return {str(folder / name): purposes[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
+    files = {name: purposes[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
+    files |= {name: "exploded view" for name in files if name.startswith("exploded")}
+    return {str(folder / name): purpose for name, purpose in files.items()}
 
 
 def _draw(sweep: "SweepSeries", path: Path) -> dict[str, str]:

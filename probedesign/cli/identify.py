@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
-from probedesign.core.files import backup
+from probedesign.core.files import backup, check_overwrite
 
 if TYPE_CHECKING:
     from probedesign.design.io import Change
@@ -51,6 +51,8 @@ def identify(
 
     if write and out is not None:
         raise InputError("--write changes the design file and --out writes another one; choose one of them")
+    if out is not None:
+        check_overwrite(out, force)  # before the fit
     names: Sequence[str] = [name for name in (part.strip() for part in for_.split(",")) if name]
     with show_progress("identifying"):
         start = load_design(design)

@@ -225,7 +225,7 @@ class RehearsalOptions:
 
         from probedesign.rod.friction import MAX_FRICTION
         from probedesign.simulation.scenes import touch_targets
-        from probedesign.simulation.simulated_run import RunErrors, simulate_run, write_run
+        from probedesign.simulation.simulated_run import RunErrors, check_run_files, simulate_run, write_run
 
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
@@ -233,6 +233,7 @@ class RehearsalOptions:
             raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
         if not 0.0 <= self.friction_spread <= 1.0:
             raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
+        check_run_files(folder, force)  # before the simulation
         rng = np.random.default_rng(self.seed)
         with show_progress("simulating touches of a card house"):
             errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)

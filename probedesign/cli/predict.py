@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.files import check_folder
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def predict(
     with show_progress() as on_progress:
         probe = pipeline.load_probe(design)
         folder = EXPORTS / probe.design.name if out is None else out
+        check_folder(folder)
         on_progress("predicting", None)
         prediction = pipeline.predict(probe, schedule)
         if monte_carlo is not None:
@@ -142,7 +144,9 @@ def print_tables(prediction: "Prediction") -> None:
 
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     print(_error_table(prediction, "predicted_error_mm"))
-    print("\nContact error of one reading [mm], sensor noise only, for a probe that equals its model")
+    print(
+        "\nContact error of one reading [mm], sensor noise and friction prior only, for a probe that equals its model"
+    )
     print(_error_table(prediction, "noise_error_mm"))
     print(
         "\n- : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles"

@@ -88,6 +88,17 @@ def backup(path: Path) -> Path | None:
     return copy
 
 
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that could not be made or written to; call it before a long computation.
+
+    Raises:
+        InputError: it is a file, or it is not writable.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder")
+    check_writable(folder / "file")
+
+
 def check_overwrite(path: Path, force: bool) -> None:
     """Check that a file or folder may be written: it does not exist, or its replacement was requested.
 

@@ -25,7 +25,7 @@ Source: viridis, S. van der Walt, N. Smith, 2015."""
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
 _NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
 MARKS = "osd^vx+"
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 10.0, 10.0, 46.0
+_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 16.0, 10.0, 46.0
 _LEGEND = 19.0  # height of a legend row
 _LETTER = 7.2  # mean width of a letter in the legend
 _LETTERS = 7  # maximum length of a y tick label in the normal size

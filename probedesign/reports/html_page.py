@@ -26,7 +26,8 @@ REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(88mm, 1fr)); gap: 5mm }
 section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; height: auto; display: block }
 section p { color: #333; margin: 1mm 0; font-size: 9.5pt }
-th:first-child, td:first-child, .last td:last-child { text-align: left } .last td:last-child { white-space: normal }
+th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
+td:last-child { white-space: normal }
 .last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
 @media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
 """

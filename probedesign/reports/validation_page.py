@@ -204,7 +204,7 @@ def _table(validation: ValidationReport) -> HtmlTable:
         ])  # fmt: skip
     note = (
         "Contact: fraction of the length, known or else estimated; its error is that of the touched point, for weights "
-        "that of s. Stated: RMS including the reference's own error. Predicted: the error that `predict` gives for one "
+        "that of s. Stated: RMS including the reference's own error. Predicted: the predicted error of one "
         "reading of a frictionless touch of that force, position and direction, without a reference. Method: weights "
         "hang by friction and are therefore estimated by the paper's method, which allows a force of any direction."
     )

@@ -292,9 +292,23 @@ def _clearance(bench: _Bench, target: TouchTarget, p_base: Array, contact: Coulo
 
 # files
 
+CHUNK_SECONDS = 0.5
+"""Source time between the chunks of a recording [s], as `live` flushes its recordings."""
 FILES = ("house.mcap", "poses.csv", "truth.csv")
 TRUTH_COLUMNS = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again",
                  "friction")  # fmt: skip
+
+
+def check_run_files(folder: Path, force: bool, recording: str = FILES[0]) -> tuple[Path, ...]:
+    """Return the files that `write_run` writes; call it before the simulation.
+
+    Raises:
+        InputError: one exists and `force` is not set.
+    """
+    paths = tuple(folder / name for name in (recording, *FILES[1:]))
+    for path in paths:
+        check_overwrite(path, force)
+    return paths
 
 
 def write_run(
@@ -312,14 +326,17 @@ def write_run(
     Raises:
         InputError: files exist and `force` is not set, or they cannot be written.
     """
-    paths = tuple(folder / name for name in (recording, *FILES[1:]))
-    for path in paths:
-        check_overwrite(path, force)
+    paths = check_run_files(folder, force, recording)
     table = recording.endswith(".csv")
     file = CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force, {"source": SOURCE})
     try:
+        flushed = 0.0
         for block in run.trajectory.blocks(model, rng):
             file.on_samples(block)
+            # A chunk every half second, as `live` writes them: what is cut off later can be recovered.
+            if block.time[-1] - flushed >= CHUNK_SECONDS:
+                file.flush()
+                flushed = float(block.time[-1])
     finally:
         file.close()
     poses = [(at.time, *(value / MM for value in at.p), *at.q) for at in run.trajectory.poses()]
