@@ -144,7 +144,11 @@ def fuse_drawn(
     # Where each base truly is puts the touched point at the world's origin; the robot reports it elsewhere.
     Ts[:, :3, 3] = -points - off - rng.normal(0.0, priors.robot_mm * MM, (len(Ts), 3))
     step = model.noise_base() * model.averaging_samples
-    walk = rng.multivariate_normal(np.zeros(6), priors.walk_steps**2 * step, len(Ts)).cumsum(axis=0)
+    steps = rng.multivariate_normal(np.zeros(6), priors.walk_steps**2 * step, len(Ts))
+    steps[0] = rng.multivariate_normal(
+        np.zeros(6), priors.drift_steps**2 * step
+    )  # of the bias at the first touch
+    walk = steps.cumsum(axis=0)
     wrenches = read(np.array([one.wrench for one in touches]), model, rng) + walk
     c = frictionless(model).fuse(wrenches, Ts, pressed.gravity, moments_only=moments_only, moments_about="sensor",
                                  priors=priors)  # fmt: skip
