@@ -94,7 +94,7 @@ class ErrorSources:
         tolerances: how well it is known.
         gravity: base axes [m/s²], (3,).
         own: of the rod's own sources, log E and what follows it, (a, 4 + K).
-        turns: of the others, (b, 9), see `turns_of`.
+        turns: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
         names: the source of each of the J columns.
         reference: wrench at the base at which the sensor reads zero, (6,).
         still: columns of the free probe's reading, which a tare has taken away, (6, J).
@@ -118,6 +118,7 @@ class ErrorSources:
         free: Equilibrium,
         tared: "ErrorSources | None" = None,
         axes: Array | None = None,
+        posed: bool = False,
     ) -> "ErrorSources":
         """Return the sources of a probe that hangs free under a gravity.
 
@@ -128,9 +129,15 @@ class ErrorSources:
             free: the free probe under it.
             tared: the sources where the sensor was tared; None: under this gravity.
             axes: see `turns_of`.
+            posed: whether points count in the world. The base's place is then uncertain twice, by `base_mm` each: on
+                the sensor, which the moment shows, and as the robot reports it, which no reading shows.
         """
         own, names = _filtered(parameters_of(model.rod, tolerances))
         turns, turned = _filtered(turns_of(gravity, tolerances, axes))
+        if posed and tolerances.base_mm > 0.0:
+            reported = np.hstack([np.zeros((3, 9)), tolerances.base_mm * MM * np.eye(3)])
+            turns = np.vstack([np.pad(turns, ((0, 0), (0, 3))), reported])
+            turned = (*turned, *["base place"] * 3)
         names = (*names, *turned, "root", *["gain"] * 6)
         nothing = np.zeros((6, len(names)))
         base_from_sensor = wrench_map(inverse(model.T_sensor_base))

@@ -161,7 +161,13 @@ class Fusion:
             if key not in known:
                 free = self.model.rod.solve(reading.gravity)
                 known[key] = ErrorSources.of(
-                    self.model, self.priors, reading.gravity, free, found[0] if found else None, axes @ R
+                    self.model,
+                    self.priors,
+                    reading.gravity,
+                    free,
+                    found[0] if found else None,
+                    axes @ R,
+                    posed=True,
                 )
             found.append(known[key])
         return tuple(found)

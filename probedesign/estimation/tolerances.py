@@ -42,7 +42,7 @@ SOURCES = {
     "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for {product}",
     "robot_mm": "assumed: ISO 9283 repeatability of ±0.03 mm of a small arm, taken as three standard deviations",
 }
-"""Source of each default; `{product}` and `{density}` stand for the resin's product and its own source."""
+"""Source of each default, with the product of the resin and the source of its density in the places of the braces."""
 
 
 def stiffness_spread(model: ProbeModel) -> float:
@@ -107,7 +107,7 @@ class Tolerances:
         diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
         diameter_scatter_mm: of each knot's diameter for itself.
         length_mm, length_share: of the length, the greater of both.
-        base_mm: of the base's place, on each axis.
+        base_mm: of the base's place, on each axis: on the sensor and, independently, as the robot reports it.
         tilt_deg: of the base about its x and its y axis.
         clocking_deg: of the base about its z axis.
         gravity_deg: of gravity's direction, about each of two axes across it.

@@ -116,7 +116,9 @@ class Tracker:
     def _memory(self) -> None:
         """Allocate the arrays of the kernels."""
         free = self.estimator.free(self.estimator.model.gravity_base)
-        sources = ErrorSources.of(self.estimator.model, self._priors, self.estimator.model.gravity_base, free)
+        sources = ErrorSources.of(
+            self.estimator.model, self._priors, self.estimator.model.gravity_base, free, posed=True
+        )
         self._causes, self._width = len(sources.names), keyframe_kernel.columns(len(sources.names))
         self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
         self._E = sources.column("E")
@@ -205,7 +207,7 @@ class Tracker:
             gravity = self._gravity.copy()
             found = ErrorSources.of(
                 self.estimator.model, self._priors, gravity, self.estimator.free(gravity), self._tared,
-                self._axes @ T[:3, :3],
+                self._axes @ T[:3, :3], posed=True,
             )  # fmt: skip
             self._tared = self._tared or found
             self._last_sources = {key: found}

@@ -84,7 +84,8 @@ class SourceArrays(NamedTuple):
 
     Attributes:
         own: of log E and what follows it, a source a row, (a, 4 + K).
-        turns: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9).
+        turns: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with three more
+            columns the displacement of the points that no reading shows [m].
         root: of the length of rigid rod at the root [m].
         gain: of the sensor's channels, relative, (6,).
         hanging: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
@@ -130,6 +131,10 @@ def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_fr
         for r in range(6):
             for q in range(3):
                 D[r, c] += hanging[r, q] * change[q]
+        if turns.shape[1] > 9:
+            for q in range(3):  # of touched and centreline point
+                D[6 + q, c] += turns[d, 9 + q]
+                D[9 + q, c] += turns[d, 9 + q]
     c = a + b
     r0 = body.radii[0]
     bend = root / (r0 * r0 * r0 * r0)

@@ -348,6 +348,27 @@ def test_one_pose_with_moments_alone_is_unobservable(large, gravity, exact, pres
         assert np.isnan(c.p_surface_world).all()
 
 
+@pytest.mark.parametrize("rig", ["sensor", "robot"])
+def test_an_offset_of_the_base_is_within_what_is_stated(rig, large, gravity, exact_sources):
+    """The moment of a strong press shows an offset of the base on the sensor, but none of the pose that is reported."""
+    rng, draws = np.random.default_rng(4), 30
+    estimator = Estimator(large.model, replace(EXACT, base_mm=0.1))
+    touches, Ts = presses(exact_sources, 0.4 * large.length, 1.57, np.linspace(0.05, 0.25, 5))
+    squares = []
+    for offset in 1e-4 * rng.normal(size=(draws, 3)):
+        wrenches, poses = wrenches_of(touches), Ts.copy()
+        if rig == "robot":
+            poses[:, :3, 3] += offset
+        else:  # the probe and all that it touches lie elsewhere on the sensor
+            wrenches[:, 3:] += np.cross(offset, wrenches[:, :3] - large.rod.solve(gravity).wrench_base[:3])
+            poses[:, :3, 3] -= offset
+        c = estimator.fuse(noisy(large.model, wrenches, rng), poses, gravity)
+        assert c.ok
+        squares.append(c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world))
+    # Each of both offsets is drawn alone, so that the mean is that of χ² with three degrees of freedom at most.
+    assert np.mean(squares) < 3.0 + 3.0 * math.sqrt(6.0 / draws)
+
+
 @pytest.mark.parametrize("friction", [0.6, math.inf])
 def test_readings_of_one_pose_are_one_window(friction, large, gravity, exact, pressed):
     """The priors on friction and on the stiffness at a touch count once, however many readings it has."""
