@@ -35,8 +35,14 @@ def compare(
         as_json: print one JSON document.
     """
     from probedesign.design import load_design
+    from probedesign.optimization.objective import METRICS
+    from probedesign.reports.comparison_page import (
+        best_design,
+        comparison_page,
+        comparison_table,
+        comparison_verdict,
+    )
     from probedesign.reports.comparison_page import compare as side_by_side
-    from probedesign.reports.comparison_page import comparison_page, comparison_table
     from probedesign.reports.html_page import check_page_target
 
     task, file = (options or TaskOptions()).task(), None
@@ -49,9 +55,11 @@ def compare(
             write_atomically(file, comparison_page(compared, task))
     if as_json:
         document = [{"name": one.design.name, **one.metrics.as_dict()} for one in compared]
-        print_json({"task": task, "designs": document, "page": file})
+        best = {name: best_design(compared, name) for name in METRICS}
+        print_json({"task": task, "designs": document, "best": best, "page": file})
         return
     table = comparison_table(compared)
+    print(comparison_verdict(compared))
     print(task.text)
     for row in (table.head, *table.rows):
         print(f"  {row[0]:<16}" + "".join(f"{cell:>18}" for cell in row[1:]))

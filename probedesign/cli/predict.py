@@ -124,6 +124,7 @@ def _print_properties(prediction: "Prediction") -> None:
         else f"{prediction.tip_sag_mm:.3g} mm at the tip, under gravity as mounted"
     )
     print(f"{prediction.name}  geometry {prediction.fingerprint}")
+    print(prediction.verdict)
     print_table(
         {
             "mass": f"{prediction.mass_g:.3g} g, flexible part",

@@ -51,6 +51,19 @@ FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 BUDGET_FORCE_N = 0.02
 """Contact force of the shown error budget of one reading; the nearest force of the grid is used."""
+HEADLINE_FORCE_N, HEADLINE_FRACTION = 0.01, 0.8
+"""Touch that the verdict describes: the smallest force of the paper's Table I, where its touches near the tip are."""
+CAUSE_GROUPS = {
+    "noise": ("noise",),
+    "drift": ("drift",),
+    "robot": ("robot",),
+    "friction": ("friction",),
+    "stiffness": ("E", "G", "creep", "stiffness scatter"),
+    "diameters": ("diameter", "diameter scatter", "length"),
+    "mount": ("base place", "base tilt", "clocking", "root", "gain"),
+    "weight": ("density", "gravity"),
+}
+"""Error sources with a common remedy."""
 PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
 _WEAK_N = 1e-6  # small enough for the response to be linear
 
@@ -183,9 +196,37 @@ class Prediction:
     monte_carlo: tuple[MonteCarloResult, ...] = ()
     resin: str = ""
 
+    @property
+    def verdict(self) -> str:
+        """The result in one sentence: error, detection limit and largest error source of one light touch."""
+        if self.tip_sag_mm is None:
+            return "The probe buckles under its own weight as mounted."
+        touch = min(
+            worst(self.conditions, HEADLINE_FORCE_N),
+            key=lambda c: abs(c.contact_fraction - HEADLINE_FRACTION),
+            default=None,
+        )
+        if touch is None or touch.predicted_error_mm is None:
+            return f"One reading of {1e3 * HEADLINE_FORCE_N:g} mN is located nowhere along the probe."
+        place = touch.contact_fraction
+        felt = [d.detectable_force_mN for d in self.detection if d.contact_fraction == place]
+        detected = max((f for f in felt if f is not None), default=math.nan)
+        shares = shares_of(touch)
+        largest = max(shares, key=lambda group: shares[group])
+        return (
+            f"One reading of {1e3 * touch.force_N:g} mN is located within {touch.predicted_error_mm:.2g} mm RMS at "
+            f"{place:g} of the length; below {detected:.2g} mN nothing is detected there. "
+            f"The largest error source is {largest}, with {shares[largest]:.0%} of the variance."
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; every key ends in its unit."""
-        return {"schema": 1, **asdict(self), "tolerance_sources": self.tolerances.sources(self.resin)}
+        return {
+            "schema": 1,
+            "verdict": self.verdict,
+            **asdict(self),
+            "tolerance_sources": self.tolerances.sources(self.resin),
+        }
 
 
 def predict(
@@ -261,6 +302,27 @@ def predict(
         pressing=pressing,
         resin=model.resin,
     )  # fmt: skip
+
+
+def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
+    """Return the worst direction per contact position, at the grid's force nearest to `force_N`."""
+    nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
+    here = [c for c in conditions if c.force_N == nearest and c.budget_mm is not None]
+    places = sorted({c.contact_fraction for c in here})
+    return [
+        max((c for c in here if c.contact_fraction == place), key=lambda c: c.predicted_error_mm or 0.0)
+        for place in places
+    ]
+
+
+def shares_of(condition: Condition | FusedCondition) -> dict[str, float]:
+    """Return the shares of the variance by group of error sources."""
+    budget = condition.budget_mm or {}
+    squares = {
+        name: sum(budget.get(cause, 0.0) ** 2 for cause in causes) for name, causes in CAUSE_GROUPS.items()
+    }
+    whole = sum(squares.values()) or 1.0
+    return {name: square / whole for name, square in squares.items()}
 
 
 def predict_touch(

@@ -27,7 +27,7 @@ _NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
 MARKS = "osd^vx+"
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 16.0, 10.0, 46.0
 _LEGEND = 19.0  # height of a legend row
-_LETTER = 7.2  # mean width of a letter in the legend
+_LETTER = 7.8  # mean width of a letter in the legend
 _LETTERS = 7  # maximum length of a y tick label in the normal size
 _SMALL = 6.0  # mean width of a letter in vertical tick labels
 
@@ -137,6 +137,7 @@ class _Line(NamedTuple):
     dashes: str
     mark: str
     width: float
+    name: str
 
 
 class _Area(NamedTuple):
@@ -200,7 +201,7 @@ class Chart:
         width: float = 2.0,
     ) -> None:  # fmt: skip
         """Add a line, broken where a point is not finite, and its legend entry if it is named."""
-        self._elements.append(_Line(_floats(x), _floats(y), colour, dashes, mark, width))
+        self._elements.append(_Line(_floats(x), _floats(y), colour, dashes, mark, width, name))
         if name:
             self.legend.append(LegendEntry(name, colour, dashes, mark))
 
@@ -208,7 +209,7 @@ class Chart:
         """Add markers without a line at all finite points, and their legend entry if they are named."""
         for a, b in zip(_floats(x), _floats(y), strict=True):
             if math.isfinite(a) and math.isfinite(b):
-                self.line([a], [b], colour, mark=mark)
+                self._elements.append(_Line([a], [b], colour, "", mark, 2.0, name))
         if name:
             self.legend.append(LegendEntry(name, colour, _NO_LINE, mark))
 
@@ -280,11 +281,21 @@ class Chart:
                 continue
             if len(run) > 1:
                 path = "M" + "L".join(f"{p:.1f} {q:.1f}" for p, q in run)
-                drawn.append(f'<path d="{path}" fill="none" stroke="{line.colour}" stroke-width="{line.width:g}" '
-                             f'stroke-dasharray="{line.dashes}" stroke-linejoin="round"/>')  # fmt: skip
-            drawn += [_mark(line.mark, p, q, line.colour) for p, q in run if line.mark]
+                drawn.append(f'<path d="{path}" fill="none" stroke="{line.colour}" '
+                             f'stroke-width="{line.width:g}" stroke-dasharray="{line.dashes}" '
+                             'stroke-linejoin="round"/>')  # fmt: skip
             run = []
+        drawn += [self._tipped_mark(line, a, b) for a, b in zip(line.x, line.y, strict=True)
+                  if line.mark and math.isfinite(a) and math.isfinite(b)]  # fmt: skip
         return "".join(drawn)
+
+    def _tipped_mark(self, line: _Line, x: float, y: float) -> str:
+        """Return a marker with its values, which a browser shows under the pointer."""
+        p, q = self.at(x, y)
+        name = f"{line.name}\n" if line.name else ""
+        tip = escape(f"{name}{self.x.label}: {x:.4g}\n{self.y.label}: {y:.3g}")
+        target = f'<circle cx="{p:.1f}" cy="{q:.1f}" r="8" fill="transparent"/>'
+        return f"<g><title>{tip}</title>{target}{_mark(line.mark, p, q, line.colour)}</g>"
 
     def _grid(self) -> str:
         left, right, top, bottom = _LEFT, _WIDTH - _RIGHT, _TOP, _TOP + self._high
@@ -323,7 +334,7 @@ class Chart:
         """Draw the chart into matplotlib axes; for axes with numbers, not with named categories."""
         for element in self._elements:
             match element:
-                case _Line(x, y, colour, dashes, mark, width):
+                case _Line(x, y, colour, dashes, mark, width, _):
                     ax.plot(x, y, color=colour, lw=0.75 * width, ls=_linestyle(dashes), marker=mark, ms=4.5)
                 case _Area(points, colour, opacity):
                     ax.fill(*zip(*points, strict=True), color=colour, alpha=opacity, lw=0)
@@ -370,7 +381,7 @@ def _legend_rows(legend: Sequence[LegendEntry]) -> list[list[tuple[float, Legend
     rows: list[list[tuple[float, LegendEntry]]] = []
     x = _WIDTH
     for entry in legend:
-        wide = 38.0 + _LETTER * len(entry.name)
+        wide = 42.0 + _LETTER * len(entry.name)
         if x + wide > _WIDTH:
             rows.append([])
             x = _LEFT

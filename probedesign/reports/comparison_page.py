@@ -28,6 +28,9 @@ from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 MAX_DESIGNS = 6
 SIDE = "+y"
 """Direction across gravity for a horizontal mount, as in the task."""
+NEUTRAL = ("length_mm", "thinnest_mm")
+"""Metrics of which neither a larger nor a smaller value is better."""
+LARGER_IS_BETTER = ("reach_mm",)
 FORCES_N = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 
@@ -81,10 +84,50 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
     )
 
 
+def best_design(compared: Sequence[ComparedDesign], metric: str) -> str | None:
+    """Return the name of the design with the best value of a metric; None where no value is better.
+
+    No metric prefers a length or a thickness, and values that are printed alike are equal.
+    """
+    values = {one.design.name: getattr(one.metrics, metric) for one in compared}
+    known = {name: value for name, value in values.items() if value is not None}
+    if metric in NEUTRAL or not known:
+        return None
+    choose = max if metric in LARGER_IS_BETTER else min
+    best = choose(known, key=lambda name: known[name])
+    alike = [name for name, value in known.items() if format_value(value) == format_value(known[best])]
+    return best if len(alike) == 1 else None
+
+
 def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
-    """Return one row per metric, one column per design."""
-    rows = [[name, *(format_value(getattr(one.metrics, name)) for one in compared)] for name in METRICS]
-    return HtmlTable(["", *(one.design.name for one in compared)], rows)
+    """Return one row per metric, one column per design, and the best of them."""
+    rows = [
+        [
+            name,
+            *(format_value(getattr(one.metrics, name)) for one in compared),
+            best_design(compared, name) or "-",
+        ]
+        for name in METRICS
+    ]
+    return HtmlTable(["", *(one.design.name for one in compared), "best"], rows)
+
+
+def comparison_verdict(compared: Sequence[ComparedDesign]) -> str:
+    """Return which design locates the task's touches best, in one sentence."""
+    located = sorted(
+        (one.metrics.error_mm, one.design.name) for one in compared if one.metrics.error_mm is not None
+    )
+    if not located:
+        return "No design locates every touch of the task."
+    (error, name), others = located[0], located[1:]
+    if not others:
+        return f"Only {name} locates every touch of the task: {error:.3g} mm RMS."
+    if best_design(compared, "error_mm") is None:
+        return f"{name} and {others[0][1]} locate the task's touches equally well: {error:.3g} mm RMS."
+    return (
+        f"{name} locates the task's touches best: {error:.3g} mm RMS, "
+        f"{1.0 - error / others[0][0]:.0%} less than {others[0][1]} with {others[0][0]:.3g} mm."
+    )
 
 
 def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
@@ -118,7 +161,8 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
         f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared
     ]
     title = f"Comparison: {' · '.join(one.design.name for one in compared)}"
-    return report_page(title, [task.text, *assumed], comparison_table(compared), sections)
+    table, verdict = comparison_table(compared), comparison_verdict(compared)
+    return report_page(title, [task.text, *assumed], table, sections, verdict=verdict)
 
 
 _Points = tuple[Sequence[float], Sequence[float]]

@@ -13,23 +13,32 @@ from probedesign.core.errors import InputError
 DOCTYPE = "<!DOCTYPE html>"
 STYLE = """
 @page { size: A4; margin: 14mm }
-body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: #111;
-  max-width: 260mm; margin: 8mm auto; padding: 0 4mm }
-h1 { font-size: 18pt; margin: 0 } .about { color: #444; margin: 1mm 0 4mm }
+:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff }
+@media (prefers-color-scheme: dark) { :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c } }
+@media print { :root { color-scheme: light; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff } }
+body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: var(--ink);
+  background: var(--paper); max-width: 260mm; margin: 8mm auto; padding: 0 4mm; overflow-wrap: break-word }
+h1 { font-size: 18pt; margin: 0 } .about { color: var(--soft); margin: 1mm 0 4mm }
+.verdict { font-size: 13.5pt; line-height: 1.35; margin: 2mm 0 }
+.wide { overflow-x: auto }
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
-th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb; white-space: nowrap }
-thead th { border-bottom: 1pt solid #111 }
+th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid var(--rule); white-space: nowrap }
+thead th { border-bottom: 1pt solid var(--ink) }
 """
-"""Common to all pages."""
-PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } }\n"
+"""Common to all pages; dark where the reader's system is, and always light in print."""
+PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible } }\n"
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(88mm, 1fr)); gap: 5mm }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(88mm, 100%), 1fr)); gap: 5mm }
 section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; height: auto; display: block }
-section p { color: #333; margin: 1mm 0; font-size: 9.5pt }
+@media screen and (prefers-color-scheme: dark) { section svg { filter: invert(1) hue-rotate(180deg) } }
+section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
 td:last-child { white-space: normal }
+details { margin: 0 0 3mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer }
+details p { color: var(--soft); font-size: 9.5pt }
 .last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
-@media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
+@media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr }
+  details::details-content { content-visibility: visible; block-size: auto } }
 """
 
 
@@ -61,10 +70,13 @@ class HtmlTable:
         head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
         note = f"<p>{escape(self.note)}</p>" if self.note else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
+        table = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        return f'<div class="wide">{table}</div>{note}'
 
 
-def html_document(title: str, about: Sequence[str], body: str, style: str = "", head: str = "") -> bytes:
+def html_document(
+    title: str, about: Sequence[str], body: str, style: str = "", head: str = "", lead: str = ""
+) -> bytes:
     """Return a page.
 
     Args:
@@ -73,11 +85,12 @@ def html_document(title: str, about: Sequence[str], body: str, style: str = "", 
         body: HTML below these lines.
         style: additions to the common style sheet.
         head: additions to the head element.
+        lead: HTML between the title and the lines below it.
     """
     return (
         f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
-        f'<body><h1>{escape(title)}</h1>\n<p class="about">{"<br>".join(about)}</p>\n{body}</body></html>\n'
+        f'<body><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n{body}</body></html>\n'
     ).encode()
 
 
@@ -100,28 +113,33 @@ def check_page_target(path: Path) -> None:
 def report_page(
     title: str,
     about: Sequence[str],
-    table: HtmlTable,
+    table: HtmlTable | None,
     sections: Sequence[ReportFigure],
-    after: Sequence[tuple[str, HtmlTable]] = (),
+    folded: Sequence[tuple[str, HtmlTable]] = (),
+    verdict: str = "",
 ) -> bytes:
     """Return the page of a report.
 
     Args:
         title: of the page.
         about: lines below the title: the assumptions of the figures.
-        table: the most important figures.
+        table: the most important figures, above the charts; None if the charts come first.
         sections: figures, in order.
-        after: headings and tables at the end.
+        folded: headings and tables at the end, closed until they are clicked; open in print.
+        verdict: the result in one sentence.
     """
     figures = "".join(
         f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
         for s in sections
     )
     last = "".join(
-        f"<section class=last><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in after
+        f"<details class=last><summary>{escape(name)}</summary>{rows.html()}</details>\n"
+        for name, rows in folded
     )
-    body = f'<section>{table.html()}</section>\n<div class="figures">\n{figures}</div>\n{last}'
-    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE)
+    first = f"<section>{table.html()}</section>\n" if table else ""
+    lead = f'<p class="verdict">{escape(verdict)}</p>\n' if verdict else ""
+    body = f'{first}<div class="figures">\n{figures}</div>\n{last}'
+    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE, lead=lead)
 
 
 def _labelled(section: ReportFigure) -> str:

@@ -15,7 +15,15 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, FusedCondition, shown
-from probedesign.prediction.predict import BUDGET_FORCE_N, Condition, Prediction
+from probedesign.prediction.predict import (
+    BUDGET_FORCE_N,
+    CAUSE_GROUPS,
+    HEADLINE_FORCE_N,
+    Condition,
+    Prediction,
+    shares_of,
+    worst,
+)
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
@@ -23,17 +31,6 @@ from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
-GROUPS = {
-    "noise": ("noise",),
-    "drift": ("drift",),
-    "robot": ("robot",),
-    "friction": ("friction",),
-    "stiffness": ("E", "G", "creep", "stiffness scatter"),
-    "diameters": ("diameter", "diameter scatter", "length"),
-    "mount": ("base place", "base tilt", "clocking", "root", "gain"),
-    "weight": ("density", "gravity"),
-}
-"""Error sources with a common remedy."""
 _BUDGET = (
     "Shares of the variance, worst direction; above each bar the total RMS error [mm]. Friction: due to its prior. "
     "Stiffness: E, G, creep and scatter between touches. Diameters: including their scatter and the length. Mount: "
@@ -77,7 +74,20 @@ class PredictionFigure:
 def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator[PredictionFigure]:
     """Yield the figures of a prediction of the estimator's probe, in the order of page and picture."""
     k, side = prediction.pressing.touches, prediction.conditions[-1].direction
-    yield PredictionFigure(error_chart(prediction), panel="Contact error of one reading by force")
+    force = f"{1e3 * HEADLINE_FORCE_N:g} mN"
+    yield PredictionFigure(
+        probe_chart(prediction, estimator), f"Contact error of {force} along the probe",
+        "The free probe to scale under gravity as mounted, seen along y. Colour: RMS error of one reading, all "
+        "sources included, worst direction; grey: not located.",
+    )  # fmt: skip
+    yield PredictionFigure(
+        error_chart(prediction), "Contact error of one reading by force",
+        "RMS error, all sources included. Line: worst direction; band: all directions. A pointer on a dot shows "
+        "its values. A line ends where the probe buckles.", "Contact error of one reading by force",
+    )  # fmt: skip
+    if single := worst(prediction.conditions, BUDGET_FORCE_N):
+        budgeted = f"{1e3 * single[0].force_N:g} mN"
+        yield PredictionFigure(budget_chart(single), f"Error budget of one reading of {budgeted}", _BUDGET)
     yield PredictionFigure(
         error_map(prediction.conditions, lambda c: c.predicted_error_mm),
         "Contact error of one reading", f"RMS error, all sources included. {_CELLS}",
@@ -97,9 +107,6 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
         "Detected: with probability 0.5 at one false alarm an hour. Located: within the given RMS error, all sources "
         "included. Limit: of the probe or of the sensor. Worst direction; a line is broken where no force suffices.",
     )  # fmt: skip
-    if single := worst(prediction.conditions, BUDGET_FORCE_N):
-        force = f"{1e3 * single[0].force_N:g} mN"
-        yield PredictionFigure(budget_chart(single), f"Error budget of one reading of {force}", _BUDGET)
     if fused := shown(prediction.fused, SHOWN_N):
         yield PredictionFigure(
             budget_chart(fused), f"Error budget of {k} touches up to {1e3 * fused[0].force_N:g} mN",
@@ -153,11 +160,12 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
     ]
     sources = prediction.tolerances.sources(prediction.resin)
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
-    after = [("Tolerances: standard deviations", HtmlTable(["[tolerances]", "value", "source"], rows))]
+    folded = [("Force thresholds along the probe", _table(prediction))]
     if prediction.monte_carlo:
-        after.insert(0, ("Monte Carlo simulation with the estimator", _sampled(prediction)))
+        folded.append(("Monte Carlo simulation with the estimator", _sampled(prediction)))
+    folded.append(("Tolerances: standard deviations", HtmlTable(["[tolerances]", "value", "source"], rows)))
     title = f"{prediction.name}: predicted contact errors"
-    return report_page(title, about, _table(prediction), [*sections, *more], after)
+    return report_page(title, about, None, [*sections, *more], folded, prediction.verdict)
 
 
 # Charts
@@ -279,29 +287,10 @@ def budget_chart(conditions: Sequence[Cell]) -> Chart:
             bottom += 100.0 * share
     chart.legend = [
         LegendEntry(name, colour)
-        for name, colour in zip(GROUPS, _FILL, strict=True)
+        for name, colour in zip(CAUSE_GROUPS, _FILL, strict=True)
         if any(shares_of(c)[name] > 0.0 for c in conditions)
     ]
     return chart
-
-
-def shares_of(condition: Cell) -> dict[str, float]:
-    """Return the shares of the variance by group."""
-    budget = condition.budget_mm or {}
-    squares = {name: sum(budget.get(cause, 0.0) ** 2 for cause in causes) for name, causes in GROUPS.items()}
-    whole = sum(squares.values()) or 1.0
-    return {name: square / whole for name, square in squares.items()}
-
-
-def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
-    """Return the worst direction per contact position, at the grid's force nearest to `force_N`."""
-    nearest = min((c.force_N for c in conditions), key=lambda force: abs(force - force_N), default=0.0)
-    here = [c for c in conditions if c.force_N == nearest and c.budget_mm is not None]
-    places = sorted({c.contact_fraction for c in here})
-    return [
-        max((c for c in here if c.contact_fraction == place), key=lambda c: c.predicted_error_mm or 0.0)
-        for place in places
-    ]
 
 
 def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> Chart:
@@ -322,7 +311,7 @@ def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> C
             here = [c for c in cells if (c.contact_fraction, c.force_N) == (place, force)]
             fill, ink, words = _cell(here, error)
             chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
-            chart.text(i, j, words, ink, 12.5 if len(words) < 5 else 10.5)
+            chart.text(i, j, words, ink, 12.5 if len(words) < 5 else 9.0)
     return chart
 
 
@@ -333,9 +322,56 @@ def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[
     if bad or not errors:
         return "#e4e4e4", "#555", RESULT_LABELS.get(bad or "", "buckles")
     largest = max(errors)
-    level = len(ORDERED) - 1 - sum(largest > limit for limit in LEVELS_MM)
+    level = _level(largest)
     ink = "#111" if level >= 4 else "#fff"  # dark text on light cells
     return ORDERED[level], ink, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
+
+
+def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
+    """Return the free probe to scale, seen along y; its colour is the error of one reading of the headline's force."""
+    model, free = estimator.model, estimator.free()
+    s = np.linspace(0.0, model.rod.length, 81)
+    if free.ok:
+        centre = free.p_at(s)[:, [2, 0]] / MM
+    else:  # it buckles under its weight: drawn undeformed
+        centre = np.column_stack([s, np.zeros_like(s)]) / MM
+    along = np.gradient(centre, axis=0)
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    r = np.interp(s, model.rod.s, model.rod.radius)[:, None] / MM
+    upper, lower = centre + r * normal, centre - r * normal
+    chart = Chart.side_view(np.insert(np.concatenate([upper, lower]), 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
+    located = {
+        c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)
+    }
+    places = np.array(sorted({c.contact_fraction for c in prediction.conditions}))
+    fractions = s / model.rod.length
+    nearest = places[np.argmin(np.abs(places[:, None] - (fractions[1:] + fractions[:-1]) / 2.0), axis=0)]
+    errors = [located.get(float(place)) for place in nearest]
+    levels = [None if error is None else _level(error) for error in errors]
+    ends = [0, *(i for i in range(1, len(levels)) if levels[i] != levels[i - 1]), len(levels)]
+    for i, j in pairwise(ends):
+        corners = np.concatenate([upper[i : j + 1], lower[i : j + 1][::-1]]).tolist()
+        level = levels[i]
+        chart.area([(a, b) for a, b in corners], "#999" if level is None else ORDERED[level], 1.0)
+    shown = {level for level in levels if level is not None}
+    outline = np.concatenate([upper, lower[::-1], upper[:1]])
+    chart.line(outline[:, 0], outline[:, 1], COLOURS[0], width=1.0)
+    chart.legend += [
+        LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)
+    ]
+    return chart
+
+
+def _level(error_mm: float) -> int:
+    """Return the index of an error's colour, the largest for the smallest error."""
+    return len(ORDERED) - 1 - sum(error_mm > limit for limit in LEVELS_MM)
+
+
+def _level_label(level: int) -> str:
+    above = len(ORDERED) - 1 - level  # number of limits that the error exceeds
+    if above == len(LEVELS_MM):
+        return f"over {LEVELS_MM[-1]:g} mm"
+    return f"up to {LEVELS_MM[above]:g} mm"
 
 
 def bending_chart(estimator: Estimator) -> Chart:

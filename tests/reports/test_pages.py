@@ -3,8 +3,10 @@
 import json
 import math
 import re
+import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,11 +15,14 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.design import check_design, load_design
 from probedesign.prediction.fused import FUSED_CAUSES
+from probedesign.prediction.predict import CAUSE_GROUPS, shares_of
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
+from probedesign.reports.comparison_page import best_design
 from probedesign.reports.html_page import ReportFigure, html_document
-from probedesign.reports.prediction_page import GROUPS, prediction_page, shares_of
+from probedesign.reports.prediction_page import prediction_page
 
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 DESIGNS = Path(__file__).parents[2] / "designs"
 
 
@@ -73,12 +78,75 @@ def test_a_buckled_probe_has_a_page():
 def test_the_shares_of_a_budget_sum_to_one():
     probe = build_probe(load_design(DESIGNS / "small.toml"))
     prediction = probe.predict(fractions=(0.6,), forces_N=(0.02,), directions=("+y",))
-    assert {cause for group in GROUPS.values() for cause in group} == set(FUSED_CAUSES)
+    assert {cause for group in CAUSE_GROUPS.values() for cause in group} == set(FUSED_CAUSES)
     for condition in (prediction.conditions[0], prediction.fused[0]):
         shares = shares_of(condition)
         assert sum(shares.values()) == pytest.approx(1.0, rel=1e-12)  # rounding
-        mount = sum(condition.budget_mm[cause] ** 2 for cause in GROUPS["mount"])
+        mount = sum(condition.budget_mm[cause] ** 2 for cause in CAUSE_GROUPS["mount"])
         assert shares["mount"] == pytest.approx(mount / condition.total_error_mm**2, rel=1e-9)
+
+
+def test_the_verdict_states_the_condition_that_the_page_leads_with():
+    probe = build_probe(load_design(DESIGNS / "small.toml"))
+    prediction = probe.predict(fractions=(0.3, 0.8), forces_N=(0.01, 0.05), directions=("+x", "+y"))
+    touch = max(
+        (c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (0.8, 0.01)),
+        key=lambda c: c.predicted_error_mm,
+    )
+    felt = max(d.detectable_force_mN for d in prediction.detection if d.contact_fraction == 0.8)
+    numbers = re.findall(r"[\d.]+\d", prediction.verdict)
+    assert {f"{touch.predicted_error_mm:.2g}", f"{felt:.2g}", "10", "0.8"} <= set(numbers)
+    shares = shares_of(touch)
+    assert max(shares, key=lambda group: shares[group]) in prediction.verdict
+
+
+def test_the_best_design_of_a_metric_is_named_unless_values_are_printed_alike():
+    def named(name, **values):
+        metrics = SimpleNamespace(**values)
+        return SimpleNamespace(design=SimpleNamespace(name=name), metrics=metrics)
+
+    pair = [named("a", error_mm=1.0, reach_mm=90.0, length_mm=100.0, slide_mm=None),
+            named("b", error_mm=2.0, reach_mm=140.0, length_mm=150.0, slide_mm=0.1)]  # fmt: skip
+    assert [best_design(pair, m) for m in ("error_mm", "reach_mm", "length_mm", "slide_mm")] == [
+        "a",
+        "b",
+        None,
+        "b",
+    ]
+    alike = [named("a", error_mm=1.00001), named("b", error_mm=1.00002)]
+    assert best_design(alike, "error_mm") is None
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+@pytest.mark.parametrize("width", [360, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_prediction_page_fits_a_browser(width, scheme, tmp_path):
+    """No horizontal scrolling, no error, no request; the pointer finds the values of a dot; tables open."""
+    from playwright.sync_api import sync_playwright
+
+    probe = build_probe(load_design(DESIGNS / "small.toml"))
+    prediction = probe.predict(fractions=(0.4, 0.8), forces_N=(0.01, 0.02), directions=("+y",))
+    file = tmp_path / "prediction.html"
+    file.write_bytes(prediction_page(prediction, probe.estimator()))
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_context(viewport={"width": width, "height": 740}, color_scheme=scheme).new_page()
+        faults, requests = [], []
+        page.on("console", lambda message: faults.append(message.text))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(file.as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert (
+            f"{prediction.conditions[0].predicted_error_mm:.3g}"
+            in page.locator("svg title").first.text_content()
+        )
+        assert not page.locator("details table").first.is_visible()
+        page.locator("summary").first.click()
+        assert page.locator("details table").first.is_visible()
+        assert page.locator(".verdict").inner_text() == prediction.verdict
+        assert not faults and requests == [file.as_uri()]
+        browser.close()
 
 
 @pytest.mark.parametrize(
