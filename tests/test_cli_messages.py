@@ -23,6 +23,8 @@ SCRIPT = """\
 new a --length 150 --base-d 12
 new a --length 150 --base-d 12
 new b --length 100 --base-d 10 --tip-d 2
+studio designs/a.toml --no-open
+studio designs/none.toml
 check designs/a.toml
 check designs/none.toml
 export designs/a.toml
@@ -109,6 +111,7 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     ]
     patch.setattr(photographs, "find_all", lambda *_: (tests, ["camera left: 20 control points"]))
     patch.setattr(photographs, "write_pixels", lambda data, *_: data / "pixels.csv")
+    patch.setattr("probedesign.studio.page.StudioPage.wait", lambda _: None)
     patch.setattr(metadata, "version", lambda name: missing() if name == "mcap" else "1.0")
     patch.setattr(platform, "machine", lambda: "machine")
     patch.setattr(platform, "system", lambda: "System")

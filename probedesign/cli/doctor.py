@@ -18,7 +18,7 @@ ENABLES = {
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",
     "daq": "live with a sensor at a National Instruments card",
-    "view": "live --view: the 3D page of the probe",
+    "view": "studio and live --view: the probe in the browser",
     "vision": "markers: detection in photographs",
 }
 """Features that each extra enables; "" is for the required packages."""

@@ -15,6 +15,7 @@ from probedesign.core.errors import InputError, MissingDependencyError
 
 COMMANDS = {
     "new": "Write designs/NAME.toml from a few dimensions.",
+    "studio": "Design a probe in the browser by moving sliders.",
     "check": "Check whether a design can be printed.",
     "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
     "print": "Prepare the exported parts in PreForm, and send them to a printer on request.",

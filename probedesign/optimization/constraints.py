@@ -307,7 +307,7 @@ class OptimizationProblem:
         wanted = () if self.error_mm is None else (Limit("error_mm", True, self.error_mm),)
         return (*self.limits, Limit("sensor_use", True, 1.0), *wanted)
 
-    @property
+    @cached_property
     def problem(self) -> NonlinearProgram:
         """Return the problem in the form of the solver."""
         space = DesignSpace.of(self.start, self.free)

@@ -82,13 +82,19 @@ def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
 
 
 def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a design file with some keys changed."""
+    """Return the tables of a design file with some keys changed.
+
+    Raises:
+        InputError: a key lies in something that is not a table.
+    """
     data: dict[str, Any] = json.loads(json.dumps(base))
     for key, value in point.items():
         *tables, last = key.split(".")
         inner = data
         for table in tables:
             inner = inner.setdefault(table, {})
+            if not isinstance(inner, dict):
+                raise InputError(f"{key}: {table} is a value, not a table; name a key such as probe.tip_d_mm")
         inner[last] = value
     return data
 

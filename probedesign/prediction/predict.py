@@ -236,6 +236,7 @@ def predict(
     directions: tuple[str, ...] = ("+x", "-x", "+y"),
     tolerances: Tolerances | None = None,
     pressing: PressSchedule = PRESSING,
+    only_single: bool = False,
 ) -> Prediction:
     """Predict sensitivity and contact error over a grid of touches.
 
@@ -250,6 +251,8 @@ def predict(
         directions: keys of `DIRECTIONS`: in which the object pushes.
         tolerances: standard deviations of the error sources; `Tolerances.of` the model if None.
         pressing: how the fused touches of one point are made.
+        only_single: leave out fused touches, force thresholds and workspace, for a preview within tens of
+            milliseconds.
 
     Raises:
         InputError: a fraction, force or direction is out of range.
@@ -260,7 +263,7 @@ def predict(
     end = model.rod.flank_end / model.rod.length
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
-    # What holds for a probe without a stable free equilibrium.
+    # What holds for a probe without a stable free equilibrium, and what a preview leaves out.
     workspace = NO_WORKSPACE
     reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
     detection = tuple(Detection(*line, None) for line in lines)
@@ -269,17 +272,23 @@ def predict(
     fused = tuple(FusedCondition(place, force, side, pressing.touches, "gives_way")
                   for place in fractions for force in forces_N for side in directions)  # fmt: skip
     if estimator.free().ok:
-        pressed = forces_of(pressing, forces_N)
-        touches = touches_of(estimator, lines + ends, (_WEAK_N, *LADDER_N, *forces_N, *pressed))
-        reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
-        detection = tuple(
-            _detection(touches[_WEAK_N], i, line, reach[i].greatest_force_N) for i, line in enumerate(lines)
-        )
+        pressed = () if only_single else forces_of(pressing, forces_N)
+        ladder, ends = ((), []) if only_single else (LADDER_N, ends)
+        touches = touches_of(estimator, lines + ends, (_WEAK_N, *ladder, *forces_N, *pressed))
         for force in forces_N:
             for line, condition in zip(lines, conditions_of(touches[force], lines), strict=True):
                 conditions[(*line, force)] = condition
-        fused = fused_conditions(lines, touches, forces_N, pressing)
-        workspace = workspace_of(reach, touches, model.gravity_base)
+        if only_single:
+            limits = [max((f for f in forces_N if touches[f].ok[i]), default=None) for i in range(len(lines))]
+        else:
+            reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
+            limits = [row.greatest_force_N for row in reach]
+            fused = fused_conditions(lines, touches, forces_N, pressing)
+            workspace = workspace_of(reach, touches, model.gravity_base)
+        detection = tuple(
+            _detection(touches[_WEAK_N], i, line, limit)
+            for i, (line, limit) in enumerate(zip(lines, limits, strict=True))
+        )
     return Prediction(
         name=model.name,
         fingerprint=model.fingerprint,

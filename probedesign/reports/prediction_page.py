@@ -322,7 +322,7 @@ def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[
     if bad or not errors:
         return "#e4e4e4", "#555", RESULT_LABELS.get(bad or "", "buckles")
     largest = max(errors)
-    level = _level(largest)
+    level = error_level(largest)
     ink = "#111" if level >= 4 else "#fff"  # dark text on light cells
     return ORDERED[level], ink, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
 
@@ -347,7 +347,7 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     fractions = s / model.rod.length
     nearest = places[np.argmin(np.abs(places[:, None] - (fractions[1:] + fractions[:-1]) / 2.0), axis=0)]
     errors = [located.get(float(place)) for place in nearest]
-    levels = [None if error is None else _level(error) for error in errors]
+    levels = [None if error is None else error_level(error) for error in errors]
     ends = [0, *(i for i in range(1, len(levels)) if levels[i] != levels[i - 1]), len(levels)]
     for i, j in pairwise(ends):
         corners = np.concatenate([upper[i : j + 1], lower[i : j + 1][::-1]]).tolist()
@@ -362,7 +362,7 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     return chart
 
 
-def _level(error_mm: float) -> int:
+def error_level(error_mm: float) -> int:
     """Return the index of an error's colour, the largest for the smallest error."""
     return len(ORDERED) - 1 - sum(error_mm > limit for limit in LEVELS_MM)
 

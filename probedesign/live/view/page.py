@@ -208,7 +208,7 @@ PART_COLOURS = {"sensor": (60, 64, 72), "flange": PROBE, "clamp_ring": (112, 122
                 "flange_adapter": (150, 158, 168)}  # fmt: skip
 
 
-class _Server(viser.ViserServer):
+class LoopbackServer(viser.ViserServer):
     """A server without viser's tunnel to the internet, which any client could request."""
 
     def request_share_url(self, verbose: bool = True) -> None:
@@ -221,7 +221,7 @@ class ViewerPage:
     def __init__(self, setup: SceneSetup, send_command: SendCommand) -> None:
         """Start the server and show the free probe; `send_command` receives a command and its text."""
         self._setup, self._charts = setup, StripCharts()
-        self._server = server = _Server(setup.host, setup.port, setup.title, verbose=False)
+        self._server = server = LoopbackServer(setup.host, setup.port, setup.title, verbose=False)
         server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
         )
@@ -287,7 +287,7 @@ class ViewerPage:
         """Place the camera beside and slightly above the free probe, with a floor below."""
         free, length = self._setup.free, float(self._setup.tube.s[-1])
         T = level_rotation(self._setup.gravity_base)
-        self._base.wxyz = _wxyz(T)
+        self._base.wxyz = quaternion(T)
         p = free.p_base @ T.T
         low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
         self._server.scene.add_grid(
@@ -307,7 +307,7 @@ class ViewerPage:
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; grey and unchanged if it is unknown."""
         T = self._pose(snapshot)
-        self._base.wxyz, self._base.position = _wxyz(T[:3, :3]), UNIT * T[:3, 3]
+        self._base.wxyz, self._base.position = quaternion(T[:3, :3]), UNIT * T[:3, 3]
         if snapshot.shape is not None:
             self._probe.vertices = (UNIT * self._setup.tube.vertices(snapshot.shape)).astype(np.float32)
         current = (snapshot.shape is not None and not snapshot.stale) or not snapshot.result
@@ -341,7 +341,7 @@ class ViewerPage:
         half_axes, axes = ellipsoid(R @ marker.cov @ R.T)
         self._contact.position = self._spread.position = UNIT * surface
         self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
-        self._spread.wxyz = _wxyz(axes)
+        self._spread.wxyz = quaternion(axes)
         force = R @ marker.force
         strength = float(np.linalg.norm(force))
         tail = surface - ARROW * force / strength
@@ -371,6 +371,7 @@ def level_rotation(gravity_base: Array) -> Array:
     return np.stack([x, np.cross(up, x), up])
 
 
-def _wxyz(R: Array) -> Array:
+def quaternion(R: Array) -> Array:
+    """Return the quaternion w, x, y, z of a rotation, as viser reads it."""
     found: Array = np.asarray(tf.SO3.from_matrix(R).wxyz)
     return found

@@ -1,0 +1,75 @@
+"""The studio: time from a moved slider to new curves and a new shape in a browser."""
+
+import shutil
+import statistics
+import time
+
+import numpy as np
+
+from benchmarks.timing import print_table
+from probedesign.prediction.table_one import PROBES, paper_design
+from probedesign.studio.page import StudioPage
+from probedesign.studio.session import Session
+
+MOVES = 60
+"""Moves of a slider for each probe."""
+ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+"""A browser without a GPU, which draws on the processor."""
+WATCH = """() => { window.seen = []; new MutationObserver(() => {
+  const tip = document.querySelector('svg title'); if (tip) window.seen.push([Date.now(), tip.textContent]);
+}).observe(document.body, {childList: true, subtree: true, characterData: true, attributes: true}) }"""
+
+
+def report() -> None:
+    """Print the times with a browser attached, and of the computation alone."""
+    from playwright.sync_api import sync_playwright
+
+    rows = []
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    for name in PROBES:
+        page = StudioPage(Session(paper_design(name), name), "127.0.0.1", 8095)
+        try:
+            alone = [_computed(page, factor) for factor in _factors()]
+            row = [name, *_quantiles(alone)]
+            if chromium:
+                with sync_playwright() as driver:
+                    browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+                    tab = browser.new_page(viewport={"width": 1280, "height": 720})
+                    tab.goto(page.url)
+                    tab.wait_for_selector("svg title", state="attached", timeout=120_000)
+                    tab.wait_for_timeout(3000)
+                    tab.evaluate(WATCH)
+                    row += _quantiles([_seen(page, tab, factor) for factor in _factors()])
+                    browser.close()
+            rows.append(row)
+        finally:
+            page.stop()
+    head = ["probe", "computed, median", "95 %", "seen in the browser, median", "95 %"]
+    print_table(f"From a moved slider to new curves and shape, {MOVES} moves each", head, rows)
+
+
+def _factors() -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
+    return np.random.default_rng(7).uniform(0.8, 1.2, MOVES)
+
+
+def _computed(page: StudioPage, factor: float) -> float:
+    """Return the time of one change without a browser [s]."""
+    start = time.perf_counter()
+    page.move("probe.length_mm", round(100.0 * factor, 1))
+    page.settle()
+    return time.perf_counter() - start
+
+
+def _seen(page: StudioPage, tab: "object", factor: float) -> float:
+    """Return the time until the browser's chart has changed [s]."""
+    tab.evaluate("() => { window.seen = [] }")  # type: ignore[attr-defined]
+    start = time.time()
+    page.move("probe.length_mm", round(100.0 * factor, 1))
+    tab.wait_for_function("() => window.seen.length > 0", polling=5, timeout=60_000)  # type: ignore[attr-defined]
+    seen = tab.evaluate("() => window.seen[0][0]")  # type: ignore[attr-defined]
+    page.settle()
+    return float(seen) / 1e3 - start
+
+
+def _quantiles(seconds: list[float]) -> list[str]:
+    return [f"{1e3 * statistics.median(seconds):.0f} ms", f"{1e3 * float(np.quantile(seconds, 0.95)):.0f} ms"]

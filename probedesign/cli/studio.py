@@ -1,0 +1,71 @@
+"""`probedesign studio`: design a probe by moving sliders and looking."""
+
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from probedesign.cli.console import print_note, show_progress
+from probedesign.core.errors import InputError, require
+
+if TYPE_CHECKING:
+    from probedesign.design import Design
+
+
+def studio(
+    design: str = "large",
+    /,
+    *,
+    set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), consume_multiple=False)] = None,
+    host: str = "127.0.0.1",
+    port: int = 8085,
+    open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
+) -> None:
+    """Design a probe in the browser: sliders, the bent probe, predicted errors. Needs the extra 'view'.
+
+    Ctrl-C ends it. Nothing is written before a button is pressed. More: docs/studio.md.
+
+    Args:
+        design: the design file, or one of the paper's probes: large, medium or small.
+        set_: KEY=VALUE with a key of the design file, as the studio shows it under "Save"; repeat the option for more.
+        host: address of the page; only this machine can open it.
+        port: TCP port; the next free port is used.
+        open_: open the page in a browser.
+    """
+    require("viser", "studio", "view")
+    if not 0 < port < 65536:
+        raise InputError(f"--port {port} must lie in 1 ... 65535")
+    from probedesign.live import LOOPBACK
+
+    if host not in LOOPBACK:
+        raise InputError(
+            f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}"
+        )
+    with show_progress() as on_progress:
+        on_progress("loading the design", None)
+        found = _design(design, set_ or [])
+        on_progress("predicting (the first run compiles the rod and the estimator, about a minute)", None)
+        from probedesign.studio.page import StudioPage
+        from probedesign.studio.session import Session
+
+        page = StudioPage(Session(found, source=design), host, port)
+    try:
+        print(f"studio: {page.url}  (Ctrl-C ends it)", flush=True)
+        if open_ and not webbrowser.open(page.url):
+            print_note("no browser was found; open the address by hand")
+        page.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        page.stop()
+
+
+def _design(name: str, changes: list[str]) -> "Design":
+    """Return the design of a file or of a preset, with some keys changed."""
+    from probedesign.design import load_design
+    from probedesign.prediction.table_one import PROBES, paper_design
+    from probedesign.studio.session import with_options
+
+    found = paper_design(name) if name in PROBES and not Path(name).exists() else load_design(name)
+    return with_options(found, changes)

@@ -1,0 +1,325 @@
+"""What the studio shows of a design: the numbers and charts of `predict`, and one bent touch.
+
+`preview` takes some tens of milliseconds and follows the sliders; `complete` adds fused touches, the largest force and
+the workspace, and follows when the hand rests.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from html import escape
+
+import numpy as np
+
+from probedesign.core.frames import Array
+from probedesign.design import Design
+from probedesign.estimation.estimate import Estimate
+from probedesign.prediction.fused import SHOWN_N, shown
+from probedesign.prediction.predict import (
+    BUDGET_FORCE_N,
+    FORCES_N,
+    HEADLINE_FORCE_N,
+    HEADLINE_FRACTION,
+    Condition,
+    Prediction,
+    predict,
+    worst,
+)
+from probedesign.printing.check import check_print
+from probedesign.probe import Probe, build_probe
+from probedesign.reports.chart import COLOURS, DASHES, ORDERED, Chart, ChartAxis
+from probedesign.reports.prediction_page import LIMITS, budget_chart, error_level
+from probedesign.rod.contact import FrictionlessContact, solve_frictionless
+from probedesign.rod.vibration import natural_frequency
+from probedesign.studio.session import PinnedDesign, StudioTouch
+
+_PLACE = ChartAxis(
+    "contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+)
+STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%}
+.st td,.st th{text-align:left;padding:2px 8px 2px 0;vertical-align:top;font-variant-numeric:tabular-nums}
+.st .better{color:#1b7f4b}.st .worse{color:#b3261e}.st svg{width:100%;height:auto;display:block;background:#fff}
+.st .bad{background:#b3261e;color:#fff;border-radius:6px;padding:6px 10px}
+.st .note{color:#75808b;font-size:12px}</style>"""
+"""Style of the texts, tables and charts of the page."""
+NOT_LOCATED = (150, 150, 150)
+"""Colour of a part of the probe that is not located."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of the summary.
+
+    Attributes:
+        name: of the quantity.
+        value: its number; None where there is none.
+        unit: of the number.
+        note: beside the value, such as what limits it.
+        smaller_is_better: None where no value is better.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    note: str = ""
+    smaller_is_better: bool | None = True
+
+    @property
+    def text(self) -> str:
+        """Return the value with its unit."""
+        number = "none" if self.value is None else f"{self.value:.3g} {self.unit}".strip()
+        return f"{number} ({self.note})" if self.note else number
+
+
+@dataclass(frozen=True)
+class DesignFigures:
+    """What is known of a design.
+
+    Attributes:
+        probe: the probe.
+        prediction: `predict` of it; without fused touches, force limits and workspace while `complete` is false.
+        complete: whether everything was predicted.
+        frequency: first natural frequency [Hz]; NaN where the weight buckles the straight probe.
+        findings: messages of the print check, errors first.
+    """
+
+    probe: Probe
+    prediction: Prediction
+    complete: bool
+    frequency: float
+    findings: tuple[str, ...]
+
+    @property
+    def buckles(self) -> bool:
+        """Whether the probe buckles under its own weight."""
+        return self.prediction.tip_sag_mm is None
+
+    def at(self, fraction: float, force_N: float) -> Condition | None:
+        """Return the worst direction at the nearest position and force; None where it is not located."""
+        here = worst(self.prediction.conditions, force_N)
+        return min(here, key=lambda c: abs(c.contact_fraction - fraction), default=None)
+
+    def summary(self) -> list[Figure]:
+        """Return the figures of the summary, each the number that `predict` reports."""
+        p = self.prediction
+        touch = self.at(HEADLINE_FRACTION, HEADLINE_FORCE_N)
+        where = f"{1e3 * HEADLINE_FORCE_N:g} mN at {HEADLINE_FRACTION:g} L"
+        felt = [d.detectable_force_mN for d in p.detection if d.contact_fraction == HEADLINE_FRACTION]
+        rows = [
+            Figure(f"error, {where}", touch.predicted_error_mm if touch else None, "mm", "all error sources"),
+            Figure("sensor alone", touch.noise_error_mm if touch else None, "mm", "noise and friction prior"),
+            Figure(f"detected at {HEADLINE_FRACTION:g} L", _largest(felt), "mN", "with probability 0.5"),
+        ]
+        if self.complete:
+            rows += self._complete_rows()
+        rows += [
+            Figure("tip sag", p.tip_sag_mm, "mm", "" if not self.buckles else "it buckles under its own weight"),
+            Figure("mass", p.mass_g, "g", "flexible part", None),
+            Figure(
+                "first natural frequency",
+                None if math.isnan(self.frequency) else self.frequency, "Hz", "undamped", False,
+            ),
+        ]  # fmt: skip
+        return rows
+
+    def _complete_rows(self) -> list[Figure]:
+        p = self.prediction
+        fused = [c for c in shown(p.fused, SHOWN_N) if c.contact_fraction == HEADLINE_FRACTION]
+        errors = [c.predicted_error_mm for c in fused]
+        reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
+        weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
+        force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
+        return [
+            Figure(f"{p.pressing.touches} touches fused, {1e3 * SHOWN_N:g} mN", _largest(errors), "mm"),
+            Figure(f"largest force at {HEADLINE_FRACTION:g} L", force, "mN", LIMITS[weakest.limit][0], False),
+        ]
+
+
+def _largest(values: Sequence[float | None]) -> float | None:
+    """Return the largest value, None if one is missing."""
+    known = [value for value in values if value is not None]
+    return max(known) if known and len(known) == len(values) else None
+
+
+def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
+    """Return what follows a slider: single touches, sag, mass, frequency, print check.
+
+    Args:
+        design: a valid design.
+        forces_N: forces whose errors are drawn; those of the summary are added.
+    """
+    forces = tuple(sorted({*forces_N, HEADLINE_FORCE_N, BUDGET_FORCE_N}))
+    return _figures(design, forces, True)
+
+
+@lru_cache(maxsize=16)
+def complete(design: Design) -> DesignFigures:
+    """Return all figures of `probedesign predict`."""
+    return _figures(design, FORCES_N, False)
+
+
+def _figures(design: Design, forces_N: tuple[float, ...], only_single: bool) -> DesignFigures:
+    probe = build_probe(design)
+    model = probe.model
+    found = check_print(design)
+    return DesignFigures(
+        probe,
+        predict(model, forces_N=forces_N, only_single=only_single),
+        not only_single,
+        natural_frequency(probe.rod, model.gravity_base),
+        tuple(f"{finding.severity}: {finding.message}" for finding in (*found.errors, *found.warnings)),
+    )
+
+
+def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> list[tuple[int, int, int]]:
+    """Return the colour of each segment of the probe: the error of a touch there, by the levels of the page.
+
+    Args:
+        figures: of the design.
+        edges: fractions of the length between which the segments are, (n + 1,).
+        force_N: of the touch.
+    """
+    located = {
+        c.contact_fraction: c.predicted_error_mm for c in worst(figures.prediction.conditions, force_N)
+    }
+    places = np.array(sorted({c.contact_fraction for c in figures.prediction.conditions}))
+    found = []
+    for middle in (edges[1:] + edges[:-1]) / 2.0:
+        error = located.get(float(places[np.argmin(np.abs(places - middle))]))
+        found.append(NOT_LOCATED if error is None else _rgb(ORDERED[error_level(error)]))
+    return found
+
+
+def _rgb(colour: str) -> tuple[int, int, int]:
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+@dataclass(frozen=True)
+class DrawnTouch:
+    """One touch as the sensor reads it, and as it is located.
+
+    Attributes:
+        contact: the equilibrium.
+        s: arclength of the touched section [m].
+        p_surface: touched point [m], (3,).
+        normal: direction of the push at it, (3,).
+        estimate: from the reading without noise, with its covariance.
+    """
+
+    contact: FrictionlessContact
+    s: float
+    p_surface: Array
+    normal: Array
+    estimate: Estimate
+
+
+def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
+    """Return the touch; None where the probe buckles under it."""
+    model = probe.model
+    s = min(touch.fraction * probe.length, model.rod.flank_end)
+    force = 1e-3 * touch.force_mN
+    found = solve_frictionless(model.rod, model.gravity_base, s, math.radians(touch.angle_deg), force)
+    if found.result != "ok":
+        return None
+    normal = found.force_base / np.linalg.norm(found.force_base)
+    r = float(model.rod.radius_at(s)) * math.cos(math.atan(model.rod.taper_at(s)))
+    estimate = probe.estimator().estimate(found.equilibrium.wrench_base)
+    return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal, estimate)
+
+
+# Charts and tables
+
+
+def error_chart(
+    figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]], forces_N: Sequence[float]
+) -> Chart:
+    """Return the error along the probe at some forces: all error sources, the sensor alone dotted, pinned designs
+    dashed."""
+    by_force = _curves(figures.prediction.conditions, forces_N)
+    lines = [curve for curves in by_force.values() for curve in curves]
+    others = [(pin, _curves(other.prediction.conditions, forces_N)) for pin, other in pinned]
+    lines += [curves[0] for _, found in others for curves in found.values()]
+    values = [value for _, errors in lines for value in errors]
+    chart = Chart(_PLACE, ChartAxis.spanning("contact error, RMS [mm]", values, log=True))
+    for i, (force, ((x, total), (_, noise))) in enumerate(by_force.items()):
+        colour = ORDERED[round((len(ORDERED) - 2) * i / max(len(by_force) - 1, 1))]
+        chart.line(x, noise, colour, "1 4", width=1.4)
+        chart.line(x, total, colour, "", "o", f"{1e3 * force:g} mN")
+        for (_, found), dashes in zip(others, DASHES[1:], strict=False):
+            if force in found:
+                chart.line(*found[force][0], colour, dashes, width=1.6)
+    return chart
+
+
+_Curve = tuple[list[float], list[float]]
+
+
+def _curves(conditions: Sequence[Condition], forces_N: Sequence[float]) -> dict[float, tuple[_Curve, _Curve]]:
+    """Return position and error of all sources, and of the sensor alone, by force; the worst direction.
+
+    A curve ends where a touch of any direction is not located.
+    """
+    found = {}
+    for force in forces_N:
+        here = [c for c in conditions if math.isclose(c.force_N, force)]
+        lost = {c.contact_fraction for c in here if c.result != "ok"}
+        rows = [c for c in worst(here, force) if c.contact_fraction not in lost]
+        x = [c.contact_fraction for c in rows]
+        total = [math.nan if c.predicted_error_mm is None else c.predicted_error_mm for c in rows]
+        noise = [math.nan if c.noise_error_mm is None else c.noise_error_mm for c in rows]
+        if x:
+            found[force] = (x, total), (x, noise)
+    return found
+
+
+def fused_chart(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> Chart | None:
+    """Return the error of fused touches along the probe; None until it was predicted."""
+    lines = []
+    designs = [("this design", figures), *((pin.label, other) for pin, other in pinned)]
+    for (label, one), colour, dashes in zip(designs, COLOURS, DASHES, strict=False):
+        rows = shown(one.prediction.fused, SHOWN_N) if one.complete else ()
+        if rows:
+            errors = [math.nan if c.predicted_error_mm is None else c.predicted_error_mm for c in rows]
+            lines.append((label, [c.contact_fraction for c in rows], errors, colour, dashes))
+    if not lines:
+        return None
+    values = [v for _, _, errors, _, _ in lines for v in errors]
+    chart = Chart(_PLACE, ChartAxis.spanning("error of fused touches, RMS [mm]", values, log=True))
+    for label, x, errors, colour, dashes in lines:
+        chart.line(x, errors, colour, dashes, "o", label)
+    return chart
+
+
+def budget_figure(figures: DesignFigures) -> Chart | None:
+    """Return the error budget along the probe; None where nothing is located."""
+    rows = worst(figures.prediction.conditions, BUDGET_FORCE_N)
+    return budget_chart(rows) if rows else None
+
+
+def summary_table(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> str:
+    """Return the figures as an HTML table, with the pinned designs and the difference to each."""
+    rows = figures.summary()
+    others = [(pin.label, {row.name: row for row in other.summary()}) for pin, other in pinned]
+    head = "".join(f"<th>{escape(label)}</th>" for label, _ in others)
+    body = ""
+    for row in rows:
+        cells = "".join(_difference(row, found.get(row.name)) for _, found in others)
+        body += f"<tr><td>{escape(row.name)}</td><td>{escape(row.text)}</td>{cells}</tr>"
+    return f"<table><tr><th></th><th>this design</th>{head}</tr>{body}</table>"
+
+
+def _difference(now: Figure, then: Figure | None) -> str:
+    if then is None or then.value is None or now.value is None:
+        return f"<td>{escape(then.text) if then else '-'}</td>"
+    change = now.value - then.value
+    relative = f"{change / then.value:+.0%}" if then.value else f"{change:+.3g}"
+    better = now.smaller_is_better is not None and change != 0.0 and (change < 0.0) is now.smaller_is_better
+    worse = now.smaller_is_better is not None and change != 0.0 and not better
+    level = "better" if better else "worse" if worse else "same"
+    return f'<td>{then.value:.3g} <span class="{level}">{relative}</span></td>'
+
+
+def styled(content: str) -> str:
+    """Return HTML in the style of the page."""
+    return f'<div class="st" style="padding:4px 12px">{STYLE}{content}</div>'

@@ -1,0 +1,226 @@
+"""The studio in three dimensions: the bent probe coloured by its error, its mount, and a touch that can be dragged."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from probedesign.core.frames import Array
+from probedesign.live.view.page import (
+    ARROW,
+    CONTACT,
+    MIN_HALF_AXIS,
+    PART_COLOURS,
+    SPREAD,
+    STALE_COLOUR,
+    UNIT,
+    level_rotation,
+    quaternion,
+)
+from probedesign.live.view.scene import centreline, ellipsoid, rigid_parts
+from probedesign.live.view.state import BentShape
+from probedesign.probe import Probe
+from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours
+from probedesign.studio.session import StudioTouch, knots_of
+
+SEGMENTS, RINGS, RING_POINTS = 20, 4, 28
+"""Coloured segments of the drawn probe, rings of each, points of a ring."""
+KNOT_COLOUR = (38, 84, 124)
+MAX_KNOTS = 12
+"""Number of diameters of a profile that can be dragged; a profile with more is changed in its file."""
+MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5
+"""Range of the touch that is drawn."""
+
+
+class StudioScene:
+    """The objects of the scene, in the frame of the probe's base."""
+
+    def __init__(self, scene: viser.SceneApi, on_change: Callable[[str, Any], None]) -> None:
+        """Create all objects.
+
+        Args:
+            scene: of the page.
+            on_change: receives a key of the touch, `touch.fraction`, `touch.angle_deg` or `touch.force_mN`, or
+                `knot.INDEX`, and its new value when something is dragged.
+        """
+        self._on_change, self._scene = on_change, scene
+        self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
+        scene.set_up_direction("+z")
+        scene.configure_default_lights(True, cast_shadow=True)
+        self._base = scene.add_frame("/base", show_axes=False)
+        nothing, faces = np.zeros((RINGS * RING_POINTS + 1, 3)), _segment_faces()
+        self._segments = [
+            scene.add_mesh_simple(f"/base/probe/{i}", nothing, faces, color=STALE_COLOUR, side="double")
+            for i in range(SEGMENTS)
+        ]
+        self._contact = scene.add_icosphere("/base/contact", UNIT * 1.8e-3, CONTACT, cast_shadow=False)
+        for node in (*self._segments, self._contact):
+            node.on_drag(self._drag_place)
+        self._end = scene.add_icosphere("/base/force_end", UNIT * 1.8e-3, CONTACT, cast_shadow=False)
+        self._end.on_drag(self._drag_force)
+        self._spread = scene.add_icosphere("/base/spread", 1.0, SPREAD, cast_shadow=False)
+        self._force = scene.add_arrows(
+            "/base/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.5e-3, head_radius=UNIT * 1.4e-3,
+            head_length=UNIT * 3.5e-3,
+        )  # fmt: skip
+        self._knots = [
+            scene.add_icosphere(
+                f"/base/knot/{i}", UNIT * 1.6e-3, KNOT_COLOUR, visible=False, cast_shadow=False
+            )
+            for i in range(MAX_KNOTS)
+        ]
+        for i, node in enumerate(self._knots):
+            node.on_drag(lambda event, i=i: self._drag_knot(i, event))  # type: ignore[misc]  # viser: any event
+        self._parts: list[viser.MeshHandle] = []
+        self._parts_of = ""
+
+    def show(self, figures: DesignFigures, drawn: DrawnTouch | None, touch: StudioTouch) -> bool:
+        """Draw a probe, its mount and a touch; return whether the mount changed, for the camera."""
+        probe = figures.probe
+        model = probe.model
+        self._base.wxyz = quaternion(level_rotation(model.gravity_base))
+        eq = drawn.contact.equilibrium if drawn else model.rod.solve(model.gravity_base)
+        if eq.ok:
+            bent = BentShape(eq.s, eq.p_base, eq.R_base)
+        else:  # it buckles: drawn straight and grey
+            s = np.linspace(0.0, probe.length, 30)
+            bent = BentShape(s, np.outer(s, [0.0, 0.0, 1.0]), np.tile(np.eye(3), (30, 1, 1)))
+        self._shown = probe, drawn, bent
+        edges = np.linspace(0.0, 1.0, SEGMENTS + 1)
+        colours = segment_colours(figures, edges, 1e-3 * touch.force_mN)
+        for mesh, vertices, colour in zip(
+            self._segments, _segments(bent, probe, edges), colours, strict=True
+        ):
+            mesh.vertices = vertices
+            mesh.color = colour if eq.ok else STALE_COLOUR
+        self._show_knots(bent, probe)
+        self._show_touch(drawn, touch)
+        return self._show_parts(probe)
+
+    def _show_knots(self, bent: BentShape, probe: Probe) -> None:
+        knots = knots_of(probe.design)[:MAX_KNOTS]
+        for node in self._knots[len(knots) :]:
+            node.visible = False
+        if knots:
+            p, x, _ = centreline(bent, np.array([s for _, s, _ in knots]))
+            for node, point, side, (_, _, diameter) in zip(self._knots, p, x, knots, strict=False):
+                node.visible, node.position = True, UNIT * (point + 0.5 * diameter * side)
+
+    def _show_touch(self, drawn: DrawnTouch | None, touch: StudioTouch) -> None:
+        located = drawn is not None and drawn.estimate.ok
+        self._contact.visible = self._force.visible = self._end.visible = drawn is not None
+        self._spread.visible = located
+        if drawn is None:
+            return
+        self._contact.position = UNIT * drawn.p_surface
+        tail = drawn.p_surface - arrow_length(touch.force_mN) * drawn.normal
+        self._force.points = (UNIT * np.array([[tail, drawn.p_surface]])).astype(np.float32)
+        self._end.position = UNIT * tail
+        if located:
+            half_axes, axes = ellipsoid(drawn.estimate.cov_surface_base)
+            self._spread.position = UNIT * drawn.estimate.p_surface_base
+            self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
+            self._spread.wxyz = quaternion(axes)
+
+    def _show_parts(self, probe: Probe) -> bool:
+        """Draw sensor, flange and adapter when they have changed; return whether they have."""
+        model = probe.model
+        key = f"{model.flange} {model.sensor} {model.gravity_base}"
+        if key == self._parts_of:
+            return False
+        self._parts_of = key
+        for part in self._parts:
+            part.remove()
+        found, _ = rigid_parts(model, Path())
+        self._parts = [
+            self._scene.add_mesh_simple(
+                f"/base/part/{part.name}", UNIT * part.vertices, part.faces,
+                color=PART_COLOURS.get(part.name, STALE_COLOUR), flat_shading=True,
+            )
+            for part in found
+        ]  # fmt: skip
+        return True
+
+    def _in_base(self, event: Any) -> Array | None:
+        """Return the pointer in base axes [m]; None before anything was drawn."""
+        if self._shown is None:
+            return None
+        T = level_rotation(self._shown[0].model.gravity_base)
+        return np.asarray(T.T @ np.asarray(event.end_position, dtype=float) / UNIT)
+
+    def _drag_place(self, event: Any) -> None:
+        """Move the touch to the section nearest to the pointer."""
+        pointer = self._in_base(event)
+        if pointer is None or self._shown is None:
+            return
+        probe, _, bent = self._shown
+        s = np.linspace(0.0, probe.length, 201)
+        nearest = int(np.argmin(np.linalg.norm(centreline(bent, s)[0] - pointer, axis=1)))
+        self._on_change(
+            "touch.fraction", round(float(np.clip(s[nearest] / probe.length, MIN_FRACTION, 1.0)), 3)
+        )
+
+    def _drag_force(self, event: Any) -> None:
+        """Turn the force to the pointer; its distance from the touch sets the magnitude."""
+        pointer, (_, drawn, bent) = self._in_base(event), self._shown or (None, None, None)
+        if pointer is None or drawn is None or bent is None:
+            return
+        arm = drawn.p_surface - pointer
+        _, x, y = centreline(bent, np.array([drawn.s]))
+        force = np.clip(force_of_arrow(float(np.linalg.norm(arm))), MIN_FORCE_MN, MAX_FORCE_MN)
+        self._on_change("touch.angle_deg", float(round(math.degrees(math.atan2(arm @ y[0], arm @ x[0])))))
+        self._on_change("touch.force_mN", round(2.0 * float(force)) / 2.0)
+
+    def _drag_knot(self, i: int, event: Any) -> None:
+        """Set the diameter of a knot to twice the pointer's distance from the centreline."""
+        pointer = self._in_base(event)
+        if pointer is None or self._shown is None:
+            return
+        probe, _, bent = self._shown
+        index, s, _ = knots_of(probe.design)[i]
+        p, x, _ = centreline(bent, np.array([s]))
+        self._on_change(f"knot.{index}", round(2e3 * abs(float((pointer - p[0]) @ x[0])), 1))
+
+
+def arrow_length(force_mN: float) -> float:
+    """Return the length of the drawn arrow [m]: half of `ARROW` for each decade above 0.1 mN."""
+    return 0.5 * ARROW * (math.log10(max(force_mN, 0.2)) + 1.0)
+
+
+def force_of_arrow(length: float) -> float:
+    """Return the force [mN] of an arrow of a length [m]."""
+    return float(10.0 ** (length / (0.5 * ARROW) - 1.0))
+
+
+def _segment_faces() -> NDArray[np.uint32]:
+    """Return the triangles of one segment: its side and, about its last vertex, the disc at its end."""
+    ring = np.arange(RING_POINTS)
+    after = (ring + 1) % RING_POINTS
+    first = RING_POINTS * np.arange(RINGS - 1)[:, None]
+    a, b = first + ring, first + after
+    side = np.stack([a, b, b + RING_POINTS, a, b + RING_POINTS, a + RING_POINTS], axis=-1).reshape(-1, 3)
+    last = (RINGS - 1) * RING_POINTS
+    disc = np.stack([last + ring, last + after, np.full(RING_POINTS, RINGS * RING_POINTS)], axis=1)
+    return np.concatenate([side, disc]).astype(np.uint32)
+
+
+def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.float32]]:
+    """Return the vertices of the segments in scene units."""
+    geometry = probe.geometry
+    angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS, endpoint=False)
+    flatness = probe.design.probe.flatness or 1.0
+    found = []
+    for low, high in pairwise(edges):
+        s = np.linspace(low, high, RINGS) * probe.length
+        p, x, y = centreline(shape, s)
+        r = np.interp(s, geometry.s, geometry.radius)[:, None, None]
+        rings = p[:, None] + r * (
+            np.cos(angle)[:, None] * x[:, None] + flatness * np.sin(angle)[:, None] * y[:, None]
+        )
+        found.append((UNIT * np.vstack([rings.reshape(-1, 3), p[-1:]])).astype(np.float32))
+    return found

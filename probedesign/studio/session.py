@@ -1,0 +1,263 @@
+"""State of the studio without its page: the design, its history, the touch, the pinned designs.
+
+Every change passes through `Session.change`, which checks it as a design file is checked. Nothing here draws.
+"""
+
+import shlex
+import tomllib
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import Any
+
+from probedesign.core.errors import InputError
+from probedesign.core.units import MM
+from probedesign.design import Design, check_design
+from probedesign.design.catalog import RESINS, find
+from probedesign.design.io import default_tip_d_mm, material_keys, sensor_keys
+from probedesign.optimization.design_space import design_dict
+from probedesign.optimization.sweep import with_values
+
+MAX_STEPS = 200
+"""Number of changes that can be undone."""
+MERGE_SECONDS = 1.0
+"""Changes of the same key within this time are undone together: one drag of a slider."""
+MAX_PINNED = 4
+"""Number of pinned designs that a chart distinguishes beside the current one."""
+MOUNTINGS = {
+    "horizontal": (9.81, 0.0, 0.0),
+    "down": (0.0, 0.0, 9.81),
+    "up": (0.0, 0.0, -9.81),
+}
+"""Gravity in base axes [m/s²] of the directions in which the probe points."""
+INTERIOR_KNOTS = (0.25, 0.5, 0.75)
+"""Fractions of the length of the diameters that a free profile adds."""
+
+
+@dataclass(frozen=True)
+class StudioTouch:
+    """The touch that is drawn.
+
+    Attributes:
+        fraction: arclength of the touched section over the length.
+        angle_deg: direction of the push about the tangent, from the section's x axis.
+        force_mN: normal force.
+    """
+
+    fraction: float = 0.8
+    angle_deg: float = 90.0
+    force_mN: float = 10.0
+
+
+@dataclass(frozen=True)
+class PinnedDesign:
+    """A design kept for comparison."""
+
+    label: str
+    design: Design
+
+
+@dataclass
+class Session:
+    """The state of one studio. All browser tabs share it.
+
+    Attributes:
+        design: the current design; always valid.
+        touch: the touch that is drawn.
+        forces_mN: contact forces whose errors are drawn.
+        pinned: designs kept for comparison.
+        refused: why the last change was refused, in one line; empty if it was accepted.
+        source: design file or preset from which the session started.
+    """
+
+    design: Design
+    source: str = "large"
+    touch: StudioTouch = StudioTouch()
+    forces_mN: tuple[float, ...] = (2.0, 5.0, 10.0, 20.0, 50.0)
+    pinned: list[PinnedDesign] = field(default_factory=list)
+    refused: str = ""
+    _start: dict[str, Any] = field(default_factory=dict)
+    _undo: list[Design] = field(default_factory=list)
+    _redo: list[Design] = field(default_factory=list)
+    _last: tuple[str, float] = ("", 0.0)
+
+    def __post_init__(self) -> None:
+        """Remember the design from which the command line is written."""
+        self._start = self._start or design_dict(self.design)
+
+    def change(self, values: Mapping[str, Any], now: float) -> bool:
+        """Change keys of the design; return whether the result is a valid design, which is then the current one.
+
+        Args:
+            values: new values by key of the design file, such as `probe.length_mm`.
+            now: time of the change [s]; changes of the same keys shortly after each other are undone together.
+        """
+        try:
+            data = design_dict(self.design)
+            for key, value in values.items():
+                data = _with_key(data, key, value)
+            changed = check_design(data)
+        except InputError as error:
+            self.refused = str(error)
+            return False
+        self.refused = ""
+        if changed != self.design:
+            key = ",".join(sorted(values))
+            if key != self._last[0] or now - self._last[1] > MERGE_SECONDS:
+                self._undo = [*self._undo[-MAX_STEPS:], self.design]
+            self._redo.clear()
+            self._last = key, now
+            self.design = changed
+        return True
+
+    def replace_design(self, design: Design) -> None:
+        """Make another design the current one, as one step."""
+        if design != self.design:
+            self._undo = [*self._undo[-MAX_STEPS:], self.design]
+            self._redo.clear()
+            self._last, self.design, self.refused = ("", 0.0), design, ""
+
+    def undo(self) -> bool:
+        """Return to the design before the last change; return whether there was one."""
+        return self._step(self._undo, self._redo)
+
+    def redo(self) -> bool:
+        """Repeat the change that was undone last; return whether there was one."""
+        return self._step(self._redo, self._undo)
+
+    def _step(self, source: list[Design], target: list[Design]) -> bool:
+        if not source:
+            return False
+        target.append(self.design)
+        self.design, self._last, self.refused = source.pop(), ("", 0.0), ""
+        return True
+
+    def pin(self) -> PinnedDesign | None:
+        """Keep the current design for comparison; None if it is kept already."""
+        if any(one.design == self.design for one in self.pinned):
+            return None
+        taken = {one.label for one in self.pinned}
+        label = next(f"pin {n}" for n in range(1, len(taken) + 2) if f"pin {n}" not in taken)
+        found = PinnedDesign(label, self.design)
+        self.pinned = [*self.pinned, found][-MAX_PINNED:]
+        return found
+
+    def unpin(self, label: str) -> None:
+        """Drop a pinned design."""
+        self.pinned = [one for one in self.pinned if one.label != label]
+
+    @property
+    def command_line(self) -> str:
+        """Return the command that starts a studio with this design."""
+        changed = changes(self._start, design_dict(self.design))
+        options = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
+        return " ".join(["probedesign studio", shlex.quote(self.source), *options])
+
+
+def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """Return the tables of a design with one key changed, and the keys that follow from it."""
+    match key:
+        case "material.resin":
+            data = deepcopy(data)
+            resin = find(RESINS, value, key)
+            data["material"] = {**data["material"], **material_keys(resin)}
+            data["contact"] = {"friction": resin.friction.value}
+            return data
+        case "sensor.calibration":
+            return {**data, "sensor": {**data["sensor"], **sensor_keys(value)}}
+        case "probe.shape":
+            return _with_shape(data, value)
+        case "probe.section":
+            ratios = {"hollow": {"bore_ratio": 0.5}, "elliptic": {"flatness": 0.7}}.get(value, {})
+            probe = {k: v for k, v in data["probe"].items() if k not in ("bore_ratio", "flatness")}
+            return {**data, "probe": {**probe, "section": value, **ratios}}
+        case "material.youngs_modulus_mpa":  # chosen by hand: no longer what was identified
+            data = with_values(data, {key: value})
+            data["material"].setdefault("provenance", {})["youngs_modulus_mpa"] = "assumed"
+            return data
+        case "probe.length_mm" | "probe.base_d_mm" | "probe.tip_d_mm" if data["probe"].get("profile_mm"):
+            return _with_profile_end(data, key, value)
+    return with_values(data, {key: value})
+
+
+def _with_shape(data: dict[str, Any], shape: str) -> dict[str, Any]:
+    probe = {k: v for k, v in data["probe"].items() if k not in ("profile_mm", "tip_d_mm")}
+    old = data["probe"]
+    base, length = old["base_d_mm"], old["length_mm"]
+    tip = old.get("tip_d_mm") or default_tip_d_mm(base)
+    probe["shape"] = shape
+    if shape != "cylinder":
+        probe["tip_d_mm"] = tip
+    if shape == "profile":
+        between = [[round(f * length, 3), round(base + f * (tip - base), 3)] for f in INTERIOR_KNOTS]
+        probe["profile_mm"] = [[0.0, base], *between, [length, tip]]
+    return {**data, "probe": probe}
+
+
+def _with_profile_end(data: dict[str, Any], key: str, value: float) -> dict[str, Any]:
+    """Return a profile with another length, base or tip; its knots keep their fractions of the length."""
+    profile = [list(knot) for knot in data["probe"]["profile_mm"]]
+    if key == "probe.length_mm":
+        scale = value / profile[-1][0]
+        profile = [[round(s * scale, 3), d] for s, d in profile]
+        profile[-1][0] = value
+    else:
+        profile[0 if key == "probe.base_d_mm" else -1][1] = value
+    return with_values(data, {key: value, "probe.profile_mm": profile})
+
+
+def with_knots(design: Design, diameters_mm: Mapping[int, float]) -> dict[str, Any]:
+    """Return the change of interior diameters of a profile by index, for `Session.change`."""
+    profile = [list(knot) for knot in design.probe.profile_mm or ()]
+    for index, diameter in diameters_mm.items():
+        profile[index][1] = round(diameter, 2)
+    return {"probe.profile_mm": profile}
+
+
+def changes(start: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the keys of a design whose values differ from those at the start, with the new values."""
+    found: dict[str, Any] = {}
+    for key, value in now.items():
+        if isinstance(value, Mapping):
+            found |= changes(start.get(key) or {}, value, f"{prefix}{key}.")
+        elif value != start.get(key):
+            found[f"{prefix}{key}"] = value
+    return found
+
+
+def _text(value: Any) -> str:
+    """Return a value as `--set` reads it: TOML."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_text, value))}]"
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def with_options(design: Design, options: Sequence[str]) -> Design:
+    """Return the design with the keys of `--set KEY=VALUE` changed, as `Session.command_line` writes them.
+
+    Raises:
+        InputError: an option is not KEY=VALUE, or the design is not valid.
+    """
+    data = design_dict(design)
+    for option in options:
+        key, equals, text = option.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--set {option!r} is not KEY=VALUE, such as --set probe.length_mm=140")
+        try:
+            value = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text.strip()
+        data = with_values(data, {key.strip(): value})
+    return check_design(data)
+
+
+def mounting_of(gravity: Sequence[float]) -> str:
+    """Return the name of the mounting direction, "other" for a gravity that has none."""
+    return next((name for name, g in MOUNTINGS.items() if tuple(gravity) == g), "other")
+
+
+def knots_of(design: Design) -> list[tuple[int, float, float]]:
+    """Return index, arclength [m] and diameter [m] of the interior knots of a profile."""
+    if design.probe.profile_mm is None:
+        return []
+    return [(i, s * MM, d * MM) for i, (s, d) in enumerate(design.probe.profile_mm)][1:-1]

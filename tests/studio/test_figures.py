@@ -1,0 +1,88 @@
+"""The figures of the studio: the numbers of `predict`, and one bent touch."""
+
+import math
+
+import numpy as np
+import pytest
+
+from probedesign.prediction.predict import FORCES_N
+from probedesign.prediction.table_one import paper_design
+from probedesign.probe import build_probe
+from probedesign.studio.figures import complete, drawn_touch, preview, segment_colours, summary_table
+from probedesign.studio.scene import arrow_length, force_of_arrow
+from probedesign.studio.session import PinnedDesign, Session, StudioTouch
+
+
+@pytest.mark.parametrize("name", ["large", "small"])
+def test_the_preview_has_the_numbers_of_predict(name):
+    design = paper_design(name)
+    full = build_probe(design).predict()
+    quick = preview(design, FORCES_N).prediction
+    assert quick.verdict == full.verdict
+    for a, b in zip(quick.conditions, full.conditions, strict=True):
+        assert (a.result, a.contact_fraction, a.force_N, a.direction) == (
+            b.result, b.contact_fraction, b.force_N, b.direction)  # fmt: skip
+        # Another sequence of forces leads to the same equilibrium within the solver's tolerance.
+        for key in ("predicted_error_mm", "noise_error_mm"):
+            assert_close(getattr(a, key), getattr(b, key))
+    for a, b in zip(quick.detection, full.detection, strict=True):
+        assert_close(a.detectable_force_mN, b.detectable_force_mN)
+
+
+def assert_close(a, b):
+    """Both are None, or equal within a hundred thousandth."""
+    assert (a is None) is (b is None)
+    assert a is None or a == pytest.approx(b, rel=1e-5)
+
+
+def test_all_figures_are_those_of_predict():
+    design = paper_design("small")
+    full, figures = build_probe(design).predict(), complete(design)
+    assert figures.complete and figures.prediction.as_dict() == full.as_dict()
+    rows = {row.name: row.value for row in figures.summary()}
+    assert rows["tip sag"] == full.tip_sag_mm and rows["mass"] == full.mass_g
+    largest = min(r.greatest_force_N for r in full.reach if r.contact_fraction == 0.8)
+    assert rows["largest force at 0.8 L"] == 1e3 * largest
+
+
+def test_a_buckled_probe_has_figures_and_no_touch():
+    session = Session(paper_design("large"))
+    changes = {"probe.base_d_mm": 3.0, "probe.tip_d_mm": 2.0, "mount.gravity_base_m_s2": [0.0, 0.0, -9.81],
+               "probe.length_mm": 200.0}  # fmt: skip
+    assert session.change(changes, now=0.0), session.refused
+    figures = preview(session.design, (0.01,))
+    assert figures.buckles and math.isnan(figures.frequency) and "buckles" in figures.prediction.verdict
+    assert any(row.value is None for row in figures.summary())
+
+
+@pytest.mark.parametrize("angle", [-90.0, 0.0, 60.0])
+def test_the_drawn_touch_is_located_where_it_is_drawn(angle):
+    probe = build_probe(paper_design("large"))
+    drawn = drawn_touch(probe, StudioTouch(0.7, angle, 20.0))
+    assert drawn is not None and drawn.estimate.ok
+    # The estimator of the same rod; the linearised surface of the drawing differs by a thousandth of the radius.
+    assert drawn.estimate.p_surface_base == pytest.approx(drawn.p_surface, abs=2e-5)
+    assert np.linalg.norm(drawn.normal) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_the_colour_of_a_segment_is_that_of_its_error():
+    figures = preview(paper_design("large"), (0.01,))
+    edges = np.linspace(0.0, 1.0, 21)
+    colours = segment_colours(figures, edges, 0.01)
+    errors = {
+        c.contact_fraction: c.predicted_error_mm for c in figures.prediction.conditions if c.force_N == 0.01
+    }
+    assert len(colours) == 20 and colours[0] != colours[-1] and errors[0.1] < errors[0.9]
+
+
+def test_a_pinned_design_is_shown_with_the_difference():
+    large, small = complete(paper_design("large")), complete(paper_design("small"))
+    pin = PinnedDesign("pin 1", paper_design("large"))
+    table = summary_table(small, [(pin, large)])
+    change = small.prediction.mass_g / large.prediction.mass_g - 1.0
+    assert f"{change:+.0%}" in table and 'class="better"' in table and 'class="worse"' in table
+
+
+@pytest.mark.parametrize("force", [0.5, 10.0, 200.0])
+def test_the_arrow_has_the_length_of_its_force(force):
+    assert force_of_arrow(arrow_length(force)) == pytest.approx(force, rel=1e-12)

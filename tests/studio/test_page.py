@@ -1,0 +1,124 @@
+"""The studio in a real browser."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.prediction.table_one import paper_design
+from probedesign.studio.page import StudioPage
+from probedesign.studio.session import Session
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+"""A browser without a GPU, and as root in a container."""
+PATIENCE = 120_000
+"""A page drawn by a busy processor is slow, and no test is about that [ms]."""
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    served = StudioPage(Session(paper_design("small"), "small"), "127.0.0.1", 8185)
+    yield served
+    served.stop()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_two_tabs_show_one_state_without_errors(page):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        tabs, faults = [], []
+        for size in ((1280, 720), (820, 1180)):
+            tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            tab.set_default_timeout(PATIENCE)
+            tab.on(
+                "console", lambda message: faults.append(message.text) if message.type == "error" else None
+            )
+            tab.on("pageerror", lambda error: faults.append(str(error)))
+            tab.goto(page.url)
+            tabs.append(tab)
+        for tab in tabs:
+            tab.wait_for_selector("text=/One reading of 10 mN is located/")
+        length = tabs[0].get_by_role("textbox").nth(0)
+        assert length.is_visible()
+        page.move("probe.length_mm", 60.0)
+        page.settle()
+        for tab in tabs:
+            tab.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '60')")
+        # An impossible design: the reason, and the last valid design is kept.
+        page.move("probe.tip_d_mm", 11.0)
+        for tab in tabs:
+            tab.wait_for_selector("text=/Not applied: .*tip_d_mm/")
+        assert page.session.design.probe.length_mm == 60.0 and page.session.design.probe.tip_d_mm == 1.5
+        tabs[0].get_by_role("button", name="undo").click()
+        tabs[1].wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
+        assert page.session.design == paper_design("small")
+        browser.close()
+    assert not [fault for fault in faults if "favicon" not in fault]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_the_buttons_write_what_the_commands_write(page, tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        tab = browser.new_page(viewport={"width": 1280, "height": 720})
+        tab.set_default_timeout(PATIENCE)
+        tab.goto(page.url)
+        tab.get_by_role("tab", name="Save").click()
+        tab.get_by_role("button", name="Save the design").click()
+        tab.wait_for_selector("text=/wrote designs.small.toml/")
+        tab.get_by_role("button", name="Save the design").click()
+        tab.wait_for_selector("text=/exists already/")
+        tab.get_by_role("button", name="Deploy the estimator").click()
+        tab.wait_for_selector("text=/wrote exports.small.small.probe.json/")
+        browser.close()
+    assert run(["check", "designs/small.toml"]) == 0
+    assert (tmp_path / "exports/small/small.probe.json").exists()
+
+
+def test_another_web_page_cannot_connect(page):
+    """The handshake of a WebSocket from another origin is refused."""
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+    from websockets.typing import Origin, Subprotocol
+
+    address, protocol = page.url.replace("http", "ws"), Subprotocol(f"viser-v{viser.__version__}")
+    with connect(address, origin=Origin(page.url), subprotocols=[protocol]) as own:
+        assert len(own.recv(timeout=30)) > 0
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(address, origin=Origin("http://example.org"), subprotocols=[protocol])
+
+
+@pytest.mark.parametrize("arguments", [["--port", "0"], ["--host", "0.0.0.0"], ["--set", "probe.length_mm"],
+                                       ["none.toml"], ["small", "--set", "probe.tip_d_mm=9"]])  # fmt: skip
+def test_bad_arguments_give_one_line(arguments, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["studio", *arguments]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()[-1:]) == 1
+
+
+def test_ctrl_c_leaves_nothing_running(tmp_path):
+    command = [sys.executable, "-m", "probedesign.cli.main", "studio", "small", "--no-open"]
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("studio: http")  # nothing else is printed before
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 0
+    assert process.stdout.read() == ""

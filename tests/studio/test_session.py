@@ -1,0 +1,99 @@
+"""The state of the studio: every change is checked as a file is, and can be undone and restored."""
+
+import pytest
+
+from probedesign.core.errors import InputError
+from probedesign.design.catalog import RESINS
+from probedesign.optimization.design_space import design_dict
+from probedesign.prediction.table_one import paper_design
+from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, with_knots, with_options
+
+
+@pytest.fixture
+def session():
+    return Session(paper_design("large"))
+
+
+def test_a_drag_is_undone_at_once_and_separate_changes_one_by_one(session):
+    start = session.design
+    for i, length in enumerate((149.0, 140.0, 120.0)):
+        assert session.change({"probe.length_mm": length}, now=10.0 + 0.5 * MERGE_SECONDS * i)
+    assert session.change({"probe.base_d_mm": 10.0}, now=11.6)
+    assert (
+        session.undo() and session.design.probe.length_mm == 120.0 and session.design.probe.base_d_mm == 12.0
+    )
+    assert session.undo() and session.design == start and not session.undo()
+    assert session.redo() and session.redo() and session.design.probe.base_d_mm == 10.0 and not session.redo()
+
+
+def test_an_invalid_change_keeps_the_design_and_gives_the_reason_of_the_file(session):
+    start = session.design
+    assert not session.change({"probe.tip_d_mm": 14.0}, now=0.0)  # wider than the base
+    assert session.design == start and "tip_d_mm" in session.refused and "\n" not in session.refused
+    with pytest.raises(InputError) as reason:
+        with_options(start, ["probe.tip_d_mm=14.0"])
+    assert str(reason.value) == session.refused
+    assert session.change({"probe.tip_d_mm": 3.0}, now=5.0) and not session.refused
+
+
+@pytest.mark.parametrize("shape", ["cylinder", "profile", "cone"])
+@pytest.mark.parametrize("section", ["hollow", "elliptic", "round"])
+def test_shapes_and_sections_follow_each_other(session, shape, section):
+    assert session.change({"probe.base_d_mm": 14.0}, now=0.0)
+    assert session.change({"probe.section": section}, now=2.0), session.refused
+    assert session.change({"probe.shape": shape}, now=4.0), session.refused
+    assert (session.design.probe.shape, session.design.probe.section) == (shape, section)
+    for other in ("cone", "profile"):
+        assert session.change({"probe.shape": other}, now=9.0), session.refused
+
+
+def test_a_profile_keeps_its_knots_when_length_and_ends_change(session):
+    assert session.change({"probe.shape": "profile"}, now=0.0)
+    assert session.change(with_knots(session.design, {2: 9.5}), now=2.0)
+    assert session.change({"probe.length_mm": 120.0}, now=4.0)
+    assert session.change({"probe.base_d_mm": 13.0}, now=6.0)
+    profile = session.design.probe.profile_mm
+    assert [s for s, _ in profile] == [0.0, 30.0, 60.0, 90.0, 120.0]
+    assert profile[0][1] == 13.0 and profile[2][1] == 9.5
+
+
+@pytest.mark.parametrize("resin", sorted(RESINS))
+def test_a_resin_brings_its_own_numbers(session, resin):
+    assert session.change({"material.resin": resin}, now=0.0)
+    assert session.design.youngs_modulus.value == RESINS[resin].youngs_modulus.value
+    assert session.design.friction.value == RESINS[resin].friction.value
+
+
+def test_a_modulus_chosen_by_hand_is_assumed(session):
+    assert session.design.youngs_modulus.provenance == "identified"
+    assert session.change({"material.youngs_modulus_mpa": 3.0}, now=0.0)
+    assert session.design.youngs_modulus.provenance == "assumed"
+
+
+def test_the_command_line_restores_the_design(session):
+    import shlex
+
+    session.change({"probe.shape": "profile"}, now=0.0)
+    session.change(with_knots(session.design, {1: 8.25}), now=2.0)
+    session.change({"mount.gravity_base_m_s2": [0.0, 0.0, 9.81]}, now=4.0)
+    session.change({"sensor.calibration": "si-50-0.5"}, now=6.0)
+    words = shlex.split(session.command_line)
+    assert words[:3] == ["probedesign", "studio", "large"]
+    options = [text for option, text in zip(words[3::2], words[4::2], strict=True) if option == "--set"]
+    assert design_dict(with_options(paper_design("large"), options)) == design_dict(session.design)
+
+
+@pytest.mark.parametrize("option", ["probe.length_mm", "=3", "probe.lenght_mm=3", "probe.length_mm=nan",
+                                    "probe.length_mm=-5", "probe.length_mm.x=3"])  # fmt: skip
+def test_bad_options_give_one_line(option):
+    with pytest.raises(InputError) as error:
+        with_options(paper_design("small"), [option])
+    assert "\n" not in str(error.value)
+
+
+def test_pins_are_kept_once_and_the_oldest_gives_way(session):
+    for n in range(MAX_PINNED + 2):
+        session.change({"probe.length_mm": 100.0 + n}, now=10.0 * n)
+        assert session.pin() is not None and session.pin() is None
+    assert [one.design.probe.length_mm for one in session.pinned] == [102.0, 103.0, 104.0, 105.0]
+    assert len({one.label for one in session.pinned}) == MAX_PINNED
