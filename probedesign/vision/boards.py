@@ -132,8 +132,8 @@ def board_pdf(board: Board) -> bytes:
     lines.append("f")
     left, line = POINT * MARGIN, min(100.0 * MM, 10.0 * MM * (width // (10.0 * MM)))
     lines.append(f"0.5 w {left:.4f} 24 m {left + POINT * line:.4f} 24 l S")
-    text = (f"{line / MM:g} mm   squares {board.squares[0]} x {board.squares[1]}, square {board.square / MM:g} mm, marker "
-            f"{board.marker / MM:g} mm, {board.dictionary}")  # fmt: skip
+    squares = f"squares {board.squares[0]} x {board.squares[1]}, square {board.square / MM:g} mm"
+    text = f"{line / MM:g} mm   {squares}, marker {board.marker / MM:g} mm, {board.dictionary}"
     lines.append(f"BT /F1 7 Tf {left:.4f} 12 Td ({text}) Tj ET")
     stream = zlib.compress("\n".join(lines).encode())
     objects = [
@@ -149,7 +149,8 @@ def board_pdf(board: Board) -> bytes:
         offsets.append(len(content))
         content += f"{number} 0 obj\n".encode() + body + b"\nendobj\n"
     table = "".join(f"{offset:010d} 00000 n \n" for offset in offsets)
-    end = f"xref\n0 {len(objects) + 1}\n0000000000 65535 f \n{table}trailer\n<< /Size {len(objects) + 1} /Root 1 0 R >>\n"
+    size = len(objects) + 1
+    end = f"xref\n0 {size}\n0000000000 65535 f \n{table}trailer\n<< /Size {size} /Root 1 0 R >>\n"
     return content + f"{end}startxref\n{len(content)}\n%%EOF\n".encode()
 
 
