@@ -178,7 +178,7 @@ def _read_corners(path: Path, table: CamerasTable) -> tuple[BoardView, ...]:
                 f"the picture of placement {placement} by camera {name} has no single size in whole pixels",
             )
         for i in own:
-            if not (-0.5 <= uv[i] <= sizes[i] - 0.5).all():
+            if not ((uv[i] >= -0.5) & (uv[i] <= sizes[i] - 0.5)).all():
                 rows.fail(
                     i, f"pixel {uv[i, 0]:g}, {uv[i, 1]:g} lies outside the picture of {width:g} x {height:g}"
                 )

@@ -23,6 +23,7 @@ def campaign(
     seed: int = 0,
     stage: bool = False,
     images: bool = False,
+    calibration: Literal["box", "board", "files"] = "box",
     youngs_modulus_mpa: float | None = None,
     shear_modulus_mpa: float | None = None,
     marker_noise_mm: float | None = None,
@@ -44,6 +45,8 @@ def campaign(
         seed: seed of all drawn values.
         stage: touches at positions known to 0.05 mm, without cameras.
         images: render photographs as well.
+        calibration: of the cameras: a box of control points, pictures of a ChArUco board, or calibration files of
+            OpenCV.
         youngs_modulus_mpa: Young's modulus of the true print [MPa]. Default: drawn around the design's.
         shear_modulus_mpa: shear modulus of the true print [MPa]. Default: drawn around the design's.
         marker_noise_mm: standard deviation of the markers on each axis [mm], from a reference other than cameras.
@@ -63,7 +66,7 @@ def campaign(
         return None if value is None else value * unit
 
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
-                si(marker_noise_mm, MM), readings, exact, images,
+                si(marker_noise_mm, MM), readings, exact, images, calibration,
                 friction, friction_spread)  # fmt: skip
     with show_progress() as on_progress:
         made = make_campaign(pipeline.load_probe(design).model, out, plan, force, on_progress)

@@ -116,7 +116,10 @@ class Camera:
         seen = bent.copy()
         # a step gains a factor |3 k1 r²|, a fifth or less for any lens used for measuring
         for _ in range(30 if len(self.distortion) else 0):
-            seen = seen + bent - self._bent(seen)
+            off = bent - self._bent(seen)
+            seen = seen + off
+            if not np.nanmax(np.abs(off), initial=0.0) > 1e-15:
+                break
         directions = _homogeneous(seen) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 

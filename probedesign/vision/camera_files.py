@@ -352,30 +352,39 @@ def _rotation(document: _Document, key: str, R: Array) -> Array:
 # uncertainty
 
 
-def _uncertain(camera: Camera, px: float, T: Array | None, target: Array, document: _Document) -> Camera:
-    """Return a camera with its pose T_camera_world, if stated, and its assumed covariance.
+def assumed_covariance(camera: Camera, px: float, distance: float) -> Array:
+    """Return the covariance of a camera whose reprojection error is all that is known, (11 + d, 11 + d).
 
     Each parameter alone displaces a point at the edge of the picture by the reprojection error over the square root of
     their number, so that all together displace it by the reprojection error.
+
+    Args:
+        camera: its parameters.
+        px: reprojection error [px].
+        distance: of the points that it sees [m]; 0 if its pose is not stated.
     """
-    focal, edge = camera.K[0, 0], camera.K[0, 2]
-    radius = edge / focal
-    count = 10 + len(camera.distortion)
-    share = px / math.sqrt(count)
+    focal = float(camera.K[0, 0])
+    radius = float(camera.K[0, 2]) / focal
+    share = px / math.sqrt(LINEAR - 1 + len(camera.distortion))
     bends = [
         share / (focal * size) for size in (radius**3, radius**5, 3 * radius**2, 3 * radius**2, radius**7)
     ]
-    std = np.array([share / radius, share / radius, 0.0, share, share, *3 * [share / focal], *3 * [0.0],
-                    *bends[: len(camera.distortion)]])  # fmt: skip
+    std = [*2 * [share / radius], 0.0, *2 * [share], *3 * [share / focal], *3 * [share * distance / focal],
+           *bends[: len(camera.distortion)]]  # fmt: skip
+    return np.diag(np.square(std))
+
+
+def _uncertain(camera: Camera, px: float, T: Array | None, target: Array, document: _Document) -> Camera:
+    """Return a camera with its pose T_camera_world, if stated, and its assumed covariance."""
+    distance = 0.0
     if T is not None:
         centre = -T[:3, :3].T @ T[:3, 3]
         distance = float(np.linalg.norm(centre - target))
         if not DISTANCE[0] < distance < DISTANCE[1]:
             raise document.fail(f"camera {camera.name} would be {distance:.3g} m from the base of the probe; check "
                                 "cameras.length_unit and base.p_world_mm in campaign.toml")  # fmt: skip
-        std[8:11] = share * distance / focal
         camera = replace(camera, R_camera_world=T[:3, :3], p_world=centre)
-    return replace(camera, cov=np.diag(std**2), std_px=px)
+    return replace(camera, cov=assumed_covariance(camera, px, distance), std_px=px)
 
 
 def _relative(
