@@ -55,7 +55,7 @@ def board(
         print_json({"file": out, "width_mm": made.size[0] / MM, "height_mm": made.size[1] / MM, **table})
         return
     print(
-        f"wrote {out}: {squares[0]} x {squares[1]} squares, {width:g} x {height:g} mm with its margin; for campaign.toml:"
+        f"wrote {out}: {squares[0]} x {squares[1]} squares, {width:g} x {height:g} mm with margin; for campaign.toml:"
     )
     print(f"\n[cameras.board]\nsquares = {list(squares)}\nsquare_mm = {square_mm:g}\nmarker_mm = {marker_mm:g}\n"
           f'dictionary = "{dictionary}"')  # fmt: skip

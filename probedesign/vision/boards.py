@@ -64,8 +64,10 @@ class Board:
                 f"squares = {list(self.squares)}: a board has 3 to {MAX_SQUARES} columns and rows"
             )
         if not 0.3 * self.square <= self.marker <= 0.95 * self.square:
-            raise InputError(f"marker_mm = {self.marker / MM:g} must lie between 0.3 and 0.95 of square_mm = "
-                             f"{self.square / MM:g}")  # fmt: skip
+            limits = f"{0.3 * self.square / MM:g} ... {0.95 * self.square / MM:g}"
+            raise InputError(
+                f"marker_mm = {self.marker / MM:g} must lie in {limits}, 0.3 to 0.95 of square_mm"
+            )
         needed, known = self.squares[0] * self.squares[1] // 2, DICTIONARIES[self.dictionary]
         if needed > known:
             raise InputError(f"dictionary = {self.dictionary!r} has {known} markers, but the board needs {needed}; "
