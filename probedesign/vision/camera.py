@@ -112,7 +112,9 @@ class Camera:
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Return the directions of pixels u, v (..., 2) in the world, unit vectors (..., 3)."""
-        bent = np.asarray(np.linalg.solve(self.K, _homogeneous(pixels)[..., None])[..., :2, 0], dtype=float)
+        off = np.asarray(pixels, dtype=float) - self.K[:2, 2]
+        down = off[..., 1] / self.K[1, 1]
+        bent = np.stack([(off[..., 0] - self.K[0, 1] * down) / self.K[0, 0], down], axis=-1)
         seen = bent.copy()
         # a step gains a factor |3 k1 r²|, a fifth or less for any lens used for measuring
         for _ in range(30 if len(self.distortion) else 0):

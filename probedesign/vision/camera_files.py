@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -152,9 +153,11 @@ def read_camera_files(
         notes.append(f"camera {camera.name}: calibration file, reprojection error {px:g} px ({source})")
         found.append(_uncertain(camera, px, poses.get(camera.name), target_world, merged))
     by_name = {camera.name: camera for camera in found}
-    return StatedCalibration(
-        tuple(found), bool(poses), tuple(_relative(by_name, *one, merged) for one in relative), tuple(notes)
-    )
+    if poses:
+        for a, b in combinations(found, 2):
+            _check_baseline(merged, a.name, b.name, a.p_world - b.p_world)
+    placed = tuple(_relative(by_name, *one, merged) for one in relative)
+    return StatedCalibration(tuple(found), bool(poses), placed, tuple(notes))
 
 
 # formats
@@ -170,16 +173,17 @@ def _read(path: Path) -> _Document:
 
 
 def _from_yaml(path: Path, text: str) -> Any:
-    """Parse YAML safely: no tags but OpenCV's matrix."""
+    """Parse YAML safely: no tags but OpenCV's matrices."""
     require("yaml", "reading calibration files", "vision", "pyyaml")
     import yaml
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """YAML with OpenCV's tag of matrices, which are mappings."""
+        """YAML with OpenCV's tags of matrices, which are mappings."""
 
-    Loader.add_constructor(
-        "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
-    )
+    for kind in ("matrix", "nd-matrix"):
+        Loader.add_constructor(
+            f"tag:yaml.org,2002:opencv-{kind}", lambda loader, node: loader.construct_mapping(node, deep=True)
+        )
     text = re.sub(r"\A%YAML:1\.\d\s*\n", "", text)  # OpenCV's first line is not one of YAML
     try:
         return yaml.load(text, Loader)
@@ -391,9 +395,15 @@ def _relative(
     cameras: Mapping[str, Camera], name: str, other: str, T: Array, document: _Document
 ) -> RelativePose:
     """Return a stated relative pose with its assumed uncertainty, as far as the cameras' parameters have it."""
-    baseline = float(np.linalg.norm(T[:3, 3]))
-    if not BASELINE[0] < baseline < BASELINE[1]:
-        raise document.fail(f"cameras {other} and {name} would be {baseline:.3g} m apart; check cameras.length_unit in "
-                            "campaign.toml")  # fmt: skip
+    baseline = _check_baseline(document, other, name, T[:3, 3])
     std = math.hypot(*(math.sqrt(cameras[one].cov[5, 5]) for one in (name, other)))
     return RelativePose(name, other, T, std, std * baseline)
+
+
+def _check_baseline(document: _Document, name: str, other: str, vector: Array) -> float:
+    """Return the distance between two cameras [m]; refuse one that is not plausible."""
+    baseline = float(np.linalg.norm(vector))
+    if not BASELINE[0] < baseline < BASELINE[1]:
+        raise document.fail(f"cameras {name} and {other} would be {baseline:.3g} m apart; check cameras.length_unit in "
+                            "campaign.toml")  # fmt: skip
+    return baseline
