@@ -32,7 +32,7 @@ FILE_PX = 0.3
 """Reprojection error that simulated calibration files state [px] (assumed)."""
 PAPER, INK, PAPER_MARGIN = 0.8, 0.06, 10.0 * MM  # albedos, and the white border round the squares [m]
 _TEXTURE = 20e3  # pixels of the board's picture in a metre: edges of squares of whole millimetres are exact
-_FINE = 4  # samples along each side of a pixel
+_FINE = 3  # samples along each side of a pixel
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,7 +120,7 @@ class Camera:
         for _ in range(30 if len(self.distortion) else 0):
             off = bent - self._bent(seen)
             seen = seen + off
-            if not np.nanmax(np.abs(off), initial=0.0) > 1e-15:
+            if not np.nanmax(np.abs(off), initial=0.0) > 1e-13:
                 break
         directions = _homogeneous(seen) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
