@@ -119,7 +119,7 @@ def markers(
         if not boards or (data / "images").is_dir():
             shade = {"dark": True, "light": False}.get(dots)
             tests, more = find_all(data, base_side, shade, skip, on_progress)
-            notes += more
+            notes = (*notes, *more)
         if overlays:
             folder = _write_overlays(data, tests, boards)
     if tests:

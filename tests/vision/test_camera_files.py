@@ -188,7 +188,7 @@ NOT_FINITE = TRUE[0].K * [[1, 1, 1], [1, np.nan, 1], [1, 1, 1]]
     [
         (spoiled(camera_matrix=None), "has no camera matrix of camera left"),
         (spoiled(distortion_coefficients=None), "has no coefficients of distortion"),
-        (spoiled(camera_matrix=NOT_FINITE), r"camera_matrix (has a number that is not finite|is not a matrix of numbers)"),
+        (spoiled(camera_matrix=NOT_FINITE), r"camera_matrix .*(not finite|not a matrix)"),
         (spoiled(camera_matrix=TRUE[0].K[:2]), "camera_matrix has 6 numbers; 9"),
         (spoiled(camera_matrix=TRUE[0].K.T), "is not a camera matrix"),
         (spoiled(camera_matrix=np.diag([1e-6, 1e-6, 1.0]) @ TRUE[0].K), "are not those of"),
