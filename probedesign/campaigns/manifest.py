@@ -7,13 +7,17 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.design import check_name
 from probedesign.design.diagnostics import Inconsistent, parse_toml
 from probedesign.design.schema import MAX_GRAVITY, Table, as_tuple
+from probedesign.vision.boards import Board
 
 FILE = "campaign.toml"
 MAX_BYTES = 1_000_000
 MAX_MARKERS = 500
+SCALE_STD_PERCENT = 0.1
+"""Default standard deviation of the scale of a printed board: assumed, 0.15 mm in 150 mm, measured with a caliper."""
 STD_BASE_MM, STD_BASE_DEG = 0.2, 0.2
 """Default standard deviations of the base pose: assumed, a bracket set with a caliper and a level."""
 
@@ -66,11 +70,58 @@ class MarkersTable(Table):
         return self
 
 
+class BoardTable(Table):
+    """`[cameras.board]`: a ChArUco board, and its pose in the world in the pictures `board/world-CAMERA.png`."""
+
+    squares: Annotated[tuple[int, int], BeforeValidator(as_tuple)]
+    square_mm: Annotated[float, Field(ge=1.0, le=500.0)]
+    marker_mm: Annotated[float, Field(gt=0.0, le=500.0)]
+    dictionary: str
+    scale_std_percent: Annotated[float, Field(ge=0.001, le=10.0)] = SCALE_STD_PERCENT
+    p_world_mm: Point = (0.0, 0.0, 0.0)
+    rotation_world_deg: Angles = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        try:
+            self.board()
+        except InputError as error:
+            raise Inconsistent("cameras.board", str(error)) from None
+        return self
+
+    def board(self) -> Board:
+        """Return the board."""
+        return Board(self.squares, self.square_mm * MM, self.marker_mm * MM, self.dictionary)
+
+
 class CamerasTable(Table):
-    """`[cameras]`: their names, as in the names of photographs, and the order of lens distortion."""
+    """`[cameras]`: their names, as in the names of photographs, and how they are calibrated.
+
+    By files of other programs (`calibration`), by pictures of a board, or by `control_points.csv`.
+    """
 
     names: Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
-    distortion: Literal[0, 1, 2] = 0
+    distortion: Literal[0, 1, 2, 4, 5] | None = None
+    calibration: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
+    length_unit: Literal["mm", "cm", "m"] | None = None
+    reprojection_px: Annotated[float, Field(gt=0.0, le=20.0)] | None = None
+    board: BoardTable | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name in self.calibration:
+            if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+                text = f"{name[:40]!r} is not the name of a file in the data folder; copy it there"
+                raise Inconsistent("cameras.calibration", text)
+        for key in ("length_unit", "reprojection_px"):
+            if getattr(self, key) is not None and not self.calibration:
+                raise Inconsistent(
+                    f"cameras.{key}", "applies to calibration files, but cameras.calibration names none"
+                )
+        if self.distortion is not None and self.calibration:
+            text = "is that of the calibration files; remove the key"
+            raise Inconsistent("cameras.distortion", text)
+        return self
 
     @model_validator(mode="after")
     def _named(self) -> Self:

@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.campaigns.cameras import calibration_exists, read_cameras
 from probedesign.campaigns.campaign import Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.reading import CONTROL_POINTS, IMAGES, PIXELS, read_cameras, read_tests
+from probedesign.campaigns.reading import IMAGES, PIXELS, read_tests
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.vision.camera import Camera
 from probedesign.vision.dots import Dot
-from probedesign.vision.markers import DetectedMarkers, ImageSide, find_markers
+from probedesign.vision.markers import SUFFIXES, DetectedMarkers, ImageSide, find_markers, read_grey
 from probedesign.vision.triangulate import triangulate
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 HEADER = "test,camera,marker,u_px,v_px,std_px"
 CACHE = f"{PIXELS}.unfinished"
 DETECTION_VERSION = 1
@@ -95,7 +95,7 @@ def find_all(
         lacking = "[markers] with s_mm" if manifest.markers is None else "[cameras] with names"
         raise InputError(f"{folder / MANIFEST}: has no {lacking}, which the detection of markers needs")
     taken = _photographs(folder, manifest, read_tests(folder, manifest))
-    calibrated = base_side is None or (folder / CONTROL_POINTS).exists()
+    calibrated = base_side is None or calibration_exists(folder, manifest)
     cameras, notes = read_cameras(folder, manifest) if calibrated else ([], ())
     by_name = {camera.name: camera for camera in cameras}
     cache, s, total = DetectionCache(folder), np.array(manifest.markers.s_mm) * MM, sum(map(len, taken))
@@ -104,6 +104,8 @@ def find_all(
     def detect(one: Photograph) -> DetectedMarkers:
         """Return the markers of one photograph."""
         on_progress(f"dots of {one.path.name}", next(progress))
+        if one.camera in by_name:
+            _check_size(one, by_name[one.camera])
         base = base_side or by_name[one.camera].project(one.test.T_world_base[:3, 3])
         return cache.detect(one.path, s, base, dark)
 
@@ -124,6 +126,16 @@ def find_all(
         raise InputError(tests[0].problem)
     cached = (f"{cache.used} of {total} photographs were taken from the cache",) if cache.used else ()
     return tests, (*notes, *cached)
+
+
+def _check_size(one: Photograph, camera: Camera) -> None:
+    """Refuse a photograph of another size than the camera was calibrated for."""
+    if camera.size_px is None:
+        return
+    height, width = read_grey(one.path).shape
+    if (width, height) != camera.size_px:
+        raise InputError(f"{one.path}: has {width} x {height} px, but camera {camera.name} was calibrated for "
+                         f"{camera.size_px[0]} x {camera.size_px[1]}; take both with one setting")  # fmt: skip
 
 
 def _checked(

@@ -1,4 +1,4 @@
-"""Reading a campaign: the tables of its folder, each checked against the others, and the calibration of its cameras."""
+"""Reading a campaign: the tables of its folder, each checked against the others, and its markers located."""
 
 import difflib
 import re
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from probedesign.campaigns.cameras import PIXEL, POSITION, camera_names, check_inside, read_cameras
 from probedesign.campaigns.campaign import (
     MARKERS,
     PUSH_DIRECTIONS,
@@ -20,7 +21,6 @@ from probedesign.campaigns.campaign import (
     Weighing,
 )
 from probedesign.campaigns.checks import check_marker_order
-from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
 from probedesign.core.csv_tables import (
     WRENCH,
@@ -35,7 +35,6 @@ from probedesign.core.csv_tables import (
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import GRAM, MM
-from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
 from probedesign.vision.triangulate import MIN_STD_PX, triangulate
 
@@ -43,7 +42,6 @@ FORCE = ("force_x_world", "force_y_world", "force_z_world")
 CONTACT = ("contact_x_world", "contact_y_world", "contact_z_world")
 BASE_POSITION = ("base_x_world", "base_y_world", "base_z_world")
 BASE_ROTATION = ("base_rx_world", "base_ry_world", "base_rz_world")
-POSITION = ("x_world", "y_world", "z_world")
 TESTS_SCHEMA = TableSchema(
     "table of tests",
     {"test": "name", **dict.fromkeys(FORCE, "force"), "s_contact": "length", "std_s": "length",
@@ -70,15 +68,7 @@ MARKERS_SCHEMA = TableSchema(
     {},
 )
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", re.ASCII)
-CONTROL_POINTS, PIXELS, IMAGES = "control_points.csv", "pixels.csv", "images"
-PIXEL = ("u", "v")
-CONTROL_POINTS_SCHEMA = TableSchema(
-    "table of control points",
-    {"point": "name", **dict.fromkeys(POSITION, "length"), "camera": "name", **dict.fromkeys(PIXEL, "pixel")},
-    ("point", *POSITION, "camera", *PIXEL),
-    "point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px",
-    {},
-)
+PIXELS, IMAGES = "pixels.csv", "images"
 PIXELS_SCHEMA = TableSchema(
     "table of pixels",
     {"test": "name", "camera": "name", "marker": "number", **dict.fromkeys(PIXEL, "pixel"), "std": "pixel"},
@@ -292,50 +282,6 @@ def marker_numbers(rows: TableRows, manifest: Manifest) -> NDArray[np.intp]:
 # cameras
 
 
-def read_cameras(folder: Path, manifest: Manifest) -> tuple[list[Camera], tuple[str, ...]]:
-    """Return the cameras that `[cameras]` names, calibrated, in that order, and notes for the user, each one line.
-
-    Raises:
-        InputError: there are none, or their control points are invalid; one line.
-    """
-    path = folder / CONTROL_POINTS
-    if manifest.cameras is None:
-        raise InputError(f'{folder / MANIFEST}: has no [cameras]; add there names = ["left", "right"]')
-    if not path.exists():
-        raise InputError(f"{path}: is missing; cameras are calibrated from it")
-    rows = read_rows(path, CONTROL_POINTS_SCHEMA)
-    names, labels = _camera_names(rows, manifest), rows.texts("point")
-    rows.check_unique(list(zip(names, labels, strict=True)),
-                      lambda row: f"camera {names[row]}, point {labels[row]}")  # fmt: skip
-    world, pixels = rows.required(*POSITION), rows.required(*PIXEL)
-    cameras, notes = [], []
-    for name in manifest.cameras.names:
-        own = np.flatnonzero(np.array(names) == name)
-        if not len(own):
-            raise InputError(f"{path}: has no point of camera {name}")
-        try:
-            camera = calibrate(
-                name, world[own], pixels[own], manifest.cameras.distortion, [labels[i] for i in own]
-            )
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        outliers = f"; outliers left out: {', '.join(camera.outliers)}" if camera.outliers else ""
-        notes.append(f"camera {name}: {len(own)} control points, residual {camera.std_px:.2g} px{outliers}")
-        cameras.append(camera)
-    return cameras, tuple(notes)
-
-
-def _camera_names(rows: TableRows, manifest: Manifest) -> list[str]:
-    """Return the name of the camera of each row; refuse one that `[cameras]` does not have."""
-    names = rows.texts("camera")
-    known = () if manifest.cameras is None else manifest.cameras.names
-    for row, name in enumerate(names):
-        if name not in known:
-            rows.fail(row, f"camera {name[:40]!r} is not in cameras.names of campaign.toml, which has "
-                           f"{', '.join(known) or 'none'}")  # fmt: skip
-    return names
-
-
 def read_pixels(
     folder: Path, manifest: Manifest, tests: dict[str, int]
 ) -> tuple[list[Markers | None], tuple[str, ...]]:
@@ -351,13 +297,18 @@ def read_pixels(
         return [None] * len(tests), (note,) if without else ()
     rows = read_rows(path, PIXELS_SCHEMA)
     which, numbers = indices_of_tests(rows, tests), marker_numbers(rows, manifest)
-    names, camera_names = rows.texts("test"), _camera_names(rows, manifest)
-    rows.check_unique(list(zip(names, camera_names, numbers.tolist(), strict=True)),
-                      lambda i: f"test {names[i]}, camera {camera_names[i]}, marker {numbers[i] + 1}")  # fmt: skip
+    names, of_camera = (
+        rows.texts("test"),
+        camera_names(rows, () if manifest.cameras is None else manifest.cameras.names),
+    )
+    rows.check_unique(list(zip(names, of_camera, numbers.tolist(), strict=True)),
+                      lambda i: f"test {names[i]}, camera {of_camera[i]}, marker {numbers[i] + 1}")  # fmt: skip
     uv, std = rows.required(*PIXEL), rows.std("std", np.zeros(len(rows), dtype=bool), "")
     cameras, notes = read_cameras(folder, manifest)
     order = [camera.name for camera in cameras]
-    camera_index = np.array([order.index(name) for name in camera_names])
+    for row, name in enumerate(of_camera):
+        check_inside(rows, row, cameras[order.index(name)], uv[row])
+    camera_index = np.array([order.index(name) for name in of_camera])
     found: list[Markers | None] = [None] * len(tests)
     for name, test in tests.items():
         own = np.flatnonzero(which == test)

@@ -20,6 +20,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.rod_and_sensor import reading_std
+from probedesign.simulation.simulated_calibration import SimulatedBoard, calibration_yaml
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
 
 TRUTH = "truth.json"
@@ -78,11 +79,13 @@ def make_campaign(
     truth = GroundTruth.draw(model, plan, rng)
     tests = truth.tests()
     rig = StereoRig(truth)
+    by_board = plan.calibration == "board"
+    board = SimulatedBoard(rig, plan.seed, plan.exact) if by_board else None
     tables = {
-        "campaign.toml": _manifest(truth, rig),
+        "campaign.toml": _manifest(truth, rig, board),
         "tests.csv": _tests(truth, tests, rng),
         "wrenches.csv": _wrenches(truth, tests, rng),
-        **_markers(rig, tests, rng),
+        **_markers(rig, board, tests, rng),
         TRUTH: _truth(truth, tests),
     }
     try:
@@ -93,6 +96,8 @@ def make_campaign(
                 (draft / name).write_bytes(text.encode())
             if plan.images:
                 take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
+                if board:
+                    board.photograph(draft / "board", on_progress)
             os.chmod(draft, 0o755)
             _replace(draft, folder)
         finally:
@@ -127,7 +132,7 @@ def _replace(draft: Path, folder: Path) -> None:
 # tables
 
 
-def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
+def _manifest(truth: GroundTruth, rig: StereoRig, board: SimulatedBoard | None) -> str:
     """Return the text of `campaign.toml`."""
     plan, model = truth.plan, truth.model
     turn = np.degrees(Rotation.from_matrix(truth.T_world_base[:3, :3]).as_rotvec())
@@ -153,6 +158,9 @@ def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
         if plan.marker_noise is None:
             lines += [f"side_deg = {math.degrees(rig.side):g}              # dots on the surface, this side",
                       "", "[cameras]", 'names = ["left", "right"]']  # fmt: skip
+            if plan.calibration == "files":
+                lines += ['calibration = ["left.yaml", "right.yaml"]', 'length_unit = "mm"']
+            lines += board.manifest_lines() if board else []
         else:
             lines += [f"std_mm = {plan.marker_noise / MM:g}"]
     lines += ["", "[weighing]", f"mass_g = {_weighed_mass(truth):.2f}", f"std_g = {1e3 * STD_WEIGHING:g}",
@@ -212,7 +220,9 @@ def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Gen
     return "\n".join(rows) + "\n"
 
 
-def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generator) -> dict[str, str]:
+def _markers(
+    rig: StereoRig, board: SimulatedBoard | None, tests: list[SimulatedTest], rng: np.random.Generator
+) -> dict[str, str]:
     """Return the text of the tables of the reference, by name."""
     plan = rig.truth.plan
     if plan.kind == "stage":
@@ -241,7 +251,15 @@ def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generato
             pixels += [
                 f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)
             ]
-    calibrated = {"control_points.csv": "\n".join(control) + "\n"}
+    calibrated = {} if board else {"control_points.csv": "\n".join(control) + "\n"}
+    if plan.calibration == "files":
+        target = rig.truth.T_world_base[:3, 3]
+        drawn = np.random.default_rng([plan.seed, 3])
+        calibrated = {
+            f"{camera.name}.yaml": calibration_yaml(camera, target, drawn) for camera in rig.cameras
+        }
+    elif board and not plan.images:
+        calibrated = {"board_corners.csv": board.corners_csv()}
     if plan.images:  # the markers are detected in them
         return calibrated
     return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}

@@ -22,6 +22,7 @@ from probedesign.rod.rod import Rod
 from probedesign.simulation.rod_and_sensor import solve_contact
 
 CampaignKind = Literal["cameras", "stage"]
+CalibrationKind = Literal["box", "board", "files"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM
 LARGE_MODULUS = 2.32e6
 """Dimensions [m] and modulus [Pa] of the paper's large probe, from which forces are scaled."""
@@ -56,6 +57,7 @@ class CampaignPlan:
         readings: of the sensor in each test, each the mean of the design's averaging_samples.
         exact: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
         images: render photographs too.
+        calibration: of the cameras: by a box of control points, pictures of a board, or files of another program.
         friction: median friction coefficient μ of touches; 0 is without friction.
         friction_spread: standard deviation of ln μ from test to test.
     """
@@ -68,6 +70,7 @@ class CampaignPlan:
     readings: int = 5
     exact: bool = False
     images: bool = False
+    calibration: CalibrationKind = "box"
     friction: float = 0.0
     friction_spread: float = ASSUMED_SPREAD
 
@@ -89,6 +92,8 @@ class CampaignPlan:
             raise InputError(f"--seed {self.seed} must not be negative")
         if self.kind == "stage" and (self.images or self.marker_noise is not None):
             raise InputError("--stage has no markers: leave out --images and --marker-noise-mm")
+        if self.calibration != "box" and (self.kind == "stage" or self.marker_noise is not None):
+            raise InputError("--calibration is that of cameras: leave out --stage and --marker-noise-mm")
         if self.images and self.marker_noise is not None:
             raise InputError(
                 "--marker-noise-mm belongs to another reference than cameras: leave out --images"

@@ -27,6 +27,9 @@ SIZE_PX = (1600, 1200)
 FOCAL_PX = 2200.0
 """Picture and focal length of a compact camera, reduced to keep examples small (assumed); the paper's has
 20 megapixels."""
+LENS = {"box": (), "board": (-0.08, 0.05), "files": (-0.08, 0.05, 5e-4, -5e-4)}
+"""Coefficients of distortion by the kind of calibration, as many as it determines by default (assumed: a barrel of
+0.8 % at the edge of the picture)."""
 AZIMUTH = math.radians(35.0)
 """Of each camera to its side: 70° between the lines of sight give depth about the precision of the other axes."""
 ELEVATION = math.radians(20.0)
@@ -246,7 +249,7 @@ def render(
         if len(rows):
             light, share = _drawn(camera, tube, painted, grey, rows, columns, style, rng)
             picture[rows, columns] = (1 - share) * picture[rows, columns] + light
-    return _exposed(picture, style, rng)
+    return exposed(picture, style, rng)
 
 
 def _window(
@@ -329,8 +332,8 @@ def _mount_of(probe: SurfaceTube) -> SurfaceTube:
     return SurfaceTube(back, np.full(60, 2 * probe.diameter[0]))
 
 
-def _exposed(picture: Array, style: RenderStyle, rng: np.random.Generator) -> Picture:
-    """Return the picture with the lens' blur and the sensor's noise."""
+def exposed(picture: Array, style: RenderStyle, rng: np.random.Generator) -> Picture:
+    """Return the picture of light 0 ... 1 (height, width) with the lens' blur and the sensor's noise."""
     light = np.clip(gaussian_filter(picture, style.blur_px), 0.0, None)
     std = np.hypot(style.noise / 255, np.sqrt(light / style.full_well))
     return np.asarray(
@@ -363,7 +366,7 @@ class StereoRig:
         return math.radians(round(math.degrees(math.atan2(towards[1], towards[0]))))
 
     @cached_property
-    def _workspace(self) -> tuple[Array, Array]:
+    def workspace(self) -> tuple[Array, Array]:
         """Centre and size of the box in which the probe moves, (3,) each [m]."""
         length = self.truth.model.rod.length
         axis = self.truth.T_world_base[:3, 2]
@@ -374,7 +377,7 @@ class StereoRig:
     @cached_property
     def control_points(self) -> Array:
         """Twenty points of a box [m]: its corners and the midpoints of its edges, (20, 3)."""
-        centre, size = self._workspace
+        centre, size = self.workspace
         grid = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=float)
         on_edges = grid[np.abs(grid).sum(axis=1) >= 2]
         return np.asarray(centre + on_edges * size / 2.0)
@@ -382,13 +385,14 @@ class StereoRig:
     @cached_property
     def cameras(self) -> tuple[Camera, Camera]:
         """Left and right camera."""
-        centre, size = self._workspace
+        centre, size = self.workspace
         distance = FIELD_OF_VIEW * float(size.max()) * FOCAL_PX / SIZE_PX[0] + size.max() / 2.0
         found = []
         for name, angle in (("left", -AZIMUTH), ("right", AZIMUTH)):
             direction = np.array([math.sin(angle), -math.cos(angle), math.tan(ELEVATION)])
             p = centre + distance * direction / np.linalg.norm(direction)
-            found.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX))
+            lens = LENS[self.truth.plan.calibration]
+            found.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX, lens))
         return found[0], found[1]
 
     def tube(self, eq: Equilibrium) -> SurfaceTube:

@@ -13,9 +13,8 @@ from scipy.optimize import least_squares
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.vision.camera import LINEAR, Camera
+from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
 
-MAX_DISTORTION = 2
 FLAT_PX = 3.0
 """Control points that leave a plane by less [px, RMS] cannot be distinguished from coplanar ones: three times a click's
 error of about a pixel (assumed)."""
@@ -101,8 +100,8 @@ def control_points(
             f"camera {camera}: control points must be n x 3 and pixels n x 2, not {world.shape}, {image.shape}"
         )
     control = ControlPoints(camera, labels or tuple(str(i + 1) for i in range(len(world))), world, image)
-    if distortion not in range(MAX_DISTORTION + 1):
-        control.fail(f"{distortion} coefficients of distortion; choose 0, 1 or 2")
+    if distortion not in DISTORTIONS:
+        control.fail(f"{distortion} coefficients of distortion; choose {', '.join(map(str, DISTORTIONS))}")
     bad = ~(np.isfinite(world).all(axis=1) & np.isfinite(image).all(axis=1))
     if bad.any():
         control.fail(f"control {control.named(bad)}: a coordinate is not finite")
@@ -145,8 +144,8 @@ def _projections(points_world: Array, pixels: Array) -> Array:
         coordinates, Proc. ASP/UI Symposium on Close-Range Photogrammetry, 1971; scaled as R. Hartley, A. Zisserman,
         Multiple View Geometry in Computer Vision, 2nd ed., algorithm 7.1.
     """
-    points, to_points = _scaled(points_world)
-    images, to_images = _scaled(pixels)
+    points, to_points = scaled(points_world)
+    images, to_images = scaled(pixels)
     ones = np.ones((*points.shape[:-1], 1))
     X = np.concatenate([points, ones], axis=-1)
     zero = np.zeros_like(X)
@@ -181,7 +180,7 @@ def _decomposed(P: Array) -> tuple[Array, Array, Array]:
     return np.asarray(K / K[2, 2], dtype=float), np.asarray(R), np.asarray(centre)
 
 
-def _scaled(points: Array) -> tuple[Array, Array]:
+def scaled(points: Array) -> tuple[Array, Array]:
     """Return points (..., n, k) about their mean in units of their spread, and the map (..., k + 1, k + 1) to them."""
     k = points.shape[-1]
     mean = points.mean(axis=-2)
@@ -212,7 +211,7 @@ def calibrate(
         name: of the camera.
         points_world: control points, at least six, seven with distortion [m], (n, 3).
         pixels: where they appear, u right, v down [px], (n, 2).
-        distortion: coefficients of radial distortion to fit, 0, 1 or 2.
+        distortion: number of coefficients of distortion to fit, of k1, k2, p1, p2, k3: 0, 1, 2, 4 or 5.
         labels: names of the points (n,); 1 ... n if None.
 
     Returns:
@@ -309,7 +308,7 @@ def _scale(camera: Camera, points_world: Array) -> Array:
     """Return the size of each parameter, for well-scaled equations."""
     focal, distance = camera.K[0, 0], float(np.mean(camera.depth(points_world)))
     radius = np.max(np.linalg.norm(camera.project(points_world) - camera.K[:2, 2], axis=1)) / focal
-    bends = [radius ** (-2 * power) for power in range(1, 1 + len(camera.distortion))]
+    bends = [radius**-power for power in (2, 4, 1, 1, 6)[: len(camera.distortion)]]
     return np.array([*5 * [focal], *3 * [1.0], *3 * [distance], *bends])
 
 

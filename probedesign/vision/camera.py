@@ -1,35 +1,52 @@
-"""Perspective camera with radial distortion: projection, derivatives and covariance.
+"""Perspective camera with lens distortion: projection, derivatives and covariance.
 
 Axes of a camera: x right, y down, z along the optical axis. Pixels: u right, v down, (0, 0) the centre of the upper
 left pixel, as OpenCV has it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from probedesign.core.frames import Array, skew
+from probedesign.core.frames import Array
 
 LINEAR = 11
 """Parameters of a camera without distortion, as many as Direct Linear Transformation has."""
+DISTORTIONS = (0, 1, 2, 4, 5)
+"""Numbers of coefficients of distortion, in OpenCV's order: k1, k2, p1, p2, k3."""
+
+_RADIAL = (1, 2, 0, 0, 3)  # power of r² of each coefficient; 0 for the tangential ones
+_P1, _P2 = 2, 3
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A perspective camera with radial distortion.
+    """A perspective camera with radial and tangential distortion.
 
     Its parameters, in the order of `cov`: focal lengths along u and v [px], skew [px], principal point u, v [px],
     rotation about the camera's axes [rad] (3), centre in the world [m] (3), coefficients of distortion.
+
+    A point (x, y) of the plane at distance one, r from the axis, is displaced to
+
+        x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²),
+        y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y.
+
+    Source: D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32, 1966; coefficients as in
+        OpenCV.
 
     Attributes:
         name: of the camera.
         K: focal lengths, skew and principal point [px], upper triangular, (3, 3).
         R_camera_world: rotation into the camera's axes, (3, 3).
         p_world: its centre [m], (3,).
-        distortion: coefficients k1, k2 of a point's radius on the plane at distance one: r (1 + k1 r² + k2 r⁴), (d,).
+        distortion: the first d of the coefficients k1, k2, p1, p2, k3, (d,).
         cov: covariance of the parameters, (11 + d, 11 + d); zero for an exactly known camera.
+        common: factor of the errors that cameras calibrated together have in common, (11 + d, q): the parameters err
+            by common @ z, with the same z of independent standard normals for all of them. q = 0 if the camera was
+            calibrated on its own.
+        size_px: width and height of its pictures [px]; None if not known.
         std_px: standard deviation of a control point's coordinate in the picture, from the residuals [px].
         residuals_px: pixels of the control points minus their projections [px], outliers included, (n, 2).
         outliers: names of the control points that do not fit with the others and were left out.
@@ -41,6 +58,8 @@ class Camera:
     p_world: Array
     distortion: Array = field(default_factory=lambda: np.zeros(0))
     cov: Array = field(default_factory=lambda: np.zeros((LINEAR, LINEAR)))
+    common: Array = field(default_factory=lambda: np.zeros((LINEAR, 0)))
+    size_px: tuple[int, int] | None = None
     std_px: float = 0.0
     residuals_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
     outliers: tuple[str, ...] = ()
@@ -64,7 +83,7 @@ class Camera:
             at_world: the point in the middle of its picture [m], (3,).
             focal_px: focal length [px].
             size_px: width and height of the picture [px].
-            distortion: coefficients, at most two.
+            distortion: coefficients k1, k2, p1, p2, k3, or the first of them.
             up_world: what is up in the picture; not along the optical axis, (3,).
         """
         centre, bends = np.asarray(p_world, dtype=float), np.asarray(distortion, dtype=float)
@@ -75,7 +94,7 @@ class Camera:
         u, v = (size_px[0] - 1) / 2, (size_px[1] - 1) / 2
         K = np.array([[focal_px, 0.0, u], [0.0, focal_px, v], [0.0, 0.0, 1.0]])
         number = LINEAR + len(bends)
-        return cls(name, K, R, centre, bends, np.zeros((number, number)))
+        return cls(name, K, R, centre, bends, np.zeros((number, number)), size_px=size_px)
 
     @property
     def P(self) -> Array:
@@ -89,15 +108,20 @@ class Camera:
     def project(self, points_world: ArrayLike) -> Array:
         """Project points in front of the camera [m], (..., 3), into the picture: pixels u, v (..., 2)."""
         seen = self._plane(points_world)
-        return np.asarray(self._pixels(seen * self._stretch(seen)[..., None]))
+        return np.asarray(self._pixels(self._bent(seen)))
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Return the directions of pixels u, v (..., 2) in the world, unit vectors (..., 3)."""
-        bent = np.asarray(np.linalg.solve(self.K, _homogeneous(pixels)[..., None])[..., :2, 0], dtype=float)
+        off = np.asarray(pixels, dtype=float) - self.K[:2, 2]
+        down = off[..., 1] / self.K[1, 1]
+        bent = np.stack([(off[..., 0] - self.K[0, 1] * down) / self.K[0, 0], down], axis=-1)
         seen = bent.copy()
-        # a step gains a factor |2 k1 r²|, a tenth or less for any lens used for measuring
-        for _ in range(20 if len(self.distortion) else 0):
-            seen = bent / self._stretch(seen)[..., None]
+        # a step gains a factor |3 k1 r²|, a fifth or less for any lens used for measuring
+        for _ in range(30 if len(self.distortion) else 0):
+            off = bent - self._bent(seen)
+            seen = seen + off
+            if not np.nanmax(np.abs(off), initial=0.0) > 1e-13:
+                break
         directions = _homogeneous(seen) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
@@ -108,41 +132,70 @@ class Camera:
     def by_parameters(self, points_world: Array) -> Array:
         """Return derivatives of the pixels by the camera's parameters, (n, 3) -> (n, 2, 11 + d)."""
         seen, by_axes = self._plane(points_world), self._by_axes(points_world)
-        bent = seen * self._stretch(seen)[:, None]
+        bent = self._bent(seen)
         one, zero = np.ones(len(seen)), np.zeros(len(seen))
         u = np.column_stack([bent[:, 0], zero, bent[:, 1], one, zero])
         v = np.column_stack([zero, bent[:, 1], zero, zero, one])
         axes = (points_world - self.p_world) @ self.R_camera_world.T
-        turned = by_axes @ -np.array([skew(a) for a in axes])
+        turned = np.cross(axes[:, None, :], by_axes)  # by_axes @ -skew(axes)
         moved = -by_axes @ self.R_camera_world
-        powers = np.sum(seen**2, axis=1)[:, None] ** np.arange(1, 1 + len(self.distortion))
-        bends = (seen @ self.K[:2, :2].T)[:, :, None] * powers[:, None, :]
+        bends = self.K[:2, :2] @ self._bends(seen)
         return np.concatenate([np.stack([u, v], axis=1), turned, moved, bends], axis=2)
 
     def moved(self, step: Array) -> "Camera":
         """Return the camera with its parameters changed by a step (11 + d,)."""
         K = self.K + np.array([[step[0], step[2], step[3]], [0.0, step[1], step[4]], [0.0, 0.0, 0.0]])
         R = Rotation.from_rotvec(step[5:8]).as_matrix() @ self.R_camera_world
-        return Camera(self.name, K, R, self.p_world + step[8:11], self.distortion + step[11:], self.cov)
+        p_world, distortion = self.p_world + step[8:11], self.distortion + step[11:]
+        return replace(self, K=K, R_camera_world=R, p_world=p_world, distortion=distortion)
 
     def folds(self, points_world: Array) -> bool:
         """Return whether the distortion maps two radii within these points' onto one, which no lens does."""
         square = np.linspace(0.0, float(np.max(np.sum(self._plane(points_world) ** 2, axis=-1))), 100)
-        powers = np.arange(1, 1 + len(self.distortion))
-        return bool(np.any(1 + square[:, None] ** powers @ ((2 * powers + 1) * self.distortion) <= 0))
+        k = np.zeros(len(_RADIAL))
+        k[: len(self.distortion)] = self.distortion
+        slope = 1 + sum((2 * n + 1) * k[i] * square**n for i, n in enumerate(_RADIAL) if n)
+        return bool(np.any(slope <= 0))
 
     def _plane(self, points_world: ArrayLike) -> Array:
         """Return points on the plane at distance one, before distortion, (..., 2)."""
         axes = (np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world.T
         return np.asarray(axes[..., :2] / axes[..., 2:])
 
-    def _stretch(self, seen: Array) -> Array:
-        """Return the factor of distortion at points of the plane (..., 2), (...)."""
-        square: Array = np.sum(seen**2, axis=-1)
-        stretch = np.ones(seen.shape[:-1])
-        for power, coefficient in enumerate(self.distortion, 1):
-            stretch = stretch + coefficient * square**power
-        return stretch
+    def _bent(self, seen: Array) -> Array:
+        """Return points of the plane (..., 2) after distortion."""
+        return np.asarray(seen + self._bends(seen) @ self.distortion)
+
+    def _bends(self, seen: Array) -> Array:
+        """Return the displacement of points of the plane (..., 2) by one unit of each coefficient, (..., 2, d)."""
+        x, y = seen[..., 0], seen[..., 1]
+        square = x**2 + y**2
+        shift = {_P1: (2 * x * y, square + 2 * y**2), _P2: (square + 2 * x**2, 2 * x * y)}
+        bends = np.empty((*seen.shape, len(self.distortion)))
+        for i, power in enumerate(_RADIAL[: len(self.distortion)]):
+            u, v = shift.get(i) or (x * square**power, y * square**power)
+            bends[..., 0, i], bends[..., 1, i] = u, v
+        return bends
+
+    def _bending(self, seen: Array) -> Array:
+        """Return the derivative of `_bent` by the points (n, 2), (n, 2, 2)."""
+        x, y = seen.T
+        square = x**2 + y**2
+        bending = np.tile(np.eye(2), (len(seen), 1, 1))
+        for i, coefficient in enumerate(self.distortion):
+            n = _RADIAL[i]
+            if n:
+                along = 2 * n * square ** (n - 1)
+                slope = (
+                    square[:, None, None] ** n * np.eye(2)
+                    + along[:, None, None] * seen[:, :, None] * seen[:, None, :]
+                )
+            elif i == _P1:
+                slope = 2 * np.stack([np.stack([y, x], 1), np.stack([x, 3 * y], 1)], 1)
+            else:
+                slope = 2 * np.stack([np.stack([3 * x, y], 1), np.stack([y, x], 1)], 1)
+            bending = bending + coefficient * slope
+        return bending
 
     def _pixels(self, bent: Array) -> Array:
         return bent @ self.K[:2, :2].T + self.K[:2, 2]
@@ -150,13 +203,8 @@ class Camera:
     def _by_axes(self, points_world: Array) -> Array:
         """Return derivatives of the pixels by the point in the camera's axes, (n, 2, 3)."""
         seen, depth = self._plane(points_world), self.depth(points_world)
-        square, slope = np.sum(seen**2, axis=1), np.zeros(len(seen))
-        for power, coefficient in enumerate(self.distortion, 1):
-            slope += 2 * power * coefficient * square ** (power - 1)
-        bending = self._stretch(seen)[:, None, None] * np.eye(2)
-        bending = bending + slope[:, None, None] * seen[:, :, None] * seen[:, None, :]
         plane = np.concatenate([np.broadcast_to(np.eye(2), (len(seen), 2, 2)), -seen[:, :, None]], axis=2)
-        return np.asarray(self.K[:2, :2] @ bending @ plane / depth[:, None, None])
+        return np.asarray(self.K[:2, :2] @ self._bending(seen) @ plane / depth[:, None, None])
 
 
 def _homogeneous(points: ArrayLike) -> Array:

@@ -40,6 +40,8 @@ _FRACTION = 4  # bits of a pixel's fraction, for lines that lie between pixels
 
 # image files
 
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
     """Return the grey levels of a photograph (height, width), rotated by its EXIF orientation.

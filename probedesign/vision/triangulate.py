@@ -75,7 +75,8 @@ def triangulate(
 ) -> Triangulated:
     """Locate markers in space by maximum likelihood on pixels.
 
-    The covariance of a pixel includes its own noise and that of its camera's calibration.
+    The covariance of a marker's pixels includes their own noise and that of the calibration, with what cameras that
+    were calibrated together have in common.
 
     Args:
         cameras: at least two.
@@ -100,19 +101,19 @@ def _located(seen: MarkerObservations) -> Triangulated:
     weights = _weights(seen, points)
     for _ in range(_ITERATIONS):
         residual, by_point = _linearised(seen, points)
-        weighted = np.swapaxes(by_point, 2, 3) @ weights
-        gradient = (weighted @ residual[..., None]).sum(axis=0)
-        points = points + np.linalg.solve((weighted @ by_point).sum(axis=0), gradient)[..., 0]
+        weighted = np.swapaxes(by_point, 1, 2) @ weights
+        points = points + np.linalg.solve(weighted @ by_point, weighted @ residual[..., None])[..., 0]
     weights = _weights(seen, points)
     residual, by_point = _linearised(seen, points)
-    weighted = np.swapaxes(by_point, 2, 3) @ weights
-    cov = np.linalg.inv((weighted @ by_point).sum(axis=0))
+    weighted = np.swapaxes(by_point, 1, 2) @ weights
+    cov = np.linalg.inv(weighted @ by_point)
     gain = cov @ weighted
-    noise = np.where(seen.mask, seen.std_px, 0.0) ** 2
-    cov_noise = np.einsum("cmia,cm,cmja->mij", gain, noise, gain)
-    square = np.einsum("cma,cmab,cmb->m", residual, weights, residual)
+    noise = np.repeat(np.where(seen.mask, seen.std_px, 0.0).T ** 2, 2, axis=1)
+    cov_noise = np.einsum("mia,ma,mja->mij", gain, noise, gain)
+    square = np.einsum("ma,mab,mb->m", residual, weights, residual)
     agreement = square / (2 * seen.mask.sum(axis=0) - 3)
-    residual_px = np.where(seen.mask[..., None], residual, np.nan)
+    by_camera = np.moveaxis(residual.reshape(len(points), len(seen.cameras), 2), 1, 0)
+    residual_px = np.where(seen.mask[..., None], by_camera, np.nan)
     return Triangulated(points, np.asarray(cov), np.asarray(cov_noise), residual_px, agreement)
 
 
@@ -129,20 +130,32 @@ def _ray_midpoints(seen: MarkerObservations) -> Array:
 
 
 def _weights(seen: MarkerObservations, points: Array) -> Array:
-    """Return the inverse covariance of each pixel, by noise and calibration, (c, m, 2, 2); zero where unseen."""
-    weights = np.zeros((*seen.mask.shape, 2, 2))
-    for i, camera in enumerate(seen.cameras):
-        by = camera.by_parameters(points)
-        cov = seen.std_px[i][:, None, None] ** 2 * np.eye(2) + by @ camera.cov @ np.swapaxes(by, 1, 2)
-        weights[i] = np.where(seen.mask[i][:, None, None], np.linalg.inv(cov), 0.0)
-    return weights
+    """Return the inverse covariance of the pixels of each marker in all cameras, (m, 2c, 2c); zero where unseen."""
+    cameras, number = seen.cameras, len(points)
+    by = [camera.by_parameters(points) for camera in cameras]
+    cov = np.zeros((number, len(cameras), 2, len(cameras), 2))
+    for i, camera in enumerate(cameras):
+        own = by[i] @ camera.cov @ np.swapaxes(by[i], 1, 2)
+        cov[:, i, :, i] = own + seen.std_px[i][:, None, None] ** 2 * np.eye(2)
+        for j in range(i):
+            if camera.common.shape[1] == cameras[j].common.shape[1] > 0:
+                cov[:, i, :, j] = by[i] @ camera.common @ cameras[j].common.T @ np.swapaxes(by[j], 1, 2)
+                cov[:, j, :, i] = np.swapaxes(cov[:, i, :, j], 1, 2)
+    size = 2 * len(cameras)
+    mask = np.repeat(seen.mask.T, 2, axis=1)
+    both = mask[:, :, None] & mask[:, None, :]
+    inverse = np.linalg.inv(np.where(both, cov.reshape(number, size, size), np.eye(size)))
+    return np.asarray(np.where(both, inverse, 0.0))
 
 
 def _linearised(seen: MarkerObservations, points: Array) -> tuple[Array, Array]:
-    """Return residuals (c, m, 2), zero where unseen, and their negative derivatives by the points."""
-    residual = np.stack([p - c.project(points) for c, p in zip(seen.cameras, seen.pixels, strict=True)])
-    by_point = np.stack([camera.by_point(points) for camera in seen.cameras])
-    return np.where(seen.mask[..., None], residual, 0.0), by_point
+    """Return residuals (m, 2c), zero where unseen, and their negative derivatives by the points (m, 2c, 3)."""
+    residual = np.stack(
+        [p - c.project(points) for c, p in zip(seen.cameras, seen.pixels, strict=True)], axis=1
+    )
+    by_point = np.stack([camera.by_point(points) for camera in seen.cameras], axis=1)
+    residual = np.where(seen.mask.T[..., None], residual, 0.0)
+    return residual.reshape(len(points), -1), by_point.reshape(len(points), -1, 3)
 
 
 # checks

@@ -8,7 +8,7 @@ from scipy import stats
 from probedesign.core.errors import InputError
 from probedesign.vision.calibrate import calibrate
 
-BENDS = [(), (-0.05,), (-0.05, 0.02)]
+BENDS = [(), (-0.05,), (-0.05, 0.02), (-0.05, 0.02, 1e-3, -2e-3), (-0.05, 0.02, 1e-3, -2e-3, 0.1)]
 
 
 @pytest.mark.parametrize("distortion", BENDS)
@@ -50,7 +50,7 @@ def test_projection_agrees_with_opencv(distortion):
     turn, _ = cv2.Rodrigues(seen.R_camera_world)
     shift = -seen.R_camera_world @ seen.p_world
     theirs, _ = cv2.projectPoints(
-        BOX, turn, shift, seen.K, np.array([*distortion, *(4 - len(distortion)) * [0.0]])
+        BOX, turn, shift, seen.K, np.array([*distortion, *(5 - len(distortion)) * [0.0]])
     )
     assert seen.project(BOX) == pytest.approx(theirs.reshape(-1, 2), abs=1e-9)
 
@@ -163,7 +163,7 @@ def test_distortion_needs_more_points_and_a_number_that_exists():
     pixels = camera().project(BOX)
     with pytest.raises(InputError, match=r"6 control points are too few .* 1 of distortion; at least 7"):
         calibrate("left", BOX[:6], pixels[:6], 1)
-    with pytest.raises(InputError, match="choose 0, 1 or 2"):
+    with pytest.raises(InputError, match="choose 0, 1, 2, 4, 5"):
         calibrate("left", BOX, pixels, 3)
 
 

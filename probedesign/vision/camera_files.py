@@ -1,0 +1,409 @@
+"""Calibration files of other programs: OpenCV's storage (YAML, XML), ROS camera_info and Kalibr's camchain.
+
+Such a file states no covariance. Its cameras get one from the reprojection error: a projected point is assumed to err
+by that, shared equally among the camera's parameters.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from probedesign.core.csv_tables import plain, quote_input, read_text
+from probedesign.core.errors import InputError, require
+from probedesign.core.frames import Array, pose
+from probedesign.vision.bundle import RelativePose
+from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
+
+MAX_BYTES = 5_000_000
+ASSUMED_PX = 0.5
+"""Reprojection error of a file that states none [px] (assumed: a careful calibration reaches 0.1 to 0.5 px)."""
+ROTATION_TOLERANCE = 1e-3
+"""Largest deviation of Rᵀ R from the identity: files round to three digits or more."""
+BASELINE = (0.02, 10.0)
+"""Plausible distances between two cameras that see a probe [m] (assumed)."""
+DISTANCE = (0.05, 20.0)
+"""Plausible distances of a camera from the base of the probe [m] (assumed)."""
+MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M", "mtx")
+BENDS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "dist")
+ROTATION, TRANSLATION = ("R", "rvec"), ("T", "tvec")
+WIDTH, HEIGHT, SIZE = (
+    ("image_width", "image_Width"),
+    ("image_height", "image_Height"),
+    ("image_size", "imageSize"),
+)
+ERROR = ("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms", "RMS")
+PINHOLE = {"plumb_bob", "radtan", "none"}
+"""Names of the distortion models with k1, k2, p1, p2, k3 in ROS and Kalibr, and of none."""
+
+
+@dataclass(frozen=True)
+class StatedCalibration:
+    """Cameras as their files state them.
+
+    Attributes:
+        cameras: with covariance, in the order of their names.
+        in_world: whether their poses are those in the world; else they are meaningless.
+        relative: poses between cameras.
+        notes: lines for the user.
+    """
+
+    cameras: tuple[Camera, ...]
+    in_world: bool
+    relative: tuple[RelativePose, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Document:
+    """Contents of one or more files.
+
+    Attributes:
+        name: of the files, for messages.
+        values: by key.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+
+    def fail(self, problem: str) -> InputError:
+        return InputError(f"{self.name}: {problem}")
+
+    def key(self, names: Sequence[str], suffix: str = "") -> str | None:
+        """Return the first of the names that is there."""
+        return next((name + suffix for name in names if name + suffix in self.values), None)
+
+    def numbers(self, key: str, counts: Sequence[int]) -> Array:
+        """Return a matrix, its rows one after the other, (n,), with one of the counts of numbers."""
+        value = self.values[key]
+        if isinstance(value, Mapping):
+            value = value.get("data")
+        try:
+            found = np.array(value, dtype=float).ravel()
+        except (TypeError, ValueError, OverflowError):
+            raise self.fail(f"{key} is not a matrix of numbers") from None
+        if len(found) not in counts:
+            raise self.fail(f"{key} has {len(found)} numbers; {' or '.join(map(str, counts))} are needed")
+        if not np.isfinite(found).all():
+            raise self.fail(f"{key} has a number that is not finite")
+        return found
+
+    def number(self, key: str) -> float:
+        return float(self.numbers(key, (1,))[0])
+
+
+def read_camera_files(
+    paths: Sequence[Path],
+    names: Sequence[str],
+    reprojection_px: float | None,
+    unit: float | None,
+    target_world: Array,
+) -> StatedCalibration:
+    """Read the calibration of cameras from files.
+
+    Args:
+        paths: one file of each camera, in their order; or one or two files of a stereo pair; or a camchain.
+        names: of the cameras.
+        reprojection_px: reprojection error [px]; None for that in the files, or `ASSUMED_PX`.
+        unit: of the translations in OpenCV's files [m]; None if it was not said.
+        target_world: a point near which the cameras look [m], (3,).
+
+    Raises:
+        InputError: a file is missing, damaged, incomplete, of another lens model, or its numbers are not those of a
+            camera; one line.
+    """
+    documents = [_read(path) for path in paths]
+    merged = _Document(
+        ", ".join(str(path) for path in paths), {k: v for one in documents for k, v in one.values.items()}
+    )
+    relative: list[tuple[str, str, Array]] = []
+    poses: dict[str, Array] = {}
+    if "cam0" in merged.values:
+        cameras, errors, relative = _kalibr(merged, names)
+    elif merged.key(MATRIX, "1") and merged.key(MATRIX, "2"):
+        if len(names) != 2:
+            raise merged.fail(f"is of a stereo pair, but cameras.names has {len(names)}")
+        cameras = [_opencv(merged, name, suffix) for name, suffix in zip(names, ("1", "2"), strict=True)]
+        T = _stated_pose(merged, unit)
+        if T is not None:
+            relative = [(names[1], names[0], T)]
+        errors = [_error(merged)] * 2
+    elif len(documents) != len(names):
+        raise merged.fail(f"{len(documents)} files for {len(names)} cameras; give one file of each camera, a stereo "
+                          "pair or a camchain")  # fmt: skip
+    else:
+        cameras = [_opencv(document, name, "") for document, name in zip(documents, names, strict=True)]
+        errors = [_error(document) for document in documents]
+        stated = {name: _stated_pose(document, unit) for document, name in zip(documents, names, strict=True)}
+        poses = {name: T for name, T in stated.items() if T is not None}
+        if poses and len(poses) < len(names):
+            lacking = next(name for name in names if name not in poses)
+            raise merged.fail(
+                f"camera {lacking} has no R and T, but another camera has; all or none state their pose"
+            )
+    found, notes = [], []
+    for camera, error in zip(cameras, errors, strict=True):
+        px = reprojection_px or error or ASSUMED_PX
+        source = "given in campaign.toml" if reprojection_px else "of the file" if error else "assumed"
+        notes.append(f"camera {camera.name}: calibration file, reprojection error {px:g} px ({source})")
+        found.append(_uncertain(camera, px, poses.get(camera.name), target_world, merged))
+    by_name = {camera.name: camera for camera in found}
+    if poses:
+        for a, b in combinations(found, 2):
+            _check_baseline(merged, a.name, b.name, a.p_world - b.p_world)
+    placed = tuple(_relative(by_name, *one, merged) for one in relative)
+    return StatedCalibration(tuple(found), bool(poses), placed, tuple(notes))
+
+
+# formats
+
+
+def _read(path: Path) -> _Document:
+    """Return the contents of a file of YAML or XML."""
+    text = read_text(path, "calibration file", MAX_BYTES, "YAML or XML")
+    values = _from_xml(path, text) if text.lstrip().startswith("<") else _from_yaml(path, text)
+    if not isinstance(values, dict) or not values:
+        raise InputError(f"{path}: is not a calibration file; OpenCV's, ROS's and Kalibr's can be read")
+    return _Document(str(path), values)
+
+
+def _from_yaml(path: Path, text: str) -> Any:
+    """Parse YAML safely: no tags but OpenCV's matrices."""
+    require("yaml", "reading calibration files", "vision", "pyyaml")
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        """YAML with OpenCV's tags of matrices, which are mappings."""
+
+    for kind in ("matrix", "nd-matrix"):
+        Loader.add_constructor(
+            f"tag:yaml.org,2002:opencv-{kind}", lambda loader, node: loader.construct_mapping(node, deep=True)
+        )
+    text = re.sub(r"\A%YAML:1\.\d\s*\n", "", text)  # OpenCV's first line is not one of YAML
+    try:
+        return yaml.load(text, Loader)
+    except yaml.MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
+        problem = plain(error.problem or "", 80)
+        if isinstance(error, yaml.constructor.ConstructorError):
+            problem = f"{problem}; a calibration file holds numbers and texts only"
+        raise InputError(f"{path}{line}: is not valid YAML, or is cut off: {problem}") from None
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise InputError(f"{path}: is not valid YAML") from None
+
+
+def _from_xml(path: Path, text: str) -> dict[str, Any]:
+    """Parse OpenCV's XML safely: no entities."""
+    require("defusedxml", "reading calibration files in XML", "vision")
+    from xml.etree.ElementTree import ParseError
+
+    from defusedxml import DefusedXmlException, ElementTree
+
+    try:
+        root = ElementTree.fromstring(text, forbid_dtd=True)
+    except ParseError as error:
+        raise InputError(f"{path}:{error.position[0]}: is not valid XML, or is cut off") from None
+    except (DefusedXmlException, ValueError, RecursionError):
+        raise InputError(f"{path}: is not plain XML: it declares entities") from None
+    if root.tag != "opencv_storage":
+        raise InputError(f"{path}: is XML, but not of OpenCV: its root is {quote_input(root.tag)}")
+    words = {one.tag: (one.findtext("data") or one.text or "").split() for one in root}
+    return {tag: value[0] if len(value) == 1 else value for tag, value in words.items()}
+
+
+def _opencv(document: _Document, name: str, suffix: str) -> Camera:
+    """Return a camera of OpenCV or ROS, without pose."""
+    key, bends = document.key(MATRIX, suffix), document.key(BENDS, suffix)
+    if key is None or bends is None:
+        lacking, like = ("camera matrix", MATRIX) if key is None else ("coefficients of distortion", BENDS)
+        raise document.fail(
+            f"has no {lacking} of camera {name}, as {like[0] if not suffix else like[-2] + suffix}"
+        )
+    model = str(document.values.get("distortion_model", "plumb_bob"))
+    if model not in PINHOLE:
+        raise document.fail(
+            f"distortion_model {quote_input(model)} is not supported; calibrate with plumb_bob"
+        )
+    K = document.numbers(key, (9,)).reshape(3, 3)
+    if not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1], atol=1e-9):
+        raise document.fail(f"{key} is not a camera matrix: its last row is not 0 0 1, or it has a number below the "
+                            "diagonal")  # fmt: skip
+    return _camera(document, name, K, document.numbers(bends, (0, 1, 2, 4, 5, 8, 12, 14)), _size(document))
+
+
+def _kalibr(
+    document: _Document, names: Sequence[str]
+) -> tuple[list[Camera], list[float | None], list[tuple[str, str, Array]]]:
+    """Return cameras of Kalibr, in the order cam0, cam1 ..., their errors (none), and poses relative to the last."""
+    chain = [
+        document.values[key] for key in sorted(document.values, key=_number) if re.fullmatch(r"cam\d+", key)
+    ]
+    if len(chain) != len(names):
+        raise document.fail(f"has {len(chain)} cameras, but cameras.names {len(names)}")
+    cameras: list[Camera] = []
+    relative = []
+    for i, (name, values) in enumerate(zip(names, chain, strict=True)):
+        one = _Document(f"{document.name}: cam{i}", values if isinstance(values, dict) else {})
+        for key in ("camera_model", "distortion_model", "intrinsics", "distortion_coeffs"):
+            if key not in one.values:
+                raise one.fail(f"has no {key}")
+        for key, known in (("camera_model", {"pinhole"}), ("distortion_model", PINHOLE)):
+            model = str(one.values[key])
+            if model not in known:
+                raise one.fail(f"{key} {quote_input(model)} is not supported; calibrate with pinhole-radtan")
+        fu, fv, u, v = one.numbers("intrinsics", (4,))
+        K = np.array([[fu, 0.0, u], [0.0, fv, v], [0.0, 0.0, 1.0]])
+        size = None
+        if "resolution" in one.values:
+            width, height = one.numbers("resolution", (2,))
+            size = _whole(one, width, height)
+        cameras.append(_camera(one, name, K, one.numbers("distortion_coeffs", (0, 4)), size))
+        if i:
+            if "T_cn_cnm1" not in one.values:
+                raise one.fail("has no T_cn_cnm1")
+            T = one.numbers("T_cn_cnm1", (16,)).reshape(4, 4)
+            if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-9):
+                raise one.fail("T_cn_cnm1 is not a pose: its last row is not 0 0 0 1")
+            relative.append((name, names[i - 1], pose(_rotation(one, "T_cn_cnm1", T[:3, :3]), T[:3, 3])))
+    return cameras, [None] * len(cameras), relative
+
+
+def _number(key: str) -> int:
+    """Return the number of a key cam0, cam1, ...; another key comes first."""
+    return int(key[3:]) if re.fullmatch(r"cam\d{1,6}", key) else -1
+
+
+# numbers
+
+
+def _camera(document: _Document, name: str, K: Array, bends: Array, size: tuple[int, int] | None) -> Camera:
+    """Return a camera without pose, its numbers checked."""
+    if len(bends) > 5 and np.any(bends[5:]):
+        raise document.fail(f"has {len(bends)} coefficients of distortion, of a model that is not supported; calibrate "
+                            "with the five k1, k2, p1, p2, k3")  # fmt: skip
+    used = int(np.max(np.flatnonzero(bends), initial=-1)) + 1
+    bends = bends[: next(number for number in DISTORTIONS if number >= used)]
+    focal, (u, v) = np.diag(K)[:2], K[:2, 2]
+    width, height = size or (2 * u, 2 * v)
+    if not (0 < u < width and 0 < v < height and (focal > 0.1 * width).all() and (focal < 100 * width).all()):
+        of = f"of a picture of {width} x {height}" if size else "in pixels"
+        stated = f"focal lengths {focal[0]:.5g}, {focal[1]:.5g} and principal point {u:.5g}, {v:.5g}"
+        raise document.fail(f"{stated} are not those {of}")
+    number = LINEAR + len(bends)
+    return Camera(name, K, np.eye(3), np.zeros(3), bends, np.zeros((number, number)), size_px=size)
+
+
+def _size(document: _Document) -> tuple[int, int] | None:
+    """Return width and height of the pictures; None if the file does not state them."""
+    width, height, both = document.key(WIDTH), document.key(HEIGHT), document.key(SIZE)
+    if width and height:
+        return _whole(document, document.number(width), document.number(height))
+    return _whole(document, *document.numbers(both, (2,))) if both else None
+
+
+def _whole(document: _Document, width: float, height: float) -> tuple[int, int]:
+    if not (width >= 16 and height >= 16 and width % 1 == 0 and height % 1 == 0):
+        raise document.fail(f"picture size {width:g} x {height:g} is not one of whole pixels")
+    return int(width), int(height)
+
+
+def _error(document: _Document) -> float | None:
+    """Return the reprojection error [px], None if there is none."""
+    key = document.key(ERROR)
+    if key is None:
+        return None
+    error = document.number(key)
+    if not 0 < error < 20:
+        raise document.fail(f"{key} = {error:g} px is not the error of a calibration")
+    return error
+
+
+def _stated_pose(document: _Document, unit: float | None) -> Array | None:
+    """Return the pose R, T of a document, (4, 4); None if it has none."""
+    turn, shift = document.key(ROTATION), document.key(TRANSLATION)
+    if turn is None and shift is None:
+        return None
+    if turn is None or shift is None:
+        raise document.fail(f"has {turn or shift}, but no {'translation T' if turn else 'rotation R'}")
+    if unit is None:
+        raise document.fail(f'{shift} is in the unit of the calibration board; name it, as length_unit = "mm" in '
+                            "[cameras]")  # fmt: skip
+    numbers = document.numbers(turn, (3, 9))
+    if len(numbers) == 3:
+        from scipy.spatial.transform import Rotation
+
+        R = Rotation.from_rotvec(numbers).as_matrix()
+    else:
+        R = _rotation(document, turn, numbers.reshape(3, 3))
+    return pose(R, unit * document.numbers(shift, (3,)))
+
+
+def _rotation(document: _Document, key: str, R: Array) -> Array:
+    """Return the rotation nearest to a matrix that is one but for rounding."""
+    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        raise document.fail(
+            f"{key} is not a rotation: its columns are not of unit length at right angles, or it mirrors"
+        )
+    U, _, Vh = np.linalg.svd(R)
+    return np.asarray(U @ Vh)
+
+
+# uncertainty
+
+
+def assumed_covariance(camera: Camera, px: float, distance: float) -> Array:
+    """Return the covariance of a camera whose reprojection error is all that is known, (11 + d, 11 + d).
+
+    Each parameter alone displaces a point at the edge of the picture by the reprojection error over the square root of
+    their number, so that all together displace it by the reprojection error.
+
+    Args:
+        camera: its parameters.
+        px: reprojection error [px].
+        distance: of the points that it sees [m]; 0 if its pose is not stated.
+    """
+    focal = float(camera.K[0, 0])
+    radius = float(camera.K[0, 2]) / focal
+    share = px / math.sqrt(LINEAR - 1 + len(camera.distortion))
+    bends = [
+        share / (focal * size) for size in (radius**3, radius**5, 3 * radius**2, 3 * radius**2, radius**7)
+    ]
+    std = [*2 * [share / radius], 0.0, *2 * [share], *3 * [share / focal], *3 * [share * distance / focal],
+           *bends[: len(camera.distortion)]]  # fmt: skip
+    return np.diag(np.square(std))
+
+
+def _uncertain(camera: Camera, px: float, T: Array | None, target: Array, document: _Document) -> Camera:
+    """Return a camera with its pose T_camera_world, if stated, and its assumed covariance."""
+    distance = 0.0
+    if T is not None:
+        centre = -T[:3, :3].T @ T[:3, 3]
+        distance = float(np.linalg.norm(centre - target))
+        if not DISTANCE[0] < distance < DISTANCE[1]:
+            raise document.fail(f"camera {camera.name} would be {distance:.3g} m from the base of the probe; check "
+                                "cameras.length_unit and base.p_world_mm in campaign.toml")  # fmt: skip
+        camera = replace(camera, R_camera_world=T[:3, :3], p_world=centre)
+    return replace(camera, cov=assumed_covariance(camera, px, distance), std_px=px)
+
+
+def _relative(
+    cameras: Mapping[str, Camera], name: str, other: str, T: Array, document: _Document
+) -> RelativePose:
+    """Return a stated relative pose with its assumed uncertainty, as far as the cameras' parameters have it."""
+    baseline = _check_baseline(document, other, name, T[:3, 3])
+    std = math.hypot(*(math.sqrt(cameras[one].cov[5, 5]) for one in (name, other)))
+    return RelativePose(name, other, T, std, std * baseline)
+
+
+def _check_baseline(document: _Document, name: str, other: str, vector: Array) -> float:
+    """Return the distance between two cameras [m]; refuse one that is not plausible."""
+    baseline = float(np.linalg.norm(vector))
+    if not BASELINE[0] < baseline < BASELINE[1]:
+        raise document.fail(f"cameras {name} and {other} would be {baseline:.3g} m apart; check cameras.length_unit in "
+                            "campaign.toml")  # fmt: skip
+    return baseline
