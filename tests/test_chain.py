@@ -1,6 +1,8 @@
 """Sequences of commands: the files they write, and the files they must not replace."""
 
 import json
+import re
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from probedesign import pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli import demo
 from probedesign.cli.main import run
+from probedesign.core.errors import MissingDependencyError
 from probedesign.design.io import draft_design, render_design
 from probedesign.live.processing.blocks import iter_readings
 from probedesign.live.processing.control import ProcessingOptions
@@ -124,7 +127,29 @@ def test_rigid_root_as_long_as_the_probe_is_refused_with_key_and_line(workplace,
 
 def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "prediction_files", lambda *_: [("prediction.json", b"{}")])
-    monkeypatch.setattr(pipeline, "predict", lambda probe: None)
     skipped: list[str] = []
-    assert list(demo._predict(None, tmp_path, skipped)) == [str(tmp_path / "prediction.json")]
+    assert list(demo._predict(None, None, tmp_path, skipped)) == [str(tmp_path / "prediction.json")]
     assert len(skipped) == 1 and "matplotlib" in skipped[0]
+
+
+def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch, capsys):
+    """CAD and the card house are replaced: their own tests run them."""
+    from probedesign import cad
+
+    def without_cad(*_):
+        raise MissingDependencyError.of_extra("export", "CadQuery", "cad")
+
+    monkeypatch.setattr(cad, "export_parts", without_cad)
+    monkeypatch.setattr(
+        demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or {}
+    )
+    pages = []
+    result = demo.run_demo(
+        workplace / "d", False, lambda _: pages.append((workplace / "d/index.html").read_text())
+    )
+    assert 'http-equiv="refresh"' in pages[0] and "being made" in pages[0]
+    page = (workplace / "d/index.html").read_text()
+    assert 'http-equiv="refresh"' not in page and "being made" not in page
+    assert len(result["skipped"]) == 2 and all(escape(reason) in page for reason in result["skipped"])
+    for file in re.findall(r'(?:href|src)="([^"]+)"', page):
+        assert (workplace / "d" / file).exists()

@@ -1,21 +1,42 @@
 """`probedesign demo`: run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
+import contextlib
+import io
+import sys
+import webbrowser
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from probedesign.cli.console import print_json, print_step, print_table, write_files
+from cyclopts import Parameter
+
+from probedesign.cli.console import print_json, print_step, write_files
 from probedesign.cli.deploy import write_bundle
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.units import MM
+from probedesign.reports.demo_page import DemoSection, write_demo_page
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
+    from probedesign.prediction.predict import Prediction
     from probedesign.probe import Probe
     from probedesign.reports.png import SweepSeries
 
 NAME = "demo"
+SECTIONS = {
+    "predict": ("The probe, coloured by its predicted error", "probedesign predict {folder}/demo.toml"),
+    "estimate": ("A simulated touch, located",
+                 "probedesign estimate {folder}/demo.probe.json {folder}/recording.csv"),
+    "export": ("The parts", "probedesign export {folder}/demo.toml"),
+    "explore": ("A card house, found by touch",
+                "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
+}  # fmt: skip
+"""Heading and command of each section of the page."""
+TARE, AVERAGE = "0.5:3.5", 36
+"""Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md."""
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
 """Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise."""
 
@@ -24,36 +45,44 @@ def demo(
     *,
     out: Path | None = None,
     force: bool = False,
+    open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
     as_json: JsonOutput = False,
 ) -> None:
-    """Run the whole chain on a built-in example: design, predict, export, deploy, simulate, estimate.
+    """Run the whole chain on a built-in example: design, predict, export, deploy, simulate, estimate, explore.
 
     Args:
         out: output folder. Default: exports/demo.
         force: replace existing files, even those that the demo did not write.
+        open_: open the page with the results in a browser, if the output is a terminal.
         as_json: print one JSON document.
     """
-    result = run_demo(EXPORTS / NAME if out is None else out, force)
+    folder = EXPORTS / NAME if out is None else out
+    show = open_ and not as_json and sys.stdout.isatty()
+    result = run_demo(folder, force, webbrowser.open if show else lambda _: None)
     if as_json:
         print_json(result)
         return
-    print("wrote")
-    print_table(result["made"])
     for reason in result["skipped"]:
         print("skipped:", reason)
     print(
-        f"\n{result['located']} of {result['touches']} touches located; contact error {result['error_mm']:.2f} mm RMS, "
+        f"{result['located']} of {result['touches']} touches located; contact error {result['error_mm']:.2f} mm RMS, "
         f"predicted {result['predicted_mm']:.2f} mm RMS"
     )
+    print(f"wrote {len(result['made'])} files to {folder}; open {result['page']}")
 
 
-def run_demo(folder: Path, force: bool) -> dict[str, Any]:
-    """Design, predict, export (with CadQuery), deploy, simulate a recording and estimate; all in one folder.
+def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[str, Any]:
+    """Run the chain in one folder; its page is there at once and filled in while the rest is made.
+
+    Args:
+        folder: output folder.
+        force: whether files that the demo did not write may be replaced.
+        show: receives the address of the page as soon as it exists.
 
     Returns:
-        made: each file with its purpose; skipped: reasons for files that could not be written; numbers of located
-        contacts and of touches; error_mm: RMS distance between located and true contact points; predicted_mm: the
-        same from the estimates' own covariances.
+        made: each file with its purpose; page: the index page; skipped: reasons for files that could not be written;
+        numbers of located contacts and of touches; error_mm: RMS distance between located and true contact points;
+        predicted_mm: the same from the estimates' own covariances.
 
     Raises:
         InputError: the folder has an edited design or other files, and `force` is not set.
@@ -62,9 +91,19 @@ def run_demo(folder: Path, force: bool) -> dict[str, Any]:
 
     from probedesign import pipeline
     from probedesign.design.io import draft_design, render_design, write_design
+    from probedesign.reports.prediction_page import probe_chart
 
     made: dict[str, str] = {}
     skipped: list[str] = []
+    sections = {
+        name: DemoSection(heading, command.format(folder=folder))
+        for name, (heading, command) in SECTIONS.items()
+    }
+
+    def finish(name: str, text: str, **content: Any) -> None:
+        sections[name] = replace(sections[name], text=text, **content)
+        write_demo_page(folder, list(sections.values()))
+
     print_step("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
     drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
@@ -73,13 +112,14 @@ def run_demo(folder: Path, force: bool) -> dict[str, Any]:
         _check_folder(folder, design, text)
     write_design(text, design, force=True)
     made[str(design)] = "the design; edit it and run the chain again"
-    print_step(
-        "predicting sensitivity and contact error (the first run compiles the rod, about half a minute)"
-    )
+    page = write_demo_page(folder, list(sections.values()))
+    show(page.absolute().as_uri())
+    print_step("predicting (the first run compiles the rod and the estimator, about a minute)")
     probe = pipeline.load_probe(design)
-    made |= _predict(probe, folder, skipped)
-    print_step("building the parts")
-    made |= _export(probe, folder, skipped)
+    prediction = pipeline.predict(probe)
+    made |= _predict(probe, prediction, folder, skipped)
+    finish("predict", prediction.verdict, svg=probe_chart(prediction, probe.estimator()).svg(),
+           links=[("prediction.html", "all predictions"), (design.name, "the design file")])  # fmt: skip
     print_step("freezing the estimator and its geometry")
     bundle = write_bundle(probe, folder / f"{NAME}.probe.json")
     made[str(bundle)] = "the frozen probe for estimate and live"
@@ -91,14 +131,34 @@ def run_demo(folder: Path, force: bool) -> dict[str, Any]:
     made[str(contacts)] = "the located contacts, one estimate per row"
     made |= _draw(sweep, folder / "contacts.png")
     ok = np.isfinite(sweep.error_mm)
-    return {
-        "made": made,
-        "skipped": skipped,
+    result = {
         "located": int(ok.sum()),
         "touches": int(np.isfinite(sweep.true_s_mm).sum()),
         "error_mm": float(np.sqrt(np.mean(sweep.error_mm[ok] ** 2))),
         "predicted_mm": float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2))),
     }
+    finish(
+        "estimate",
+        f"A touch of 20 mN sweeps along the probe: {result['located']} of {result['touches']} readings located, "
+        f"{result['error_mm']:.2f} mm RMS, predicted {result['predicted_mm']:.2f} mm.",
+        picture="contacts.png" if (folder / "contacts.png").exists() else "",
+        links=[(contacts.name, "located contacts"), (recording.name, "the recording")],
+    )
+    print_step("building the parts")
+    parts = _export(probe, folder, skipped)
+    made |= parts
+    exploded = next((Path(name).name for name in parts if Path(name).name == "exploded.svg"), "")
+    finish("export", "The parts to print, with drawings and assembly instructions." if parts else skipped[-1],
+           picture=exploded, links=[("assembly.html", "assembly instructions")] if parts else ())  # fmt: skip
+    print_step("touching a simulated card house")
+    made |= _explore(bundle, folder, skipped)
+    if (folder / "found/points.svg").exists():
+        finish("explore", _found(folder), picture="found/points.svg",
+               links=[("found/points.html", "the points in three dimensions")])  # fmt: skip
+    else:
+        finish("explore", skipped[-1])
+    made[str(page)] = "the page with all results"
+    return {"made": made, "page": str(page), "skipped": skipped, **result}
 
 
 def _check_folder(folder: Path, design: Path, text: str) -> None:
@@ -113,11 +173,9 @@ def _check_folder(folder: Path, design: Path, text: str) -> None:
         )
 
 
-def _predict(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
-    """Predict, and return the files; a picture that cannot be drawn is added to `skipped`."""
-    from probedesign import pipeline
-
-    files = write_files(folder, prediction_files(probe, pipeline.predict(probe)))
+def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: list[str]) -> dict[str, str]:
+    """Write a prediction, and return the files; a picture that cannot be drawn is added to `skipped`."""
+    files = write_files(folder, prediction_files(probe, prediction))
     if not any(file.suffix == ".png" for file in files):
         skipped.append(str(MissingDependencyError.of_extra("a plot", "matplotlib", "plots")))
     return {str(file): "predicted sensitivity and contact error" for file in files}
@@ -145,6 +203,36 @@ def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
     files = {name: purposes[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
     files |= {name: "exploded view" for name in files if name.startswith("exploded")}
     return {str(folder / name): purpose for name, purpose in files.items()}
+
+
+def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
+    """Simulate touches of a card house and locate them, and return the files."""
+    from probedesign.cli.explore import FILES, explore
+    from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
+
+    rehearsal, found = folder / "rehearsal", folder / "found"
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            explore(bundle, rehearsal=RehearsalOptions(rehearse=rehearsal), force=True)
+            explore(
+                bundle,
+                rehearsal / "house.mcap",
+                out=found,
+                force=True,
+                reading=ReadingOptions(tare_s=TARE, average=AVERAGE),
+                base=BaseOptions(pose=str(rehearsal / "poses.csv")),
+            )
+    except MissingDependencyError as error:
+        skipped.append(str(error))
+        return {}
+    return {str(found / name): "points of a simulated card house" for name in FILES}
+
+
+def _found(folder: Path) -> str:
+    """Return what `explore` found, in one sentence."""
+    points = (folder / "found/points.csv").read_text("utf-8").splitlines()
+    count = sum(not line.startswith("#") for line in points) - 1
+    return f"A base touches a simulated card house with friction: {count} points of its edges, each with its ellipsoid."
 
 
 def _draw(sweep: "SweepSeries", path: Path) -> dict[str, str]:
