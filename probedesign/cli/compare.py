@@ -77,13 +77,14 @@ def sweep(
     out: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    beside: Path | None = None,
     options: TaskOptions | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Evaluate every combination of values of some keys of a design.
 
-    Writes sweep.jsonl during the run, then sweep.csv and sweep.parquet. The same command resumes an interrupted sweep.
-    An invalid design is a row with the reason. Needs the extra 'sweep'. More: docs/search.md.
+    Writes sweep.jsonl during the run, then sweep.csv, sweep.parquet and a page, sweep.html. The same command resumes
+    an interrupted sweep. An invalid design is a row with the reason. Needs the extra 'sweep'. More: docs/search.md.
 
     Args:
         design: the design file with the values of all other keys.
@@ -91,6 +92,7 @@ def sweep(
         out: output folder. Default: exports/NAME/sweep.
         scheduler: address of a dask scheduler, tcp://HOST:PORT. Default: processes on this machine.
         workers: number of processes on this machine. Default: one per processor.
+        beside: sweep.csv of another grid of the same keys, drawn beside this one.
         options: the task for which the designs are evaluated.
         as_json: print one JSON document.
     """
@@ -105,8 +107,11 @@ def sweep(
     from probedesign.design import load_design
     from probedesign.optimization import sweep as grid
     from probedesign.optimization.sweep import parse_axis
+    from probedesign.reports.sweep_page import read_sweep, sweep_page
 
     axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
+    keys = [axis.key for axis in axes]
+    other = None if beside is None else (str(beside), read_sweep(beside, keys))
     try:
         with show_progress() as on_progress:
             start = load_design(design)
@@ -118,10 +123,13 @@ def sweep(
         ) from None
     for note in swept.notes:
         print_note(note)
+    page = folder / "sweep.html"
+    write_atomically(page, sweep_page(swept.records, keys, task.text, other))
+    swept.files.append(page)
     if as_json:
         print_json({"task": task, "computed": swept.computed, "files": swept.files, "points": swept.records})
     else:
-        _print_sweep(swept, [axis.key for axis in axes], task.text)
+        _print_sweep(swept, keys, task.text)
 
 
 def _print_sweep(swept: "SweepResult", keys: list[str], task: str) -> None:

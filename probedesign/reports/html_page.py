@@ -29,7 +29,9 @@ thead th { border-bottom: 1pt solid var(--ink) }
 PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible } }\n"
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(88mm, 100%), 1fr)); gap: 5mm }
-section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; height: auto; display: block }
+section { break-inside: avoid; margin: 0 0 4mm }
+.figures section { max-width: 150mm }
+section svg { width: 100%; height: auto; display: block }
 @media screen and (prefers-color-scheme: dark) { section svg { filter: invert(1) hue-rotate(180deg) } }
 section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }

@@ -1,0 +1,199 @@
+"""Page of a sweep: a heat map of two keys, curves of one, parallel coordinates of more."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from probedesign.core.errors import InputError
+from probedesign.core.units import format_value
+from probedesign.optimization.objective import METRICS
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis
+from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
+
+Record = Mapping[str, Any]
+METRIC = "error_mm"
+CURVES = ("error_mm", "worst_error_mm", "sag_mm", "detectable_mN")
+"""Metrics drawn over a single key."""
+MAX_ROWS = 20
+SHORT = {"refused": "invalid", "gives_way": "buckles", "unobservable": "unobs.", "out_of_range": "range",
+         "failed": "failed"}  # fmt: skip
+"""Text of a cell without an error, by result."""
+
+
+def sweep_page(
+    records: Sequence[Record],
+    keys: Sequence[str],
+    about: str,
+    beside: tuple[str, Sequence[Record]] | None = None,
+) -> bytes:
+    """Return the page of a sweep.
+
+    Args:
+        records: one per design, as in sweep.csv.
+        keys: the keys that vary.
+        about: the task, in one line.
+        beside: name and records of a second grid of the same keys, drawn with the same colours.
+    """
+    grids = [("", records)] if beside is None else [("this grid", records), beside]
+    errors = [r[METRIC] for _, rows in grids for r in rows if r["result"] == "ok"]
+    figures = []
+    if errors:
+        low, high = min(errors), max(errors)
+        for name, rows in grids:
+            heading = f"{METRIC}{f', {name}' if name else ''}"
+            if len(keys) == 1:
+                figures += _curves(rows, keys[0], name)
+            elif len(keys) == 2:
+                figures.append(ReportFigure(heading, _HEAT, heat_map(rows, keys, low, high).svg()))
+            else:
+                figures.append(
+                    ReportFigure(heading, _PARALLEL, parallel_coordinates(rows, keys, low, high).svg())
+                )
+    best = sorted((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]))[:MAX_ROWS]
+    head = [*keys, *METRICS]
+    table = HtmlTable(head, [[format_value(row[name]) for name in head] for row in best])
+    return report_page("Sweep", [about], None, figures, [(f"The best {len(best)} designs", table)],
+                       verdict(records, keys))  # fmt: skip
+
+
+_HEAT = ("RMS error of the task. Grey: not evaluated, with the reason; the frame marks the smallest error. "
+         "Darker is larger.")  # fmt: skip
+_PARALLEL = ("Each line is a design: its values from the smallest to the largest of each key, and its error; the thick "
+             "line has the smallest error.")  # fmt: skip
+
+
+def verdict(records: Sequence[Record], keys: Sequence[str]) -> str:
+    """Return the best design in one sentence."""
+    good = [r for r in records if r["result"] == "ok"]
+    if not good:
+        return f"None of {len(records)} designs could be evaluated."
+    best = min(good, key=lambda r: float(r[METRIC]))
+    values = ", ".join(f"{key.rpartition('.')[2]} = {format_value(best[key])}" for key in keys)
+    lost = len(records) - len(good)
+    rest = f"; {lost} of {len(records)} designs could not be evaluated" if lost else ""
+    return f"The smallest error of {len(records)} designs is {best[METRIC]:.3g} mm, with {values}{rest}."
+
+
+def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:
+    """Return the error over two keys as a map, with colours in equal steps of its logarithm from `low` to `high`."""
+    values = [list(dict.fromkeys(record[key] for record in records)) for key in keys]
+    x, y = (
+        ChartAxis.named(key, [format_value(v) for v in found])
+        for key, found in zip(keys, values, strict=True)
+    )
+    chart = Chart(x, y)
+    best = min((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]), default=None)
+    frame = None
+    for record in records:
+        i, j = (found.index(record[key]) + 1 for key, found in zip(keys, values, strict=True))
+        box = (i - 0.5, i + 0.5), (j - 0.5, j + 0.5)
+        if record["result"] != "ok":
+            chart.box(*box, "#e4e4e4")
+            chart.text(i, j, SHORT.get(str(record["result"]), "failed"), "#555", 9.0)
+            continue
+        level = _level(record[METRIC], low, high)
+        chart.box(*box, ORDERED[level])
+        if len(values[0]) <= 16:
+            chart.text(i, j, f"{record[METRIC]:.3g}", "#111" if level >= 4 else "#fff", 10.5)
+        if record is best:
+            frame = i, j
+    if frame is not None:
+        (i, j), h = frame, 0.5
+        chart.line(
+            [i - h, i + h, i + h, i - h, i - h], [j - h, j - h, j + h, j + h, j - h], COLOURS[2], width=3.0
+        )
+    return chart
+
+
+def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:
+    """Return a line for each evaluated design through its values of all keys and its error, coloured by the error."""
+    names = [*keys, METRIC]
+    chart = Chart(
+        ChartAxis.named("", [name.rpartition(".")[2] for name in names]), ChartAxis("", -0.1, 1.1, ticks=())
+    )
+    good = sorted((r for r in records if r["result"] == "ok"), key=lambda r: -float(r[METRIC]))
+    scales = [_scale([r[name] for r in records if r[name] is not None]) for name in names]
+    for i, record in enumerate(good):
+        last = i == len(good) - 1
+        heights = [scale[record[name]] for name, scale in zip(names, scales, strict=True)]
+        chart.line(
+            range(1, len(names) + 1),
+            heights,
+            ORDERED[_level(record[METRIC], low, high)],
+            width=4.0 if last else 1.0,
+        )
+    for i, scale in enumerate(scales, 1):
+        ends = min(scale, key=scale.__getitem__), max(scale, key=scale.__getitem__)
+        for value, y in zip(ends, (-0.05, 1.05), strict=True):
+            chart.text(i, y, format_value(value), size=10.5)
+    return chart
+
+
+def _scale(values: Sequence[Any]) -> dict[Any, float]:
+    """Return the height of each value: numbers in proportion, names in order."""
+    found = list(dict.fromkeys(values))
+    if all(isinstance(v, int | float) for v in found):
+        low, high = min(found), max(found)
+        return {v: (v - low) / (high - low) if high > low else 0.5 for v in found}
+    return {v: k / max(len(found) - 1, 1) for k, v in enumerate(found)}
+
+
+def _level(error: float, low: float, high: float) -> int:
+    """Return the index of the colour of an error: the last for the smallest."""
+    share = math.log(error / low) / math.log(high / low) if high > low else 0.0
+    return len(ORDERED) - 1 - min(int(share * len(ORDERED)), len(ORDERED) - 1)
+
+
+def _curves(records: Sequence[Record], key: str, name: str) -> list[ReportFigure]:
+    """Return a chart of each of `CURVES` over one key."""
+    figures = []
+    x = [record[key] for record in records]
+    numeric = all(isinstance(value, int | float) for value in x)
+    places = x if numeric else list(range(1, len(x) + 1))
+    across = (
+        ChartAxis.spanning(key, places) if numeric else ChartAxis.named(key, [format_value(v) for v in x])
+    )
+    for i, metric in enumerate(CURVES):
+        y = [math.nan if r[metric] is None or r["result"] != "ok" else float(r[metric]) for r in records]
+        if not any(map(math.isfinite, y)):
+            continue
+        chart = Chart(across, ChartAxis.spanning(metric, y))
+        chart.line(places, y, COLOURS[i % len(COLOURS)], DASHES[0], MARKS[0])
+        figures.append(
+            ReportFigure(f"{metric}{f', {name}' if name else ''}", "Broken where not evaluated.", chart.svg())
+        )
+    return figures
+
+
+def read_sweep(path: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
+    """Read the records of a sweep.csv.
+
+    Raises:
+        InputError: the file cannot be read, or is not a sweep of these keys.
+    """
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}"
+        ) from None
+    rows = list(csv.DictReader(io.StringIO(text)))
+    missing = [name for name in (*keys, "result", *METRICS) if not rows or name not in rows[0]]
+    if missing:
+        raise InputError(f"{path}: has no column {missing[0]}; give the sweep.csv of a grid of the same keys")
+    return [{name: _cell(value, name) for name, value in row.items()} for row in rows]
+
+
+def _cell(text: str | None, name: str) -> Any:
+    if name in METRICS:
+        try:
+            return float(text) if text else None
+        except ValueError:
+            return None
+    try:
+        return float(text or "")
+    except ValueError:
+        return text

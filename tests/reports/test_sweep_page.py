@@ -1,0 +1,55 @@
+"""The page of a sweep: every design is drawn, the best one is marked and named."""
+
+import itertools
+import re
+
+import pytest
+
+from probedesign.core.errors import InputError
+from probedesign.optimization.objective import METRICS
+from probedesign.reports.sweep_page import read_sweep, sweep_page, verdict
+
+
+def grid(points):
+    """Return records whose error is the distance from the middle of the grid; the first design buckles."""
+    records = []
+    for number, values in enumerate(points):
+        error = 1.0 + sum((v - 2.0) ** 2 for v in values)
+        point = {f"probe.k{i}": v for i, v in enumerate(values)}
+        metrics = dict.fromkeys(METRICS, 1.0) | {"error_mm": error}
+        records.append({"point": number, **point, "result": "ok", "reason": "", **metrics})
+    records[0] |= {"result": "gives_way", **dict.fromkeys(METRICS)}
+    return records
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_grid_of_any_number_of_keys_has_a_page_with_its_best_design(n):
+    records = grid(list(itertools.product((1.0, 2.0, 3.0), repeat=n)))
+    keys = [f"probe.k{i}" for i in range(n)]
+    page = sweep_page(records, keys, "task").decode()
+    assert page.count("<svg") == (4 if n == 1 else 1)
+    assert all(f"k{i} = 2" in verdict(records, keys) for i in range(n)) and "1 of" in verdict(records, keys)
+    if n == 2:  # a cell for each design, the buckled one without a number
+        assert len(re.findall("<rect", page)) >= 9 and "buckles" in page
+
+
+def test_a_second_grid_has_the_same_colours():
+    records = grid(list(itertools.product((1.0, 2.0, 3.0), repeat=2)))
+    worse = [r | ({"error_mm": 100.0} if r["result"] == "ok" else {}) for r in records]
+    page = sweep_page(records, ["probe.k0", "probe.k1"], "task", ("other", worse)).decode()
+    first, second = page.split("<svg")[1:]
+    assert "#440154" not in first and "#440154" in second  # the darkest colour is that of the largest error
+
+
+def test_a_grid_without_a_good_design_has_a_page():
+    records = [r | {"result": "refused", **dict.fromkeys(METRICS)} for r in grid([(1.0,), (2.0,)])]
+    assert "None of 2" in sweep_page(records, ["probe.k0"], "task").decode()
+
+
+@pytest.mark.parametrize("content", ["", "point,result\n1,ok\n", "\x00\xff"])
+def test_a_file_that_is_no_sweep_is_refused(tmp_path, content):
+    path = tmp_path / "sweep.csv"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(InputError) as error:
+        read_sweep(path, ["probe.k0"])
+    assert "\n" not in str(error.value)
