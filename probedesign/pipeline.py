@@ -139,7 +139,9 @@ def identify(design: "Design", campaign: "Campaign", names: Sequence[str]) -> "I
     probe = build_probe(design)
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
     flange = mount_part_masses(probe.geometry, adapter, design.density.value)["flange"]
-    return run(data_of(campaign, probe.model, flange.volume), names)
+    found = run(data_of(campaign, probe.model, flange.volume), names)
+    used = {one.test for one in found.residuals}
+    return replace(found, served=tuple(test.digest for test in campaign.tests if test.name in used))
 
 
 def freeze(probe: "Probe") -> dict[str, Any]:
@@ -174,12 +176,16 @@ def load_estimator(
 
 
 def validate(
-    estimator: "Estimator", campaign: "Campaign", exact_model: bool, on_progress: "OnProgress"
+    estimator: "Estimator",
+    campaign: "Campaign",
+    exact_model: bool,
+    include_identified: bool,
+    on_progress: "OnProgress",
 ) -> "ValidationReport":
     """Compare the estimates of a frozen probe with the reference of a campaign of its print."""
     from probedesign.validation.validate import validate as run
 
-    return run(estimator, campaign, exact_model, lambda share: on_progress("estimating", share))
+    return run(estimator, campaign, exact_model, include_identified, lambda share: on_progress("estimating", share))
 
 
 def estimate(

@@ -41,7 +41,7 @@ def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:
 
 def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
     """Return the sorted normalised errors squared against the quantiles of their χ² distribution."""
-    errors = [trial.contact_error for trial in trials if trial.counts and trial.contact_error is not None]
+    errors = [trial.contact_error for trial in trials if trial.measured and trial.contact_error is not None]
     scaled = sorted(error.nees / error.dof for error in errors)
     dof, n = errors[0].dof if errors else 3, len(scaled)
     expected = (chi2.ppf((np.arange(n) + 0.5) / max(n, 1), dof) / dof).tolist()

@@ -58,6 +58,7 @@ class CampaignPlan:
         images: render photographs too.
         friction: median friction coefficient μ of touches; 0 is without friction.
         friction_spread: standard deviation of ln μ from test to test.
+        hold_out: mark every second touch as one for `validate`, which `identify` leaves out.
     """
 
     kind: CampaignKind = "cameras"
@@ -70,6 +71,7 @@ class CampaignPlan:
     images: bool = False
     friction: float = 0.0
     friction_spread: float = ASSUMED_SPREAD
+    hold_out: bool = False
 
     def __post_init__(self) -> None:
         """Raise InputError where a number is out of range or two options exclude each other."""
