@@ -14,9 +14,10 @@ from probedesign.core.files import check_folder
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
+    from probedesign.prediction.agreement import AgreementScore
     from probedesign.prediction.fused import FusedCondition
     from probedesign.prediction.predict import Condition, Prediction
-    from probedesign.prediction.table_one import AgreementScore, TableOne
+    from probedesign.prediction.table_one import TableOne
     from probedesign.prediction.workspace import Workspace
     from probedesign.probe import Probe
 

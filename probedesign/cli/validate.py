@@ -125,7 +125,8 @@ def _line(row: dict[str, Any]) -> str:
     return (f"  {row['probe'][:9]:<10}{row['test'][:12]:<12}{_cell(force, 7)}{_cell(row['contact_fraction'], 8)} "
             f"{row['direction'][:3] or '-':<4}{_cell(row['shape_rms_mm'], 7)}{_cell(row['shape_rms_percent'], 7)}"
             f"{_cell(row['contact_error_mm'], 8)}{_cell(row['stated_error_mm'], 8)}"
-            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}{row['result']}{served}")  # fmt: skip
+            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}"
+            f"{row['result']}{served}")  # fmt: skip
 
 
 def _print_summary(report: "ValidationReport", prefix: str) -> None:

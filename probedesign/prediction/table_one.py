@@ -119,9 +119,9 @@ def table_one(
         for by in THICKER_MM
     )
     score = _score("as designed", rows)
-    return TableOne(
-        tuple(rows), score, compare(published(), np.array(own, dtype=float), reference_mm), reference_mm, 1e3 * noise.force, 1e3 * noise.moment, references, diameters
-    )
+    comparison = compare(published(), np.array(own, dtype=float), reference_mm)
+    return TableOne(tuple(rows), score, comparison, reference_mm, 1e3 * noise.force, 1e3 * noise.moment, references,
+                    diameters)  # fmt: skip
 
 
 def rows_of(models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float) -> list[TableRow]:

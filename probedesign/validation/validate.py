@@ -125,7 +125,9 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
         remedy = "; try without --exact-model" if exact else ": probe, mount, bench or reference"
         words.append(f"something is less certain than stated{remedy}")
     if n < MIN_TOUCHES:
-        words.append(f"{n} touches are a small sample; {MIN_TOUCHES} or more can show a coverage that is too low")
+        words.append(
+            f"{n} touches are a small sample; {MIN_TOUCHES} or more can show a coverage that is too low"
+        )
     words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
                  "narrower than one campaign justifies")  # fmt: skip
     return Coverage(verdict, sentence, n, within, float(share.low), float(share.high), ratio, ratio_low, ratio_high,
