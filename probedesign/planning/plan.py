@@ -124,11 +124,11 @@ class Plan:
         """Notes for the user, each one line."""
         calipers = any(one.set_up == "calipers" for one in self.candidates)
         own: tuple[str, ...] = (
-            "the intervals are those of the fit; identify adds its systematic effects, such as the sensor's gain",
+            "The intervals are those of the fit; identify adds its systematic effects, such as the sensor's gain.",
         )
         if "diameters" in self.names and calipers:
             own += (
-                "diameters are measured by calipers and written into the design; leave them out of identify --for",
+                "Diameters are measured by calipers and written into the design; leave them out of identify --for.",
             )
         return (*self.unobservable, *own)
 

@@ -13,9 +13,11 @@ from probedesign.core.errors import InputError
 DOCTYPE = "<!DOCTYPE html>"
 STYLE = """
 @page { size: A4; margin: 14mm }
+:root { color-scheme: light } /* black on white, as the figures are */
 body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: #111;
   max-width: 260mm; margin: 8mm auto; padding: 0 4mm }
 h1 { font-size: 18pt; margin: 0 } .about { color: #444; margin: 1mm 0 4mm }
+.scroll { overflow-x: auto }
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid #bbb; white-space: nowrap }
 thead th { border-bottom: 1pt solid #111 }
@@ -23,12 +25,13 @@ thead th { border-bottom: 1pt solid #111 }
 """Common to all pages."""
 PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } }\n"
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(88mm, 1fr)); gap: 5mm }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(88mm, 100%), 1fr)); gap: 5mm }
 section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; height: auto; display: block }
 section p { color: #333; margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
 td:last-child { white-space: normal }
 .last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
+details { margin: 0 0 4mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer; margin: 0 0 2mm }
 @media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
 """
 
@@ -61,7 +64,8 @@ class HtmlTable:
         head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
         note = f"<p>{escape(self.note)}</p>" if self.note else ""
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
+        table = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        return f'<div class="scroll">{table}</div>{note}'
 
 
 def html_document(title: str, about: Sequence[str], body: str, style: str = "", head: str = "") -> bytes:
@@ -103,6 +107,7 @@ def report_page(
     table: HtmlTable,
     sections: Sequence[ReportFigure],
     after: Sequence[tuple[str, HtmlTable]] = (),
+    folded: Sequence[tuple[str, Sequence[ReportFigure]]] = (),
 ) -> bytes:
     """Return the page of a report.
 
@@ -112,16 +117,25 @@ def report_page(
         table: the most important figures.
         sections: figures, in order.
         after: headings and tables at the end.
+        folded: headings and figures that repeat one kind, shown on request.
     """
-    figures = "".join(
-        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
-        for s in sections
+    repeated = "".join(
+        f'<details><summary>{escape(name)}</summary>\n<div class="figures">\n{_figures(figures)}</div></details>\n'
+        for name, figures in folded
+        if figures
     )
     last = "".join(
         f"<section class=last><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in after
     )
-    body = f'<section>{table.html()}</section>\n<div class="figures">\n{figures}</div>\n{last}'
+    body = f'<section>{table.html()}</section>\n<div class="figures">\n{_figures(sections)}</div>\n{repeated}{last}'
     return html_document(title, [escape(line) for line in about], body, REPORT_STYLE)
+
+
+def _figures(sections: Sequence[ReportFigure]) -> str:
+    return "".join(
+        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
+        for s in sections
+    )
 
 
 def _labelled(section: ReportFigure) -> str:

@@ -18,7 +18,9 @@ STYLE = """
 .steps ul { list-style: none; padding: 0; margin: 1mm 0 3mm } .steps li { margin: 1mm 0 1mm 6mm; text-indent: -6mm }
 .steps li::before { content: "\\2610\\00a0\\00a0" } 
 .steps li.command { font-family: monospace; overflow-wrap: anywhere }
-.plan td:nth-child(2) { text-align: left; white-space: normal }
+.plan td:nth-child(2), .plan th:nth-child(2) { text-align: left; white-space: normal; min-width: 45mm; width: 60% }
+.plan { break-inside: auto } .plan th, .plan td { padding: 0.6mm 1.5mm }
+.stop { max-width: 120mm }
 @media print { .sheet { grid-template-columns: 1fr 1fr } .plan table { break-inside: auto } }
 """
 
@@ -50,9 +52,9 @@ def plan_page(plan: Plan, folder: str) -> bytes:
     ]
     body = (
         f'<section class="plan"><h2>Expected 95 % intervals after each test</h2>{_table(plan).html()}</section>'
-        f'<div class="figures">{_chart_section(plan)}</div>'
+        f"{_chart_section(plan)}"
         f'<section class="steps" style="break-inside: auto"><h2>Checklist</h2>{_checklist(plan, folder)}</section>'
-        f'<h2>Set-ups</h2><div class="sheet">{"".join(_set_up(plan, one) for one in plan.candidates)}</div>'
+        f'<h2>Set-ups</h2><div class="sheet">{"".join(_set_up(plan, one) for one in plan.candidates if one.shape)}</div>'
     )
     return html_document(
         f"{model.name}: plan of a campaign", [escape(line) for line in about], body, REPORT_STYLE + STYLE
@@ -97,7 +99,7 @@ def _chart_section(plan: Plan) -> str:
     caption = (
         "Where a line begins the tests first determine the parameter. It may rise where another one begins."
     )
-    return f"<section><h2>{heading}</h2>{svg}<p>{caption}</p></section>"
+    return f"<section class=stop><h2>{heading}</h2>{svg}<p>{caption}</p></section>"
 
 
 def _checklist(plan: Plan, folder: str) -> str:
@@ -111,6 +113,6 @@ def _items(lines: Sequence[str], attribute: str = "") -> str:
 
 
 def _set_up(plan: Plan, one: Candidate) -> str:
-    drawing = "" if one.shape is None else set_up_drawing(plan.bench.model, one).decode()
+    drawing = set_up_drawing(plan.bench.model, one).decode()
     use = " For validate." if one.held_out else ""
     return f"<section><h3>☐ {escape(one.name)}</h3>{drawing}<p>{escape(one.words)}{use}</p></section>"

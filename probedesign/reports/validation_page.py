@@ -146,26 +146,30 @@ def validation_page(validation: ValidationReport) -> bytes:
     model, coverage = validation.estimator.model, validation.coverage
     how = "probe assumed to match its file exactly" if validation.exact else "with the probe's tolerances"
     about = [
+        coverage.sentence,
         f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
         f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
         *coverage.words,
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
-    shapes = (_shape(trial, model) for trial in drawn[:MAX_SHAPES])
-    sections = [*_figures(validation), *_internal_loads(validation), *shapes]
+    shapes = [_shape(trial, model) for trial in drawn[:MAX_SHAPES]]
+    folded = [
+        ("Internal forces and moments", _internal_loads(validation)),
+        (f"Shapes of {len(shapes)} tests", shapes),
+    ]
     after = [("Results by test", _table(validation))]
     if validation.notes or len(drawn) > MAX_SHAPES:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
         after.append(("Notes", HtmlTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
     title = f"{model.name}: validation against the reference"
-    return report_page(title, about, _summary(validation), sections, after)
+    return report_page(title, about, _summary(validation), _figures(validation), after, folded)
 
 
 def _summary(validation: ValidationReport) -> HtmlTable:
     """Return the means by kind of test."""
     rows = []
     for kind, means in validation.summary.items():
-        here = [trial for trial in validation.tests if trial.kind == kind]
+        here = [trial for trial in validation.judged if trial.kind == kind]
         located = sum(trial.result == "ok" for trial in here)
         shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
         rows.append([kind, f"{len(here)}", f"{located}", *_mean_cells(shape), *_mean_cells(contact)])
@@ -190,7 +194,7 @@ def _mean_cells(mean: ErrorStatistics) -> list[str]:
 def _table(validation: ValidationReport) -> HtmlTable:
     """Return Table I of the paper with stated and predicted errors."""
     head = ["test", "force", "contact", "direction", "shape RMS", "of length", "contact error", "stated", "predicted",
-            "in 95 %", "method", "result"]  # fmt: skip
+            "in 95 %", "method", "result", "served"]  # fmt: skip
     rows = []
     for row in validation.rows():
         inside = {None: "—", True: "yes", False: "no"}[row["within_95"]]
@@ -200,7 +204,7 @@ def _table(validation: ValidationReport) -> HtmlTable:
             format_value(fraction, ".3f", "L", "—"), row["direction"] or "—", _mm(row["shape_rms_mm"]),
             format_value(row["shape_rms_percent"], ".2f", "%", "—"),
             _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
-            _mm(row["predicted_error_mm"]), inside, row["method"], row["result"],
+            _mm(row["predicted_error_mm"]), inside, row["method"], row["result"], "" if row["held_out"] else "yes",
         ])  # fmt: skip
     note = (
         "Contact: fraction of the length, known or else estimated; its error is that of the touched point, for weights "
@@ -217,7 +221,7 @@ def _mm(value: float | None) -> str:
 
 def _figures(validation: ValidationReport) -> list[ReportFigure]:
     """Return measured error against stated error, and the NEES against its distribution."""
-    located = [trial for trial in validation.tests if trial.contact_error is not None]
+    located = [trial for trial in validation.judged if trial.contact_error is not None]
     if not located:
         return []
     return [
