@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
+from probedesign.campaigns.reading import IMAGES, PIXELS
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_writable, exists_already
 from probedesign.core.frames import Array
@@ -27,15 +28,12 @@ COLUMNS = ("test", "force_x_world_N", "force_y_world_N", "force_z_world_N", "s_c
            "base_x_world_mm", "base_y_world_mm", "base_z_world_mm", "base_rx_world_deg", "base_ry_world_deg",
            "base_rz_world_deg", "use", "note")  # fmt: skip
 WRENCH_HEADER = "# frame: sensor\ntest,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm\n"
-MARKER_HEADER = "test,marker,x_world_mm,y_world_mm,z_world_mm\n"
+MARKER_COLUMNS = "test,marker,x_world_mm,y_world_mm,z_world_mm"
 
 
 def tables(plan: Plan) -> dict[str, str]:
     """Return the tables of the data folder by name, with a row for each planned test."""
-    found = {"campaign.toml": _manifest(plan), TESTS: _tests(plan), WRENCHES: WRENCH_HEADER}
-    if plan.bench.instruments.cameras is not None:
-        found[MARKERS] = MARKER_HEADER
-    return found
+    return {"campaign.toml": _manifest(plan), TESTS: _tests(plan), WRENCHES: WRENCH_HEADER}
 
 
 def _manifest(plan: Plan) -> str:
@@ -153,6 +151,9 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
                     "r the radius and α the half angle of the cone. It is written already.")  # fmt: skip
     if "turned" in kinds:
         each.append("Turned base: write the measured pose into the six base columns of the test.")
+    if plan.bench.instruments.cameras is not None:
+        each.append(f"Markers: write their places into {MARKERS} with the columns {MARKER_COLUMNS}; or photograph "
+                    "them with calibrated cameras (docs/stereo.md).")  # fmt: skip
     held_out = [one.name for one in plan.candidates if one.held_out]
     if held_out:
         each.append(f"{', '.join(held_out)}: measure them like the others. identify leaves them out, and validate "
@@ -199,9 +200,9 @@ def check_target(folder: Path, force: bool) -> None:
         )
     if not force:
         raise exists_already(folder)
-    for name, header in ((WRENCHES, WRENCH_HEADER), (MARKERS, MARKER_HEADER)):
+    for name, empty in ((WRENCHES, WRENCH_HEADER), (MARKERS, ""), (PIXELS, ""), (IMAGES, "")):
         path = folder / name
-        if path.exists() and path.read_bytes().strip() != header.strip().encode():
+        if path.exists() and (path.is_dir() or path.read_bytes().split() != empty.encode().split()):
             raise InputError(
                 f"{folder}: {name} has measured values, which are not replaced; name another folder"
             )

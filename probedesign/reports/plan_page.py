@@ -50,11 +50,12 @@ def plan_page(plan: Plan, folder: str) -> bytes:
         "final one.",
         *plan.notes,
     ]
+    drawings = "".join(_set_up(plan, one) for one in plan.candidates if one.shape is not None)
     body = (
         f'<section class="plan"><h2>Expected 95 % intervals after each test</h2>{_table(plan).html()}</section>'
         f"{_chart_section(plan)}"
         f'<section class="steps" style="break-inside: auto"><h2>Checklist</h2>{_checklist(plan, folder)}</section>'
-        f'<h2>Set-ups</h2><div class="sheet">{"".join(_set_up(plan, one) for one in plan.candidates if one.shape)}</div>'
+        f'<h2>Set-ups</h2><div class="sheet">{drawings}</div>'
     )
     return html_document(
         f"{model.name}: plan of a campaign", [escape(line) for line in about], body, REPORT_STYLE + STYLE
