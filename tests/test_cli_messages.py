@@ -41,6 +41,8 @@ deploy designs/a.toml
 deploy designs/a.toml --out designs/a.toml
 campaign designs/a.toml data --stage
 campaign designs/a.toml data --stage
+plan designs/a.toml bench --minutes 60 --for E
+plan designs/a.toml bench --minutes 60 --for E
 identify designs/a.toml data --for E
 identify designs/a.toml data --for E,densty
 deploy designs/a.toml

@@ -30,9 +30,12 @@ section { break-inside: avoid; margin: 0 0 4mm } section svg { width: 100%; heig
 section p { color: #333; margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
 td:last-child { white-space: normal }
-.last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
+.last table { break-inside: auto; font-size: 9pt } .last th { white-space: normal } tr { break-inside: avoid }
+.last th, .last td { padding: 0.8mm 1.6mm }
 details { margin: 0 0 4mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer; margin: 0 0 2mm }
-@media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
+@media print { details::details-content { content-visibility: visible; height: auto } .scroll { overflow: visible }
+  th { white-space: normal } th, td { padding: 0.6mm 1mm } .last table { font-size: 7.5pt }
+  section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr } }
 """
 
 

@@ -160,7 +160,7 @@ def validation_page(validation: ValidationReport) -> bytes:
     after = [("Results by test", _table(validation))]
     if validation.notes or len(drawn) > MAX_SHAPES:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
-        after.append(("Notes", HtmlTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
+        after.append(("Notes", HtmlTable([""], [[note] for note in (*validation.notes, *more)])))
     title = f"{model.name}: validation against the reference"
     return report_page(title, about, _summary(validation), _figures(validation), after, folded)
 
@@ -194,23 +194,25 @@ def _mean_cells(mean: ErrorStatistics) -> list[str]:
 def _table(validation: ValidationReport) -> HtmlTable:
     """Return Table I of the paper with stated and predicted errors."""
     head = ["test", "force", "contact", "direction", "shape RMS", "of length", "contact error", "stated", "predicted",
-            "in 95 %", "method", "result", "served"]  # fmt: skip
+            "in 95 %", "method", "result"]  # fmt: skip
     rows = []
     for row in validation.rows():
         inside = {None: "—", True: "yes", False: "no"}[row["within_95"]]
         force, fraction = row["force_N"], row["contact_fraction"]
         rows.append([
-            row["test"], "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
+            row["test"] + ("" if row["held_out"] or row["kind"] == "free" else " (served)"),
+            "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
             format_value(fraction, ".3f", "L", "—"), row["direction"] or "—", _mm(row["shape_rms_mm"]),
             format_value(row["shape_rms_percent"], ".2f", "%", "—"),
             _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
-            _mm(row["predicted_error_mm"]), inside, row["method"], row["result"], "" if row["held_out"] else "yes",
+            _mm(row["predicted_error_mm"]), inside, row["method"], row["result"],
         ])  # fmt: skip
     note = (
         "Contact: fraction of the length, known or else estimated; its error is that of the touched point, for weights "
         "that of s. Stated: RMS including the reference's own error. Predicted: the predicted error of one "
         "reading of a frictionless touch of that force, position and direction, without a reference. Method: weights "
         "hang by friction and are therefore estimated by the paper's method, which allows a force of any direction."
+        " Served: the probe's parameters were identified from the test, which is not judged."
     )
     return HtmlTable(head, rows, note)
 

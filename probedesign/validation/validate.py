@@ -126,7 +126,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
         words.append(f"something is less certain than stated{remedy}")
     if n < MIN_TOUCHES:
         words.append(
-            f"{n} touches are a small sample; {MIN_TOUCHES} or more can show a coverage that is too low"
+            f"{n} touches are a small sample: of fewer than {MIN_TOUCHES} a coverage that is too low may go unnoticed"
         )
     words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
                  "narrower than one campaign justifies")  # fmt: skip
