@@ -55,7 +55,7 @@ def report() -> None:
                 weights.append([f"{name}, {mean[0]:.3g} mN at {mean[1]:.1f} L", *_statistics(here)])
     head = ["probe, reference", "touches", "ok", "in 95 %", "of which tell", "squares", "RMS error", "stated"]
     print_table(f"Made-up campaigns, {CAMPAIGNS} prints each", head, rows)
-    print_table("Weights of the same campaigns", ["probe, weight", "weights", *head[2:]], weights)
+    print_table("Weights of the campaigns without friction", ["probe, weight", "weights", *head[2:]], weights)
     _table_one()
 
 

@@ -199,8 +199,8 @@ def validate(
     estimator: "Estimator",
     campaign: "Campaign",
     exact_model: bool,
-    include_identified: bool,
     on_progress: "OnProgress",
+    include_identified: bool = False,
 ) -> "ValidationReport":
     """Compare the estimates of a frozen probe with the reference of a campaign of its print."""
     from probedesign.validation.validate import validate as run

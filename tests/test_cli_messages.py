@@ -136,7 +136,7 @@ def replace_export(patch: pytest.MonkeyPatch, arguments: list[str]) -> None:
 
 def masked(text: str) -> list[str]:
     """Return the lines that have words: numbers as #, no repeated spaces or lines, no rows that begin with numbers."""
-    text = re.sub(r"\b(?=\w*\d)[0-9a-f]{12}\b", "FINGERPRINT", text)
+    text = re.sub(r"\b(?=\w*\d)[0-9a-f]{8}(?:[0-9a-f]{4})?\b", "FINGERPRINT", text)
     text = text.replace(str(Path.cwd()), "HERE")
     text = re.sub(r"(<|(?<![\w.-])[-+])?\d+(\.\d+)*(e[-+]\d+)?", "#", text)
     lines = [" ".join(line.split()) for line in text.splitlines()]

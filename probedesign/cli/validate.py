@@ -54,7 +54,7 @@ def validate(
             campaign, name = read_campaign(data), estimator.model.name
             folder = EXPORTS / name / "validation" if out is None else out / name if len(pairs) > 1 else out
             check_writable(folder / "validation.json")
-            report = pipeline.validate(estimator, campaign, exact_model, include_identified, on_progress)
+            report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
             files += write_files(
                 folder, list(_files(report, plots))

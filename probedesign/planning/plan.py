@@ -313,6 +313,9 @@ def make_plan(
     hang = candidates[0]
     fixed = [hang.named("hang-1"), hang.named("hang-2")]
     candidates = [*fixed, *candidates[1:]]
+    if len(candidates) == len(fixed):
+        raise InputError("no test is possible besides the free hang; name a stage, cameras, weights, a balance or "
+                         "calipers, or leave out --no-turn")  # fmt: skip
     for_validation = _spread([one for one in candidates if one.set_up == "touch"], held_out)
     reserved = PREPARATION + sum(one.minutes for one in (*fixed, *for_validation))
     shortest = reserved + min((one.minutes for one in candidates[2:]), default=0.0)

@@ -191,6 +191,12 @@ def test_the_command_writes_a_folder_and_never_replaces_measurements(call):
     assert status == 2 and "measured values" in err and (folder / "wrenches.csv").read_bytes() == before
 
 
+def test_a_bench_without_instruments_gives_one_line(call):
+    none = ("--no-stage", "--no-turn", "--weights-g", "", "--balance-g", "0", "--calipers-mm", "0")
+    status, out, err = call(*none)
+    assert status == 2 and not out and len(err.splitlines()) == 1 and not Path("data").exists()
+
+
 def test_a_folder_of_others_is_not_replaced(call):
     Path("mine").mkdir()
     (Path("mine") / "thesis.txt").write_text("x")
