@@ -119,6 +119,12 @@ def _read_flag(value: Any) -> bool:
     return value
 
 
+def _read_digests(values: Any) -> tuple[str, ...]:
+    if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
+        raise InputError("must be a list of text")
+    return tuple(values)
+
+
 NUMBER, POSITIVE, SPREAD = _number(), _number(math.ulp(0.0)), _number(0.0, 0.5)
 OPTIONAL = SCHEMA + 1
 """`Field.since` of a value that any file may lack."""
@@ -177,6 +183,7 @@ FIELDS = (
     Field("sensor.noise_cov", "noise_cov", _read_cov, OPTIONAL),
     Field("sensor.averaging_samples", "averaging_samples", int),
     Field("sensor.model", "sensor", str, OPTIONAL, NANO17.name),
+    Field("material.identified_tests", "identified_tests", _read_digests, OPTIONAL, ()),
 )
 """Values of the file, in its order."""
 
@@ -197,6 +204,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "frame": "sensor",
         "force_range": model.wrench_range[:3],
         "moment_range": model.wrench_range[3:],
+        "identified_tests": model.identified_tests or None,
         "noise_cov": None if model.noise.is_isotropic else model.noise.cov,
     }
     data: dict[str, Any] = {"kind": KIND, "schema": SCHEMA, "written_by": f"probedesign {_version()}"}

@@ -4,6 +4,7 @@
                                              ├─ check ───────→ PrintCheck
                                              ├─ predict ─────→ Prediction
                                              ├─ optimize ────→ Optimum
+                                             ├─ plan ────────→ Plan
                      measurements ───────────┼─ identify ────→ Identification
                                              └─ freeze ──────→ frozen probe ─ load_estimator ─→ Estimator
     Estimator ─┬─ validate (measurements) ──→ ValidationReport
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.optimum import MonteCarloCheck, Optimum
+    from probedesign.planning.candidates import Instruments
+    from probedesign.planning.plan import Plan
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
     from probedesign.prediction.table_one import TableOne
@@ -133,13 +136,32 @@ def identify(design: "Design", campaign: "Campaign", names: Sequence[str]) -> "I
     """Estimate the named parameters of a printed probe from the measurements of a campaign."""
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
-    from probedesign.mount import mount_part_masses, sensor_adapter_for
     from probedesign.probe import build_probe
 
     probe = build_probe(design)
+    found = run(data_of(campaign, probe.model, _flange_volume(probe)), names)
+    used = {one.test for one in found.residuals}
+    return replace(found, served=tuple(test.digest for test in campaign.tests if test.name in used))
+
+
+def plan(
+    design: "Design", minutes: float, names: Sequence[str], instruments: "Instruments", held_out: int
+) -> "Plan":
+    """Choose the tests of a campaign that determine the named parameters best in the time available [min]."""
+    from probedesign.planning.plan import make_plan
+    from probedesign.probe import build_probe
+
+    probe = build_probe(design)
+    return make_plan(probe.model, _flange_volume(probe), minutes, names, instruments, held_out)
+
+
+def _flange_volume(probe: "Probe") -> float:
+    """Return the volume of the printed flange, which is weighed with the flexible part [m³]."""
+    from probedesign.mount import mount_part_masses, sensor_adapter_for
+
+    design = probe.design
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
-    flange = mount_part_masses(probe.geometry, adapter, design.density.value)["flange"]
-    return run(data_of(campaign, probe.model, flange.volume), names)
+    return mount_part_masses(probe.geometry, adapter, design.density.value)["flange"].volume
 
 
 def freeze(probe: "Probe") -> dict[str, Any]:
@@ -174,12 +196,18 @@ def load_estimator(
 
 
 def validate(
-    estimator: "Estimator", campaign: "Campaign", exact_model: bool, on_progress: "OnProgress"
+    estimator: "Estimator",
+    campaign: "Campaign",
+    exact_model: bool,
+    on_progress: "OnProgress",
+    include_identified: bool = False,
 ) -> "ValidationReport":
     """Compare the estimates of a frozen probe with the reference of a campaign of its print."""
     from probedesign.validation.validate import validate as run
 
-    return run(estimator, campaign, exact_model, lambda share: on_progress("estimating", share))
+    return run(
+        estimator, campaign, exact_model, include_identified, lambda share: on_progress("estimating", share)
+    )
 
 
 def estimate(

@@ -117,6 +117,7 @@ class Probe:
             sensor=d.sensor.model,
             stiffness_spread=d.material.stiffness_spread,
             creep_spread=d.material.creep_spread,
+            identified_tests=d.material.identified_tests,
         )
         return replace(model, tolerances=Tolerances.of(model, d.tolerances.model_dump()))
 

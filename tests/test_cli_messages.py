@@ -43,6 +43,8 @@ deploy designs/a.toml
 deploy designs/a.toml --out designs/a.toml
 campaign designs/a.toml data --stage
 campaign designs/a.toml data --stage
+plan designs/a.toml bench --minutes 60 --for E
+plan designs/a.toml bench --minutes 60 --for E
 identify designs/a.toml data --for E
 identify designs/a.toml data --for E,densty
 deploy designs/a.toml
@@ -140,7 +142,7 @@ def replace_export(patch: pytest.MonkeyPatch, arguments: list[str]) -> None:
 
 def masked(text: str) -> list[str]:
     """Return the lines that have words: numbers as #, no repeated spaces or lines, no rows that begin with numbers."""
-    text = re.sub(r"\b(?=\w*\d)[0-9a-f]{12}\b", "FINGERPRINT", text)
+    text = re.sub(r"\b(?=\w*\d)[0-9a-f]{8}(?:[0-9a-f]{4})?\b", "FINGERPRINT", text)
     text = text.replace(str(Path.cwd()), "HERE")
     text = re.sub(r"(<|(?<![\w.-])[-+])?\d+(\.\d+)*(e[-+]\d+)?", "#", text)
     lines = [" ".join(line.split()) for line in text.splitlines()]

@@ -1,5 +1,6 @@
 """Data of a campaign: the tests of one probe, in SI."""
 
+import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,8 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 
+Use = Literal["", "identify", "validate"]
+"""Command that a test is for; empty for both."""
 TESTS, WRENCHES, MARKERS = "tests.csv", "wrenches.csv", "markers.csv"
 PUSH_DIRECTIONS = {
     "+x": (1.0, 0.0, 0.0),
@@ -61,6 +64,7 @@ class Test:
         wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
         frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
         markers: None if none were measured.
+        use: command that the test is for; empty for both.
     """
 
     name: str
@@ -77,6 +81,7 @@ class Test:
     wrenches: Array = field(default_factory=lambda: np.zeros((0, 6)))
     frame: Frame = "base"
     markers: Markers | None = None
+    use: Use = ""
 
     @property
     def free(self) -> bool:
@@ -93,6 +98,24 @@ class Test:
         """Known force on the probe in base axes [N], (3,); None if not known."""
         force = self.force_world
         return None if force is None else np.asarray(self.T_world_base[:3, :3].T @ force)
+
+    @cached_property
+    def digest(self) -> str:
+        """Fingerprint of the measured values, 8 hexadecimal digits, by which a frozen probe knows the tests that its
+        parameters were identified from.
+
+        That of the readings, where there are any, else of place and markers, to six digits: another name, other
+        columns or the number format of a spreadsheet do not change it.
+        """
+        if len(self.wrenches):
+            values = self.wrenches
+        else:
+            contact = np.full(3, np.nan) if self.p_contact_world is None else self.p_contact_world
+            seen = np.zeros(0) if self.markers is None else self.markers.p_world.ravel()
+            values = np.concatenate([[self.s_contact, self.tip_sag], contact, seen])
+        # the factor keeps the seventh digit of short decimals from being a tie, which units would round either way
+        text = ",".join(f"{value * (1.0 + 1e-9) + 0.0:.6g}" for value in values.ravel())
+        return hashlib.sha256(text.encode()).hexdigest()[:8]
 
     @cached_property
     def mean_wrench(self) -> Array:

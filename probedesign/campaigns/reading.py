@@ -18,6 +18,7 @@ from probedesign.campaigns.campaign import (
     Campaign,
     Markers,
     Test,
+    Use,
     Weighing,
 )
 from probedesign.campaigns.checks import check_marker_order
@@ -46,11 +47,12 @@ TESTS_SCHEMA = TableSchema(
     "table of tests",
     {"test": "name", **dict.fromkeys(FORCE, "force"), "s_contact": "length", "std_s": "length",
      **dict.fromkeys(CONTACT, "length"), "std_contact": "length", "direction": "word", "tip_sag": "length",
-     "std_sag": "length", **dict.fromkeys(BASE_POSITION, "length"), **dict.fromkeys(BASE_ROTATION, "angle")},
+     "std_sag": "length", **dict.fromkeys(BASE_POSITION, "length"), **dict.fromkeys(BASE_ROTATION, "angle"),
+     "use": "word"},
     ("test",),
     "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
     "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm,base_x_world_mm,"
-    "base_y_world_mm,base_z_world_mm,base_rx_world_deg,base_ry_world_deg,base_rz_world_deg",
+    "base_y_world_mm,base_z_world_mm,base_rx_world_deg,base_ry_world_deg,base_rz_world_deg,use",
     {},
 )  # fmt: skip
 WRENCHES_SCHEMA = TableSchema(
@@ -67,6 +69,7 @@ MARKERS_SCHEMA = TableSchema(
     "test,marker,x_world_mm,y_world_mm,z_world_mm,std_mm",
     {},
 )
+USES: dict[str, Use] = {"": "", "identify": "identify", "validate": "validate"}
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", re.ASCII)
 PIXELS, IMAGES = "pixels.csv", "images"
 PIXELS_SCHEMA = TableSchema(
@@ -160,7 +163,7 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     std_s = _std(rows, ~np.isnan(s), "s_contact", "std_s")
     std_contact = _std(rows, seen, "contact_x_world", "std_contact")
     std_sag = _std(rows, ~np.isnan(sag), "tip_sag", "std_sag")
-    directions = rows.texts("direction")
+    directions, uses = rows.texts("direction"), rows.texts("use")
     for row in np.flatnonzero(s < 0.0)[:1]:
         rows.fail(int(row), f"{rows.columns['s_contact'].name} is negative; s counts from the base")
     for i, direction in enumerate(directions):
@@ -168,6 +171,9 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
             allowed = ", ".join(PUSH_DIRECTIONS)
             rows.fail(i, f"direction = {quote_input(direction)} is none of {allowed} of the base; write one, or leave "
                          "it empty")  # fmt: skip
+        if uses[i] not in USES:
+            rows.fail(i, f"use = {quote_input(uses[i])} is none of identify, validate; write one, or leave it empty "
+                         "for both")  # fmt: skip
         if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
             rows.fail(
                 i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty"
@@ -175,7 +181,8 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     gravity = np.array(manifest.gravity.world_m_s2)
     return [
         Test(name, poses[i], gravity, force[i] if loaded[i] else None, float(s[i]), float(std_s[i]),
-             contact[i] if seen[i] else None, float(std_contact[i]), directions[i], float(sag[i]), float(std_sag[i]))
+             contact[i] if seen[i] else None, float(std_contact[i]), directions[i], float(sag[i]), float(std_sag[i]),
+             use=USES[uses[i]])
         for i, name in enumerate(names)
     ]  # fmt: skip
 

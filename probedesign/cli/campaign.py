@@ -31,6 +31,7 @@ def campaign(
     exact: bool = False,
     friction: float = 0.0,
     friction_spread: float = 0.2,
+    hold_out: Annotated[bool, Parameter(negative="--no-hold-out")] = True,
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
@@ -55,6 +56,7 @@ def campaign(
         friction: median friction coefficient of the touching objects. The tangential force has any direction within
             the friction cone. 0 is without friction.
         friction_spread: standard deviation of the friction coefficient's logarithm from test to test.
+        hold_out: every second touch is for validate, and identify leaves it out (use in tests.csv).
         force: replace an existing simulated campaign.
         as_json: print one JSON document.
     """
@@ -67,7 +69,7 @@ def campaign(
 
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
                 si(marker_noise_mm, MM), readings, exact, images, calibration,
-                friction, friction_spread)  # fmt: skip
+                friction, friction_spread, hold_out)  # fmt: skip
     with show_progress() as on_progress:
         made = make_campaign(pipeline.load_probe(design).model, out, plan, force, on_progress)
     if as_json:

@@ -23,6 +23,7 @@ COMMANDS = {
     "compare": "Compare several designs in a table and on a page.",
     "sweep": "Evaluate a grid of designs, on this machine or on a cluster.",
     "optimize": "Optimize the shape of a probe for a task.",
+    "plan": "Plan the tests of a campaign, with the intervals to expect, a sheet and an empty data folder.",
     "identify": "Identify E, G and other parameters from tests of a print.",
     "deploy": "Freeze the estimator of a design into one file.",
     "estimate": "Locate the contacts of a recording, one estimate per row.",

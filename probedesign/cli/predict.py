@@ -14,9 +14,10 @@ from probedesign.core.files import check_folder
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
+    from probedesign.prediction.agreement import AgreementScore
     from probedesign.prediction.fused import FusedCondition
     from probedesign.prediction.predict import Condition, Prediction
-    from probedesign.prediction.table_one import AgreementScore, TableOne
+    from probedesign.prediction.table_one import TableOne
     from probedesign.prediction.workspace import Workspace
     from probedesign.probe import Probe
 
@@ -325,6 +326,17 @@ def _print_table_one(table: "TableOne") -> None:
     for row in table.rows:
         if not row.within:
             print(f"  outside: {row.probe}, {row.force_N:g} N at {row.contact_fraction:g}: {row.why}")
+    print("\nBeside laws without mechanics: lever √((0.52 mN·s/F)² + (1.3 mm)²), constant 2.25 mm")
+    for heading, scores in (
+        ("constants stated, or fitted to the whole table", table.comparison.fitted),
+        ("each probe predicted with constants fitted to the other two", table.comparison.left_out),
+    ):
+        print(f"  {heading}")
+        for score in scores:
+            print(f"    {score.setting:<12}{score.constants} constant{'s' * (score.constants > 1):<3}"
+                  f"{_score(score, len(table.rows))}")  # fmt: skip
+    beyond = ", ".join(f"{name} {value:.2f}" for name, value in table.comparison.beyond_lever.items())
+    print(f"  rank correlation of what the lever law leaves, measured with predicted: {beyond}")
     print("\nSensitivity to the reference and to the assumed diameters")
     for score in (*table.by_reference, *table.by_diameter):
         print(f"  {score.setting:<24}{_score(score, len(table.rows))}")
@@ -332,6 +344,6 @@ def _print_table_one(table: "TableOne") -> None:
 
 def _score(score: "AgreementScore", rows: int) -> str:
     return (
-        f"{score.within} of {rows} within a factor of two; rank correlation {score.rank_correlation:.2f} "
-        f"over {score.predicted} predicted rows"
+        f"{score.within} of {rows} within a factor of two, typically {score.typical_factor:.2f}; rank correlation "
+        f"{format_value(score.rank_correlation, '.2f', missing='-')} over {score.predicted} predicted rows"
     )

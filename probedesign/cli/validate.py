@@ -21,6 +21,7 @@ def validate(
     *bundles_and_data: Path,
     out: Path | None = None,
     exact_model: bool = False,
+    include_identified: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     as_json: JsonOutput = False,
 ) -> None:
@@ -34,6 +35,8 @@ def validate(
         out: output folder; for several probes it has one folder each. Default: exports/NAME/validation.
         exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
             prior remain. Default: all tolerances of BUNDLE.
+        include_identified: judge also tests that the parameters of BUNDLE were identified from. Default: these are
+            listed and left out of the verdict and the means.
         plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
         as_json: print one JSON document instead of tables.
     """
@@ -51,7 +54,7 @@ def validate(
             campaign, name = read_campaign(data), estimator.model.name
             folder = EXPORTS / name / "validation" if out is None else out / name if len(pairs) > 1 else out
             check_writable(folder / "validation.json")
-            report = pipeline.validate(estimator, campaign, exact_model, on_progress)
+            report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
             files += write_files(
                 folder, list(_files(report, plots))
@@ -101,6 +104,7 @@ def _print(reports: "tuple[ValidationReport, ...]") -> None:
     for report in reports:
         model = report.estimator.model
         print(f"{model.name}  geometry {model.fingerprint}  {report.campaign.folder}")
+        print(f"  {report.coverage.sentence}")
     print(
         "\n  probe     test          force     s/L dir    shape RMS    contact  stated predicted 95 %  "
         "method       result"
@@ -116,11 +120,13 @@ def _print(reports: "tuple[ValidationReport, ...]") -> None:
 
 def _line(row: dict[str, Any]) -> str:
     inside = {None: "", True: "in", False: "out"}[row["within_95"]]
+    served = "" if row["held_out"] or row["kind"] == "free" else "  served"
     force = None if row["force_N"] is None else 1e3 * row["force_N"]
     return (f"  {row['probe'][:9]:<10}{row['test'][:12]:<12}{_cell(force, 7)}{_cell(row['contact_fraction'], 8)} "
             f"{row['direction'][:3] or '-':<4}{_cell(row['shape_rms_mm'], 7)}{_cell(row['shape_rms_percent'], 7)}"
             f"{_cell(row['contact_error_mm'], 8)}{_cell(row['stated_error_mm'], 8)}"
-            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}{row['result']}")  # fmt: skip
+            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}"
+            f"{row['result']}{served}")  # fmt: skip
 
 
 def _print_summary(report: "ValidationReport", prefix: str) -> None:

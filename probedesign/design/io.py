@@ -32,6 +32,7 @@ COMMENTS = {
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
+    "material.identified_tests": "fingerprints of the tests that served; validate leaves them out",
     "material.stiffness_spread": "standard deviation of a common factor on E and G, for fusing touches",
     "material.creep_spread": "standard deviation of its relaxation while touches are fused; 0 leaves creep out",
     "sensor.averaging_samples": "samples in one reading",

@@ -186,6 +186,10 @@ class ProvenanceTable(Table):
     density_kg_m3: Provenance = "assumed"
 
 
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{8}$")]
+"""`campaigns.Test.digest` of a test."""
+
+
 class MaterialTable(Table):
     """`[material]`: a resin by name; numbers given here replace those of the resin."""
 
@@ -196,6 +200,7 @@ class MaterialTable(Table):
     shear_coefficient: Annotated[float, Field(ge=0.1, le=1.2)] = 1.0
     stiffness_spread: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
     creep_spread: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    identified_tests: Annotated[tuple[Digest, ...], FromArray] = ()
     provenance: ProvenanceTable = ProvenanceTable()
 
 

@@ -53,6 +53,7 @@ class ProbeModel:
         friction_provenance, friction_source: where the friction comes from.
         resin: name of the resin, for the sources of the tolerances; empty if unknown.
         sensor: name of the sensor, for its shape in the view.
+        identified_tests: `campaigns.Test.digest` of the tests that the parameters were identified from.
     """
 
     name: str
@@ -76,6 +77,7 @@ class ProbeModel:
     friction_source: str = ELASTIC_FRICTION.source
     resin: str = ""
     sensor: str = NANO17.name
+    identified_tests: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise InputError if the friction is negative or not a number."""

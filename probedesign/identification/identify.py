@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.campaigns import Campaign, Test
+from probedesign.campaigns.campaign import TESTS
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
@@ -95,7 +96,12 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
     check_probe(campaign, model)
     common = CommonParameters(model, Tolerances.of(model), campaign.std_base, campaign.std_tilt)
     tests, notes = [], list(campaign.notes)
+    held_out = sum(test.use == "validate" for test in campaign.tests)
+    if held_out:
+        notes.append(f"held out for validate by use in {TESTS}: {held_out} of {len(campaign.tests)} tests")
     for test in campaign.tests:
+        if test.use == "validate":
+            continue
         measured = _measured(test, campaign, common)
         why = _unusable(measured)
         if why:
@@ -290,6 +296,7 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
             note += ", the rest systematic effects, each as one standard deviation"
         key, value = PARAMETERS[one.name].attribute, f"{one.relative_std_total:.2g}"
         changes.append(Change("tolerances", key, value, note))
+    changes += _served(found, design, [_split_key(one.name)[1] for one in material], day)
     E = found.of("E")
     if E is None:
         return tuple(changes)
@@ -305,6 +312,17 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
         changes.append(Change("tolerances", "shear_modulus", f"{usual if spread is None else spread:.2g}",
                               "as before: the tests did not determine it"))  # fmt: skip
     return tuple(changes)
+
+
+def _served(found: Identification, design: Design, keys: Sequence[str], day: str) -> list[Change]:
+    """Return the change of the list of tests that served; those of values which stay identified are kept."""
+    if not found.served or not keys:
+        return []
+    provenance = design.material.provenance.model_dump()
+    stay = any(provenance[key] == "identified" for key in provenance if key not in keys)
+    served = dict.fromkeys((*(design.material.identified_tests if stay else ()), *found.served))
+    note = f"identified {day}: fingerprints of the tests that served; validate leaves them out"
+    return [Change("material", "identified_tests", json.dumps(list(served)), note)]
 
 
 def _split_key(name: str) -> tuple[str, str]:
@@ -338,9 +356,9 @@ def check_overwritable(
 
 def _replaceable(change: Change, design: Design) -> bool:
     """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty."""
-    if change.table == "material.provenance":
-        return True
     key = f"{change.table}.{change.key}"
+    if change.table == "material.provenance" or key == "material.identified_tests":
+        return True
     for name, one in MATERIAL.items():
         if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
             provenance: str = getattr(design.material.provenance, _split_key(name)[1])

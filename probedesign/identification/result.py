@@ -178,6 +178,7 @@ class Identification:
         residuals: of every reading.
         seconds: computing time.
         why: what is inconsistent and what to check, where the result is "inconsistent".
+        served: `campaigns.Test.digest` of the tests used, which a design keeps for `validate`.
     """
 
     result: str
@@ -198,6 +199,7 @@ class Identification:
     residuals: tuple[Residual, ...]
     seconds: float
     why: str = ""
+    served: tuple[str, ...] = ()
 
     def as_inconsistent(self, why: str) -> "Identification":
         """Return the result without numbers, intervals or systematic effects, for the reason given."""

@@ -15,14 +15,22 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
-from probedesign.core.units import MM
+from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.design import Design, check_design
 from probedesign.design.catalog import ELASTIC_50A
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.prediction.agreement import (
+    FACTOR,
+    AgreementScore,
+    Comparison,
+    PublishedErrors,
+    agreement,
+    compare,
+)
 from probedesign.prediction.budget import CAUSES, unweighted_error_budget
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 
@@ -30,7 +38,6 @@ REFERENCE_MM = 1.0
 """RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest errors
 of 0.7 mm include it; its shapes differ by 3.6 mm, of which a contact point can have only a part. `by_reference` lists
 the agreement for other values."""
-FACTOR = 2.0
 THICKER_MM = (-0.5, -0.2, 0.2, 0.5)
 REFERENCES_MM = (0.0, 0.5, 0.7, 1.0, 1.3, 1.6, 2.0)
 
@@ -63,29 +70,13 @@ class TableRow:
 
 
 @dataclass(frozen=True)
-class AgreementScore:
-    """Agreement of a setting with the table.
-
-    Attributes:
-        setting: name of the setting.
-        within: number of rows within a factor of two.
-        predicted: number of rows with a prediction.
-        rank_correlation: Spearman's, of the rows predicted.
-    """
-
-    setting: str
-    within: int
-    predicted: int
-    rank_correlation: float
-
-
-@dataclass(frozen=True)
 class TableOne:
     """The predicted table.
 
     Attributes:
         rows: in the paper's order.
         score: of these rows.
+        comparison: of these rows with simple laws.
         reference_mm: RMS error of the stereo reference.
         noise_force_mN, noise_moment_Nmm: of one reading.
         by_reference: scores with other references.
@@ -94,6 +85,7 @@ class TableOne:
 
     rows: tuple[TableRow, ...]
     score: AgreementScore
+    comparison: Comparison
     reference_mm: float
     noise_force_mN: float
     noise_moment_Nmm: float
@@ -127,9 +119,9 @@ def table_one(
         for by in THICKER_MM
     )
     score = _score("as designed", rows)
-    return TableOne(
-        tuple(rows), score, reference_mm, 1e3 * noise.force, 1e3 * noise.moment, references, diameters
-    )
+    comparison = compare(published(), np.array(own, dtype=float), reference_mm)
+    return TableOne(tuple(rows), score, comparison, reference_mm, 1e3 * noise.force, 1e3 * noise.moment, references,
+                    diameters)  # fmt: skip
 
 
 def rows_of(models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float) -> list[TableRow]:
@@ -178,12 +170,19 @@ def _with_reference(row: TableRow, own: float | None, reference_mm: float) -> Ta
 
 
 def _score(setting: str, rows: list[TableRow]) -> AgreementScore:
-    stable = [row for row in rows if row.predicted_error_mm is not None]
-    predicted = np.array([row.predicted_error_mm for row in stable], dtype=float)
-    seen = np.array([row.measured_error_mm for row in stable])
-    return AgreementScore(
-        setting, sum(row.within for row in rows), len(stable), float(spearmanr(predicted, seen).statistic)
-    )
+    predicted = np.array([row.predicted_error_mm for row in rows], dtype=float)  # None becomes NaN
+    return agreement(setting, predicted, np.array([row.measured_error_mm for row in rows]), constants=1)
+
+
+def published() -> PublishedErrors:
+    """Return the conditions and measured errors of the table."""
+    rows = measured()
+
+    def column(name: str) -> Array:
+        return np.array([float(row[name]) for row in rows])
+
+    return PublishedErrors(tuple(row["probe"] for row in rows), column("contact_fraction") * column("length_mm"),
+                           column("force_N") / MILLINEWTON, column("contact_error_mm"))  # fmt: skip
 
 
 def _thickened(

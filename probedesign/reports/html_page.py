@@ -38,9 +38,11 @@ th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-
 td:last-child { white-space: normal }
 details { margin: 0 0 3mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer }
 details p { color: var(--soft); font-size: 9.5pt }
-.last table { break-inside: auto; font-size: 9pt } tr { break-inside: avoid }
+.last table { break-inside: auto; font-size: 9pt } .last th { white-space: normal } tr { break-inside: avoid }
+.last th, .last td { padding: 0.8mm 1.6mm }
 @media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr }
-  details::details-content { content-visibility: visible; block-size: auto } }
+  details::details-content { content-visibility: visible; block-size: auto }
+  th { white-space: normal } th, td { padding: 0.6mm 1mm } .last table { font-size: 7.5pt } }
 """
 
 
@@ -117,7 +119,8 @@ def report_page(
     about: Sequence[str],
     table: HtmlTable | None,
     sections: Sequence[ReportFigure],
-    folded: Sequence[tuple[str, HtmlTable]] = (),
+    after: Sequence[tuple[str, HtmlTable]] = (),
+    folded: Sequence[tuple[str, Sequence[ReportFigure]]] = (),
     verdict: str = "",
 ) -> bytes:
     """Return the page of a report.
@@ -127,21 +130,30 @@ def report_page(
         about: lines below the title: the assumptions of the figures.
         table: the most important figures, above the charts; None if the charts come first.
         sections: figures, in order.
-        folded: headings and tables at the end, closed until they are clicked; open in print.
+        after: headings and tables at the end, closed until they are clicked; open in print.
+        folded: headings and figures that repeat one kind, likewise closed.
         verdict: the result in one sentence.
     """
-    figures = "".join(
-        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
-        for s in sections
+    repeated = "".join(
+        f'<details><summary>{escape(name)}</summary>\n<div class="figures">\n{_figures(figures)}</div></details>\n'
+        for name, figures in folded
+        if figures
     )
     last = "".join(
         f"<details class=last><summary>{escape(name)}</summary>{rows.html()}</details>\n"
-        for name, rows in folded
+        for name, rows in after
     )
     first = f"<section>{table.html()}</section>\n" if table else ""
     lead = f'<p class="verdict">{escape(verdict)}</p>\n' if verdict else ""
-    body = f'{first}<div class="figures">\n{figures}</div>\n{last}'
+    body = f'{first}<div class="figures">\n{_figures(sections)}</div>\n{repeated}{last}'
     return html_document(title, [escape(line) for line in about], body, REPORT_STYLE, lead=lead)
+
+
+def _figures(sections: Sequence[ReportFigure]) -> str:
+    return "".join(
+        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
+        for s in sections
+    )
 
 
 def _labelled(section: ReportFigure) -> str:

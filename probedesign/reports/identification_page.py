@@ -38,14 +38,14 @@ def identification_page(found: Identification) -> bytes:
     sections = [_by_test(found), _normal(found)] if kinds & set(KINDS) else []
     if "markers" in kinds:
         sections.append(_along(found))
-    if "wrenches" in kinds:
-        sections += [_wrenches(found, "forces"), _wrenches(found, "moments")]
+    wrenches = [_wrenches(found, "forces"), _wrenches(found, "moments")] if "wrenches" in kinds else []
     if len(found.correlated) > 1:
         sections.append(_correlation(found))
     after = [("Scatter of the readings", _noise(found)), ("Systematic effects", _shifts(found))]
     if found.outliers:
         after.append(("Outliers", _outliers(found)))
-    return report_page(f"{found.name}: identified", about, _table(found), sections, after)
+    folded = [("Residuals of the wrenches", wrenches)]
+    return report_page(f"{found.name}: identified", about, _table(found), sections, after, folded)
 
 
 def _table(found: Identification) -> HtmlTable:

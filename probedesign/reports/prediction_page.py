@@ -165,7 +165,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         folded.append(("Monte Carlo simulation with the estimator", _sampled(prediction)))
     folded.append(("Tolerances: standard deviations", HtmlTable(["[tolerances]", "value", "source"], rows)))
     title = f"{prediction.name}: predicted contact errors"
-    return report_page(title, about, None, [*sections, *more], folded, prediction.verdict)
+    return report_page(title, about, None, [*sections, *more], folded, verdict=prediction.verdict)
 
 
 # Charts

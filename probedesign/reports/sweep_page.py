@@ -55,8 +55,8 @@ def sweep_page(
     best = sorted((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]))[:MAX_ROWS]
     head = [*keys, *METRICS]
     table = HtmlTable(head, [[format_value(row[name]) for name in head] for row in best])
-    return report_page("Sweep", [about], None, figures, [(f"The best {len(best)} designs", table)],
-                       verdict(records, keys))  # fmt: skip
+    after = [(f"The best {len(best)} designs", table)]
+    return report_page("Sweep", [about], None, figures, after, verdict=verdict(records, keys))
 
 
 _HEAT = ("RMS error of the task. Grey: not evaluated, with the reason; the frame marks the smallest error. "

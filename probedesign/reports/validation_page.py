@@ -41,7 +41,7 @@ def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:
 
 def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
     """Return the sorted normalised errors squared against the quantiles of their χ² distribution."""
-    errors = [trial.contact_error for trial in trials if trial.counts and trial.contact_error is not None]
+    errors = [trial.contact_error for trial in trials if trial.measured and trial.contact_error is not None]
     scaled = sorted(error.nees / error.dof for error in errors)
     dof, n = errors[0].dof if errors else 3, len(scaled)
     expected = (chi2.ppf((np.arange(n) + 0.5) / max(n, 1), dof) / dof).tolist()
@@ -151,21 +151,26 @@ def validation_page(validation: ValidationReport) -> bytes:
         *coverage.words,
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
-    shapes = (_shape(trial, model) for trial in drawn[:MAX_SHAPES])
-    sections = [*_figures(validation), *_internal_loads(validation), *shapes]
+    shapes = [_shape(trial, model) for trial in drawn[:MAX_SHAPES]]
+    folded = [
+        ("Internal forces and moments", _internal_loads(validation)),
+        (f"Shapes of {len(shapes)} tests", shapes),
+    ]
     after = [("Results by test", _table(validation))]
     if validation.notes or len(drawn) > MAX_SHAPES:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
-        after.append(("Notes", HtmlTable(["", ""], [[note, ""] for note in (*validation.notes, *more)])))
+        after.append(("Notes", HtmlTable([""], [[note] for note in (*validation.notes, *more)])))
     title = f"{model.name}: validation against the reference"
-    return report_page(title, about, _summary(validation), sections, after)
+    return report_page(
+        title, about, _summary(validation), _figures(validation), after, folded, coverage.sentence
+    )
 
 
 def _summary(validation: ValidationReport) -> HtmlTable:
     """Return the means by kind of test."""
     rows = []
     for kind, means in validation.summary.items():
-        here = [trial for trial in validation.tests if trial.kind == kind]
+        here = [trial for trial in validation.judged if trial.kind == kind]
         located = sum(trial.result == "ok" for trial in here)
         shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
         rows.append([kind, f"{len(here)}", f"{located}", *_mean_cells(shape), *_mean_cells(contact)])
@@ -196,7 +201,8 @@ def _table(validation: ValidationReport) -> HtmlTable:
         inside = {None: "—", True: "yes", False: "no"}[row["within_95"]]
         force, fraction = row["force_N"], row["contact_fraction"]
         rows.append([
-            row["test"], "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
+            row["test"] + ("" if row["held_out"] or row["kind"] == "free" else " (served)"),
+            "—" if force is None else "none" if force == 0.0 else f"{force / MILLINEWTON:.3g} mN",
             format_value(fraction, ".3f", "L", "—"), row["direction"] or "—", _mm(row["shape_rms_mm"]),
             format_value(row["shape_rms_percent"], ".2f", "%", "—"),
             _mm(row["contact_error_mm"]), _mm(row["stated_error_mm"]),
@@ -207,6 +213,7 @@ def _table(validation: ValidationReport) -> HtmlTable:
         "that of s. Stated: RMS including the reference's own error. Predicted: the predicted error of one "
         "reading of a frictionless touch of that force, position and direction, without a reference. Method: weights "
         "hang by friction and are therefore estimated by the paper's method, which allows a force of any direction."
+        " Served: the probe's parameters were identified from the test, which is not judged."
     )
     return HtmlTable(head, rows, note)
 
@@ -217,7 +224,7 @@ def _mm(value: float | None) -> str:
 
 def _figures(validation: ValidationReport) -> list[ReportFigure]:
     """Return measured error against stated error, and the NEES against its distribution."""
-    located = [trial for trial in validation.tests if trial.contact_error is not None]
+    located = [trial for trial in validation.judged if trial.contact_error is not None]
     if not located:
         return []
     return [

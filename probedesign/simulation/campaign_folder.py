@@ -36,7 +36,7 @@ STD_WEIGHING = 1e-5
 
 TESTS_HEADER = (
     "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
-    "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm"
+    "contact_y_world_mm,contact_z_world_mm,std_contact_mm,direction,tip_sag_mm,std_sag_mm,use"
 )
 
 
@@ -176,7 +176,7 @@ def _weighed_mass(truth: GroundTruth) -> float:
 
 def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
     """Return the text of `tests.csv`."""
-    rows = [TESTS_HEADER]
+    rows, touches = [TESTS_HEADER], 0
     for test in tests:
         force = ["", "", ""] if test.weight is None else [f"{value + 0.0:.6g}" for value in test.weight]
         s, contact, spread = ["", ""], ["", "", ""], ""
@@ -191,7 +191,10 @@ def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Genera
         sag = ["", ""]
         if test.name == "hang-1":
             sag = _known(_sag(truth, test) + rng.normal() * STD_SAG, STD_SAG)
-        rows.append(",".join([test.name, *force, *s, *contact, spread, test.direction, *sag]))
+        touches += test.p_surface_base is not None
+        held_out = truth.plan.hold_out and test.p_surface_base is not None and touches % 2 == 0
+        use = "validate" if held_out else ""
+        rows.append(",".join([test.name, *force, *s, *contact, spread, test.direction, *sag, use]))
     return "\n".join(rows) + "\n"
 
 

@@ -60,6 +60,7 @@ class CampaignPlan:
         calibration: of the cameras: by a box of control points, pictures of a board, or files of another program.
         friction: median friction coefficient μ of touches; 0 is without friction.
         friction_spread: standard deviation of ln μ from test to test.
+        hold_out: mark every second touch as one for `validate`, which `identify` leaves out.
     """
 
     kind: CampaignKind = "cameras"
@@ -73,6 +74,7 @@ class CampaignPlan:
     calibration: CalibrationKind = "box"
     friction: float = 0.0
     friction_spread: float = ASSUMED_SPREAD
+    hold_out: bool = False
 
     def __post_init__(self) -> None:
         """Raise InputError where a number is out of range or two options exclude each other."""
@@ -200,7 +202,7 @@ class GroundTruth:
         if size == 0.0:
             raise InputError("mount.gravity_base_m_s2 is zero; a campaign needs gravity")
         tolerances = Tolerances.none() if plan.exact else Tolerances.of(model)
-        stated, T = np.array([0.0, 0.0, -size]), pose(_horizontal_pose(model.gravity_base), BASE_POSITION)
+        stated, T = np.array([0.0, 0.0, -size]), pose(pose_under_gravity(model.gravity_base), BASE_POSITION)
         std_place, std_turn = (0.0, 0.0) if plan.exact else STD_BASE[plan.kind]
         mount = T @ _displacement(rng.normal(size=3) * std_place, rng.normal(size=3) * std_turn)
         turns = np.zeros(9)
@@ -285,7 +287,7 @@ class GroundTruth:
                      eq.s_contact if s_contact is None else s_contact, friction)  # fmt: skip
 
 
-def _horizontal_pose(gravity_base: Array) -> Array:
+def pose_under_gravity(gravity_base: Array) -> Array:
     """Return R_world_base with gravity down and the probe's axis along the world's x as far as possible."""
     up = -gravity_base / np.linalg.norm(gravity_base)
     axis = np.array([0.0, 0.0, 1.0])

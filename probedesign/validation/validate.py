@@ -25,11 +25,11 @@ from probedesign.validation.validated_test import ValidatedTest, validate_test
 COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
            "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
            "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
-           "tares", "force_normal_N", "force_tangential_N", "friction_ratio")  # fmt: skip
+           "tares", "force_normal_N", "force_tangential_N", "friction_ratio", "held_out")  # fmt: skip
 """Columns of validation.csv; those of the paper's Table I keep their names."""
 TABLE1_COLUMNS = ("probe", "length_mm", "force_N", "contact_fraction", "shape_rms_mm", "shape_rms_percent",
                   "contact_error_mm", "direction", "kind", "test", "method", "result", "stated_error_mm",
-                  "predicted_error_mm", "within_95")  # fmt: skip
+                  "predicted_error_mm", "within_95", "held_out")  # fmt: skip
 """Columns of table1.csv; the first seven are the paper's."""
 WHY: dict[str, str] = {
     **{str(code): words for code, words in RESULTS.items()},
@@ -45,6 +45,14 @@ EXPECTED_RESULTS = {
 MIN_TOUCHES = 20
 """Touches from which on the coverage can be judged: of 20, 15 to 20 within are compatible with correct covariances."""
 NOMINAL = 0.95
+VERDICTS = {
+    "consistent": "The stated errors agree with the reference",
+    "too_few": "The stated errors agree with the reference so far, but the touches are too few to confirm them",
+    "too_small": "The stated errors are too small",
+    "conservative": "The stated errors are larger than necessary",
+    "not_judged": "The stated errors cannot be judged",
+}
+"""Verdicts on the stated errors in words."""
 
 
 # coverage
@@ -55,63 +63,76 @@ class Coverage:
     """Coverage of the touches that were located and measured by the reference.
 
     Attributes:
+        verdict: a key of `VERDICTS`.
+        sentence: the verdict with its numbers.
         touches: number of them.
         within: number within their 95 % ellipsoid.
         low, high: 95 % interval of the coverage (Clopper and Pearson).
         nees_ratio: mean squared error over the stated; 1 if the covariances are correct, more if they are too small.
+        ratio_low, ratio_high: 95 % interval of that ratio, if the errors of the touches are independent.
         nees_low, nees_high: 95 % interval of that mean if the covariances are correct.
         z_mean, z_std: of the errors over their standard deviations along the base's axes x, y, z; empty with less
             than two touches.
-        words: assessment, each one line.
+        words: further lines of the assessment.
     """
 
-    touches: int
-    within: int
-    low: float
-    high: float
-    nees_ratio: float
-    nees_low: float
-    nees_high: float
-    z_mean: tuple[float, ...]
-    z_std: tuple[float, ...]
-    words: tuple[str, ...]
+    verdict: str
+    sentence: str
+    touches: int = 0
+    within: int = 0
+    low: float = math.nan
+    high: float = math.nan
+    nees_ratio: float = math.nan
+    ratio_low: float = math.nan
+    ratio_high: float = math.nan
+    nees_low: float = math.nan
+    nees_high: float = math.nan
+    z_mean: tuple[float, ...] = ()
+    z_std: tuple[float, ...] = ()
+    words: tuple[str, ...] = ()
 
 
 def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
-    """Return the coverage of all touches of a campaign; `exact` if the probe was taken as exactly known."""
-    errors = [test.contact_error for test in tests if test.counts and test.contact_error is not None]
+    """Return the coverage of the touches among some tests; `exact` if the probe was taken as exactly known."""
+    errors = [test.contact_error for test in tests if test.measured and test.contact_error is not None]
     n, within = len(errors), sum(error.within_95 for error in errors)
-    nan = float("nan")
     if not n:
         none = "no touch was both located and measured by the reference"
-        return Coverage(0, 0, nan, nan, nan, nan, nan, (), (), (none, *_of_weights(tests)))
+        return Coverage("not_judged", f"{VERDICTS['not_judged']}: {none}.", words=_of_weights(tests))
     share = binomtest(within, n).proportion_ci(NOMINAL)
     dof = sum(error.dof for error in errors)
     ratio = sum(error.nees for error in errors) / dof
-    low, high = (float(chi2.ppf(tail, dof)) / dof for tail in (0.025, 0.975))
+    expected_low, expected_high = (float(chi2.ppf(tail, dof)) / dof for tail in (0.025, 0.975))
+    ratio_low, ratio_high = ratio / expected_high, ratio / expected_low
     z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
+    if share.high < NOMINAL or ratio_low > 1.0:
+        verdict = "too_small"
+    elif ratio_high < 1.0:
+        verdict = "conservative"
+    else:
+        verdict = "consistent" if n >= MIN_TOUCHES else "too_few"
+    sentence = (f"{VERDICTS[verdict]}: {within} of {n} touches lie within their 95 % ellipsoid ({within / n:.0%}, "
+                f"95 % interval {share.low:.0%} to {share.high:.0%}); squared errors are {ratio:.2g} times the stated "
+                f"ones (95 % interval {ratio_low:.2g} to {ratio_high:.2g}).")  # fmt: skip
+    words = []
     excluded = sum(test.kind == "touch" for test in tests) - n
-    words = [f"{within} of {n} touches lie within their 95 % ellipsoid: {within / n:.0%}, 95 % interval of the "
-             f"coverage {share.low:.0%} to {share.high:.0%}"]  # fmt: skip
     if excluded:
         words.append(
             f"{excluded} more touches were not located, or not measured by the reference, and are excluded"
         )
-    if share.high < NOMINAL:
-        words.append("coverage too low: the probe, its mount or the reference is less certain than stated")
-    elif n < MIN_TOUCHES:
-        words.append(f"sample too small to judge the coverage (n < {MIN_TOUCHES})")
-    nees = f"NEES ratio {ratio:.2g}, expected {low:.2g} to {high:.2g}"
-    if ratio > high:
-        nees += ": stated covariance too small" + ("; try without --exact-model" if exact else "")
-    elif ratio < low:
-        nees += ": stated covariance is conservative"
-    words.append(nees)
+    if verdict == "too_small":
+        remedy = "; try without --exact-model" if exact else ": probe, mount, bench or reference"
+        words.append(f"something is less certain than stated{remedy}")
+    if n < MIN_TOUCHES:
+        words.append(
+            f"{n} touches are a small sample: of fewer than {MIN_TOUCHES} a coverage that is too low may go unnoticed"
+        )
     words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
                  "narrower than one campaign justifies")  # fmt: skip
-    return Coverage(n, within, float(share.low), float(share.high), ratio, low, high, tuple(mean.ravel().tolist()),
-                    tuple(std.ravel().tolist()), (*words, *_of_weights(tests)))  # fmt: skip
+    return Coverage(verdict, sentence, n, within, float(share.low), float(share.high), ratio, ratio_low, ratio_high,
+                    expected_low, expected_high, tuple(mean.ravel().tolist()), tuple(std.ravel().tolist()),
+                    (*words, *_of_weights(tests)))  # fmt: skip
 
 
 def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
@@ -159,7 +180,8 @@ class ValidationReport:
         campaign: the data.
         exact: whether the probe was taken as exactly known.
         tests: free ones first, then along the probe and from strong to weak, as Table I.
-        coverage: of the stated covariances.
+        coverage: of the stated covariances, by the tests that are judged.
+        include_identified: whether tests that served the identification are judged as well.
     """
 
     estimator: Estimator
@@ -167,6 +189,12 @@ class ValidationReport:
     exact: bool
     tests: tuple[ValidatedTest, ...]
     coverage: Coverage
+    include_identified: bool = False
+
+    @property
+    def judged(self) -> tuple[ValidatedTest, ...]:
+        """Tests that the statistics are of: those held out of the identification, if not all are included."""
+        return judged(self.tests, self.include_identified)
 
     @property
     def unexpected(self) -> tuple[ValidatedTest, ...]:
@@ -175,10 +203,10 @@ class ValidationReport:
 
     @property
     def summary(self) -> dict[str, dict[str, ErrorStatistics]]:
-        """Shape and contact errors [mm] by kind of test."""
+        """Shape and contact errors [mm] of the judged tests by kind."""
         found = {}
         for kind in ("free", "weight", "touch"):
-            here = [test for test in self.tests if test.kind == kind]
+            here = [test for test in self.judged if test.kind == kind]
             errors = (test.contact_error.size / MM for test in here if test.contact_error is not None)
             if here:
                 found[kind] = {"shape_rms_mm": ErrorStatistics.of(test.shape_rms / MM for test in here),
@@ -189,6 +217,18 @@ class ValidationReport:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user, each one line."""
         lines = list(self.campaign.notes)
+        served = [one for one in self.tests if one.served and one.kind != "free"]
+        if served and self.include_identified:
+            lines.append(f"{len(served)} of the tests judged served the identification of this probe, which fits its "
+                         "parameters to them; leave out --include-identified")  # fmt: skip
+        elif served:
+            touches = sum(one.kind == "touch" for one in served)
+            left = sum(one.kind == "touch" for one in self.judged)
+            lines.append(f"{len(served)} tests served the identification of this probe and are listed, not judged: "
+                         f"{touches} touches; held out: {left} touches")  # fmt: skip
+            if not left:
+                lines.append("measure touches with use = validate in tests.csv, which identify leaves out, or judge "
+                             "all with --include-identified")  # fmt: skip
         for one in self.unexpected:
             lines.append(f"{one.test.name} ({one.kind}): {one.result}: {WHY[one.result]}")
         untared = [test for test in self.tests if not test.tares and test.readings and test.kind != "free"]
@@ -218,7 +258,7 @@ class ValidationReport:
             one.push_direction, one.method, one.result, one.shape_rms / MM,
             100.0 * one.shape_rms / length, one.reference_rms / MM, *(value / MM for value in stated),
             error.within_95 if error else None, error.nees if error else None, *z, len(one.markers_base),
-            one.readings, one.tares, *friction,
+            one.readings, one.tares, *friction, not one.served,
         )  # fmt: skip
         return {name: _plain(value) for name, value in zip(COLUMNS, values, strict=True)}
 
@@ -235,6 +275,8 @@ class ValidationReport:
             "assumptions": self.estimator.model.assumptions,
             "data": str(self.campaign.folder),
             "exact_model": self.exact,
+            "include_identified": self.include_identified,
+            "verdict": self.coverage.verdict,
             "tests": self.rows(),
             "summary": {kind: {name: asdict(statistics) for name, statistics in errors.items()}
                         for kind, errors in self.summary.items()},
@@ -257,6 +299,7 @@ def validate(
     estimator: Estimator,
     campaign: Campaign,
     exact: bool = False,
+    include_identified: bool = False,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> ValidationReport:
     """Compare a frozen probe with a campaign of its print.
@@ -265,6 +308,7 @@ def validate(
         estimator: as `load_estimator` gives it.
         campaign: from `read_campaign`.
         exact: take probe, mount and bench as exactly known; else all tolerances count.
+        include_identified: judge also tests that the parameters of the probe were identified from.
         on_progress: called with the fraction done.
 
     Raises:
@@ -286,7 +330,13 @@ def validate(
         on_progress(i / len(campaign.tests))
         tests.append(validate_test(campaign, test, estimator, exact))
     tests.sort(key=_table_order)
-    return ValidationReport(estimator, campaign, exact, tuple(tests), coverage_of(tests, exact))
+    coverage = coverage_of(judged(tests, include_identified), exact)
+    return ValidationReport(estimator, campaign, exact, tuple(tests), coverage, include_identified)
+
+
+def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[ValidatedTest, ...]:
+    """Return the tests that the parameters of the probe were not identified from, or all; free ones always."""
+    return tuple(one for one in tests if include_identified or not one.served or one.kind == "free")
 
 
 def _table_order(one: ValidatedTest) -> tuple[int, float, float]:

@@ -163,6 +163,7 @@ class ValidatedTest:
         contact_error: None if either side has no contact.
         readings: number of readings.
         tares: number of free tests that it was tared by.
+        served: whether the parameters of the frozen probe were identified from it, so that it proves nothing of them.
     """
 
     test: Test
@@ -184,6 +185,7 @@ class ValidatedTest:
     contact_error: ContactError | None
     readings: int
     tares: int
+    served: bool = False
 
     @property
     def markers_on_axis(self) -> Array:
@@ -191,8 +193,8 @@ class ValidatedTest:
         return self.markers_base - self.markers_off if len(self.markers_off) else self.markers_base
 
     @property
-    def counts(self) -> bool:
-        """Whether it counts for the coverage; weights are counted separately."""
+    def measured(self) -> bool:
+        """Whether it is a touch that was both located and measured by the reference."""
         return self.kind == "touch" and self.contact_error is not None
 
 
@@ -234,6 +236,7 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
         predicted=predicted_error(model, fraction, force, direction) if kind == "touch" else math.nan,
         contact_error=contact_error(campaign, test, estimate, contact),
         readings=len(reading.wrenches_base), tares=reading.tares,
+        served=test.digest in model.identified_tests,
     )  # fmt: skip
 
 

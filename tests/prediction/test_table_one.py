@@ -9,7 +9,8 @@ import pytest
 from probedesign import pipeline
 from probedesign.cli.main import run
 from probedesign.design import load_design
-from probedesign.prediction.table_one import PROBES, measured, paper_design
+from probedesign.prediction.agreement import CONSTANT_MM, LEVER_MN, LEVER_REFERENCE_MM, agreement
+from probedesign.prediction.table_one import PROBES, measured, paper_design, published
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,6 +53,37 @@ def test_a_row_without_a_frictionless_equilibrium_has_no_prediction_but_an_expla
     lost = [row for row in table.rows if row.predicted_error_mm is None]
     assert [(row.probe, row.force_N, row.contact_fraction) for row in lost] == [("medium", 0.26, 0.7)]
     assert lost[0].why and not lost[0].within and table.score.predicted == 22
+
+
+def test_the_simple_laws_reach_what_is_stated_of_them():
+    """2.25 mm and the lever law with two fitted constants, scored here without the module's own code."""
+    rows = [{key: value for key, value in row.items() if key != "probe"} for row in measured()]
+    force, fraction, length, seen = (
+        np.array([float(row[key]) for row in rows])
+        for key in ("force_N", "contact_fraction", "length_mm", "contact_error_mm")
+    )
+    constant = np.full(23, 2.25)
+    assert np.sum((constant >= seen / 2) & (constant <= 2 * seen)) == 18
+    lever = np.sqrt((0.52e-3 * fraction * length / force) ** 2 + 1.3**2)
+    assert np.sum((lever >= seen / 2) & (lever <= 2 * seen)) == 22
+    ranks = [np.argsort(np.argsort(values)) for values in (lever, seen)]  # no ties but in the seen forces
+    assert np.corrcoef(*ranks)[0, 1] == pytest.approx(0.84, abs=0.005)
+    assert (CONSTANT_MM, LEVER_MN, LEVER_REFERENCE_MM) == (2.25, 0.52, 1.3)
+    table = published()
+    assert agreement("", lever, table.measured_mm).within == 22
+    assert agreement("", constant, table.measured_mm).rank_correlation is None
+
+
+def test_the_model_is_better_than_laws_without_mechanics(table):
+    """On probes that no constant was fitted to; on the large probe it knows no more than the lever law."""
+    model, lever, constant = table.comparison.left_out
+    assert [one.constants for one in (model, lever, constant)] == [1, 2, 1]
+    assert model.within > lever.within > constant.within
+    assert model.typical_factor < lever.typical_factor < constant.typical_factor
+    assert model.rank_correlation > lever.rank_correlation
+    beyond = table.comparison.beyond_lever
+    # 5 % one-sided critical values of Spearman's: 0.36 of 22 rows, 0.71 of 7, 0.83 of 6
+    assert beyond["all"] > 0.36 and beyond["small"] > 0.71 and abs(beyond["large"]) < 0.6
 
 
 def test_the_command_gives_the_same_table(table, capsys):

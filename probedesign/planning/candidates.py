@@ -1,0 +1,301 @@
+"""Tests that a laboratory could make: free hangs, weights and touches, each solved for the probe as designed.
+
+A candidate carries the readings that the designed probe would give, without noise, so that a campaign of candidates
+goes through the same residuals and derivatives as a measured one.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from probedesign.campaigns.campaign import Campaign, Markers, Test, Use
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
+from probedesign.estimation.force_moment import surface_point
+from probedesign.estimation.model import ProbeModel
+from probedesign.prediction.touches import DIRECTIONS
+from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.simulation.ground_truth import (
+    BASE_POSITION,
+    marker_arclengths,
+    pose_under_gravity,
+)
+
+SetUp = Literal["weighing", "calipers", "hang", "turned", "weight", "touch"]
+MINUTES: dict[SetUp, float] = {
+    "weighing": 5.0,
+    "calipers": 10.0,
+    "hang": 4.0,
+    "turned": 8.0,
+    "weight": 5.0,
+    "touch": 4.0,
+}
+"""Duration of each kind of test [min], with the wait until creep has settled: assumed until a laboratory times its
+own."""
+READINGS = 20
+"""Readings of the sensor in each test. Their noise is then below the drift of the bias, which more do not reduce."""
+STD_MARK = 0.5 * MM
+"""Standard deviation of the arclength of a mark on the probe [m] (assumed: a pencil line set with a caliper)."""
+WEIGHT_PLACES = (0.4, 0.6, 0.8, 0.95)
+TOUCH_PLACES = (0.35, 0.5, 0.65, 0.8, 0.92)
+"""Fractions of the length with a mark."""
+DISPLACEMENTS = (0.06, 0.14, 0.25)
+"""Displacement of the touched section over its arclength. Farther, the probe slides along the edge (assumed)."""
+ROUNDED = 0.5 * MM
+"""Step of proposed marks and displacements."""
+MAX_PRESS_STEPS, DISPLACEMENT_ERROR = 40, 0.02
+"""Bisection for the force of a displacement, and the relative error that ends it."""
+MAX_DEFLECTION = 0.6
+"""Displacement of the loaded section over its arclength up to which a weight is proposed: beyond it a thread slips on a
+steep probe (assumed)."""
+TURNS = {"tip down": (0.0, 0.0, 1.0), "tip up": (0.0, 0.0, -1.0), "x down": (1.0, 0.0, 0.0), "x up": (-1.0, 0.0, 0.0),
+         "y down": (0.0, 1.0, 0.0), "y up": (0.0, -1.0, 0.0)}  # fmt: skip
+"""Orientations of the base: direction of gravity in base axes."""
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """What the bench has besides the force/torque sensor.
+
+    Attributes:
+        stage: standard deviation of a place that a stage measures, on each axis [m]; None without a stage.
+        cameras: standard deviation of a marker, on each axis [m]; None without cameras or another reference.
+        weights: masses that can be hung [kg].
+        turnable: whether the base can be held in other orientations, with known poses.
+        balance: standard deviation of a weighing [kg]; None without a balance.
+        calipers: standard deviation of a measured diameter [m]; None without calipers.
+        std_base: standard deviations of the base pose in the frame of the reference [m, rad].
+    """
+
+    stage: float | None = 0.05 * MM
+    cameras: float | None = None
+    weights: tuple[float, ...] = (0.5e-3, 1e-3, 2e-3, 5e-3)
+    turnable: bool = True
+    balance: float | None = 1e-5
+    calipers: float | None = 0.05 * MM
+    std_base: tuple[float, float] = (0.2 * MM, math.radians(0.2))
+
+    @property
+    def std_place(self) -> float | None:
+        """Standard deviation of a touched place, by the stage, else by the cameras [m]."""
+        return self.cameras if self.stage is None else self.stage
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A test that could be made.
+
+    Attributes:
+        set_up: kind of the test.
+        test: as `campaigns.Test`, with the readings of the designed probe; None for a weighing and calipers.
+        shape: of the designed probe; None as well.
+        words: what to do, one line.
+        mass: of the weight [kg]; 0 without.
+        mark: arclength of the mark on the surface where the load acts [m]; NaN without a load.
+        displacement: of the touched point by the stage [m]; 0 for other tests.
+        held_out: whether it is for `validate`, and `identify` leaves it out.
+    """
+
+    set_up: SetUp
+    test: Test | None
+    shape: Equilibrium | None
+    words: str
+    mass: float = 0.0
+    mark: float = math.nan
+    displacement: float = 0.0
+    held_out: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the test, or of what is measured."""
+        return self.set_up if self.test is None else self.test.name
+
+    @property
+    def minutes(self) -> float:
+        """Its usual duration [min]."""
+        return MINUTES[self.set_up]
+
+    def named(self, name: str, held_out: bool = False) -> "Candidate":
+        """Return it with a name of its own."""
+        assert self.test is not None
+        use: Use = "validate" if held_out else ""
+        return replace(self, test=replace(self.test, name=name, use=use), held_out=held_out)
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """The designed probe on a bench: makes candidates.
+
+    Attributes:
+        model: of the probe as designed.
+        instruments: of the bench.
+    """
+
+    model: ProbeModel
+    instruments: Instruments
+    gravity_world: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a mount without gravity."""
+        size = float(np.linalg.norm(self.model.gravity_base))
+        if size == 0.0:
+            raise InputError("mount.gravity_base_m_s2 is zero; a campaign needs gravity")
+        object.__setattr__(self, "gravity_world", np.array([0.0, 0.0, -size]))
+
+    def T_world_base(self, gravity_base: Array) -> Array:
+        """Return the pose of the base with gravity in this direction of its axes, (4, 4)."""
+        return pose(pose_under_gravity(gravity_base), BASE_POSITION)
+
+    def campaign(self, candidates: list[Candidate]) -> Campaign:
+        """Return the candidates' tests as a campaign; its weighing is apart."""
+        model, std = self.model, self.instruments.std_base
+        marker_s = np.array(marker_arclengths(model.rod.length)) if self.instruments.cameras else np.zeros(0)
+        tests = tuple(one.test for one in candidates if one.test is not None)
+        return Campaign(model.name, model.fingerprint, self.T_world_base(model.gravity_base), *std,
+                        self.gravity_world, marker_s, None, tests, None, Path("plan"))  # fmt: skip
+
+    def candidates(self) -> list[Candidate]:
+        """Return all tests that could be made, the free hang as mounted first.
+
+        Raises:
+            InputError: the designed probe does not hang stably in its mount.
+        """
+        found = [self.hang()]
+        if self.instruments.turnable:
+            found += self._turned()
+        found += self._weights()
+        if self.instruments.std_place is not None:
+            found += self._touches()
+        if self.instruments.balance is not None:
+            found.append(Candidate("weighing", None, None, "Weigh the printed probe with its flange."))
+        if self.instruments.calipers is not None:
+            words = "Measure the diameter at each mark, twice, at a right angle, without pressing it in."
+            found.append(Candidate("calipers", None, None, words))
+        return found
+
+    def hang(self) -> Candidate:
+        """Return the free hang as mounted."""
+        eq = self.model.rod.solve(self.model.gravity_base)
+        if not eq.ok:
+            raise InputError(f"{self.model.name} has no stable equilibrium in its mount ({eq.result})")
+        return self._candidate("hang", "hang", eq, np.zeros(3), words="Let the probe hang free as mounted.")
+
+    def _turned(self) -> Iterator[Candidate]:
+        size = float(np.linalg.norm(self.model.gravity_base))
+        for name, direction in TURNS.items():
+            gravity = size * np.array(direction)
+            eq = self.model.rod.solve(gravity)
+            if eq.ok and gravity @ self.model.gravity_base < 0.9 * size**2:
+                words = f"Turn the base: {name}. Let the probe hang free, and note the pose of the base."
+                slug = "turned-" + name.replace(" ", "-")
+                yield self._candidate("turned", slug, eq, np.zeros(3), gravity_base=gravity, words=words)
+
+    def _weights(self) -> Iterator[Candidate]:
+        rod, down = self.model.rod, self.gravity_world / np.linalg.norm(self.gravity_world)
+        R = self.T_world_base(self.model.gravity_base)[:3, :3]
+        free = rod.solve(self.model.gravity_base)
+        for fraction in WEIGHT_PLACES:
+            s = _rounded(fraction * rod.length)
+            for mass in self.instruments.weights:
+                force = mass * float(np.linalg.norm(self.gravity_world)) * down
+                eq = rod.solve(self.model.gravity_base, R.T @ force, s)
+                if not eq.ok or np.linalg.norm(eq.p_at(s) - free.p_at(s)) > MAX_DEFLECTION * s:
+                    continue
+                words = f"Hang {1e3 * mass:g} g by a thread at the mark s = {s / MM:g} mm."
+                yield self._candidate("weight", f"weight-{s / MM:g}-{1e3 * mass:g}", eq, force, s=s,
+                                      words=words, mass=mass, mark=s)  # fmt: skip
+
+    def _touches(self) -> Iterator[Candidate]:
+        rod = self.model.rod
+        for fraction in TOUCH_PLACES:
+            s = _rounded(fraction * rod.length)
+            for direction in DIRECTIONS:
+                for share in DISPLACEMENTS:
+                    moved = _rounded(share * s)
+                    eq = self._pressed(s, DIRECTIONS[direction], moved)
+                    if eq is None:
+                        continue
+                    words = f"Push the mark s = {s / MM:g} mm by {moved / MM:g} mm toward {direction} of the base."
+                    name = f"touch-{s / MM:g}-{direction}-{moved / MM:g}"
+                    yield self._candidate("touch", name, eq, None, s=eq.s_contact, direction=direction,
+                                          words=words, mark=s, displacement=moved)  # fmt: skip
+
+    def _pressed(self, mark: float, angle: float, displacement: float) -> Equilibrium | None:
+        """Return the probe pressed at a mark without friction until the section has moved so far; None if it does not
+        get there within the range of the sensor.
+
+        The line of the force meets the axis at s = mark - r tan α, nearer to the base than the mark.
+        """
+        rod, gravity = self.model.rod, self.model.gravity_base
+        radius = float(rod.radius_at(mark))
+        s = float(np.clip(mark - radius * rod.taper_at(mark), 0.01 * rod.length, rod.flank_end))
+        start = rod.solve(gravity).p_at(s)
+        low, high = 0.0, math.nan
+        force = 0.75 * math.pi * rod.youngs_modulus * radius**4 * displacement / s**3  # of a cantilever
+        for _ in range(MAX_PRESS_STEPS):
+            found = solve_frictionless(rod, gravity, s, angle, force)
+            eq = found.equilibrium
+            moved = float(np.linalg.norm(eq.p_at(s) - start)) if found.result == "ok" else math.inf
+            if abs(moved - displacement) < DISPLACEMENT_ERROR * displacement:
+                return eq if self.model.in_range(self.model.to_sensor(eq.wrench_base, gravity)) else None
+            low, high = (force, high) if moved < displacement else (low, force)
+            force = 2.0 * force if math.isnan(high) else 0.5 * (low + high)
+        return None
+
+    def _candidate(
+        self,
+        set_up: SetUp,
+        name: str,
+        eq: Equilibrium,
+        force_world: Array | None,
+        *,
+        words: str,
+        gravity_base: Array | None = None,
+        s: float = math.nan,
+        direction: str = "",
+        mass: float = 0.0,
+        mark: float = math.nan,
+        displacement: float = 0.0,
+    ) -> Candidate:  # fmt: skip
+        gravity = self.model.gravity_base if gravity_base is None else gravity_base
+        T = self.T_world_base(gravity)
+        place, std_place = None, math.nan
+        if force_world is None:
+            assert self.instruments.std_place is not None
+            place, std_place = (
+                T[:3, :3] @ surface_point(self.model.rod, eq) + T[:3, 3],
+                self.instruments.std_place,
+            )
+        std_s = math.nan if math.isnan(s) else self.std_s(mark, force_world is None)
+        test = Test(
+            name, T, self.gravity_world, force_world, s, std_s, place, std_place, direction, math.nan, math.nan,
+            np.tile(eq.wrench_base, (READINGS, 1)), "base", self._markers(eq, T),
+        )  # fmt: skip
+        return Candidate(set_up, test, eq, words, mass, mark, displacement)
+
+    def std_s(self, mark: float, touched: bool) -> float:
+        """Return the standard deviation of the arclength of a load [m].
+
+        Friction moves the line of a touch's force by up to μ r along the axis.
+        """
+        shift = self.model.friction * float(self.model.rod.radius_at(mark)) if touched else 0.0
+        return math.hypot(STD_MARK, shift if math.isfinite(shift) else 0.0)
+
+    def _markers(self, eq: Equilibrium, T: Array) -> Markers | None:
+        std = self.instruments.cameras
+        if std is None:
+            return None
+        s = np.array(marker_arclengths(self.model.rod.length))
+        p = eq.p_at(np.minimum(s, self.model.rod.length)) @ T[:3, :3].T + T[:3, 3]
+        return Markers(np.arange(len(s)), p, np.tile(std**2 * np.eye(3), (len(s), 1, 1)), "markers.csv")
+
+
+def _rounded(length: float) -> float:
+    """Return a length in whole steps, one at least [m]."""
+    return max(round(length / ROUNDED), 1) * ROUNDED

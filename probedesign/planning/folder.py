@@ -1,0 +1,235 @@
+"""Data folder of a plan: tables with the planned tests, which a laboratory fills, and a checklist for the bench."""
+
+import csv
+import io
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
+from probedesign.campaigns.reading import IMAGES, PIXELS
+from probedesign.core.errors import InputError
+from probedesign.core.files import check_writable, exists_already
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.planning.candidates import READINGS, STD_MARK, Candidate
+from probedesign.planning.plan import Plan
+from probedesign.simulation.ground_truth import marker_arclengths
+
+PLAN, PAGE, CHECKLIST = "plan.json", "plan.html", "README.md"
+COLUMNS = ("test", "force_x_world_N", "force_y_world_N", "force_z_world_N", "s_contact_mm", "std_s_mm",
+           "contact_x_world_mm", "contact_y_world_mm", "contact_z_world_mm", "std_contact_mm", "direction",
+           "base_x_world_mm", "base_y_world_mm", "base_z_world_mm", "base_rx_world_deg", "base_ry_world_deg",
+           "base_rz_world_deg", "use", "note")  # fmt: skip
+WRENCH_HEADER = "# frame: sensor\ntest,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm\n"
+MARKER_COLUMNS = "test,marker,x_world_mm,y_world_mm,z_world_mm"
+
+
+def tables(plan: Plan) -> dict[str, str]:
+    """Return the tables of the data folder by name, with a row for each planned test."""
+    return {"campaign.toml": _manifest(plan), TESTS: _tests(plan), WRENCHES: WRENCH_HEADER}
+
+
+def _manifest(plan: Plan) -> str:
+    model, bench = plan.bench.model, plan.bench
+    T = bench.T_world_base(model.gravity_base)
+    place, turn = bench.instruments.std_base
+    lines = [
+        "# Planned by `probedesign plan`. Correct what differs on your bench; README.md says how.",
+        "schema = 1",
+        f"probe = {json.dumps(model.name)}",
+        f"fingerprint = {json.dumps(model.fingerprint)}   # of the geometry, in manifest.json and on the part",
+        "",
+        "[base]                      # pose of the base in the frame of the stage or of the cameras: measure it",
+        f"p_world_mm = {_list(T[:3, 3] / MM)}",
+        f"rotation_world_deg = {_list(_rotation_deg(T))}",
+        f"std_mm = {place / MM:g}                # how well you know it; assumed",
+        f"std_deg = {np.degrees(turn):g}",
+        "",
+        "[gravity]",
+        f"world_m_s2 = {_list(bench.gravity_world)}",
+    ]
+    if bench.instruments.cameras is not None:
+        s = np.array(marker_arclengths(model.rod.length)) / MM
+        lines += ["", "[markers]                   # marker 1 is the nearest to the base", f"s_mm = {_list(s)}",
+                  "# side_deg = -110.0         # where the dots are on the surface; absent: on the axis",
+                  f"std_mm = {bench.instruments.cameras / MM:g}"]  # fmt: skip
+    if any(one.set_up == "weighing" for one in plan.candidates) and bench.instruments.balance is not None:
+        lines += ["", "# [weighing]                # after weighing, remove the # of these lines",
+                  "# mass_g =", f"# std_g = {1e3 * bench.instruments.balance:g}",
+                  '# of = "probe"              # with its printed flange; "flexible": the soft part alone']  # fmt: skip
+    return "\n".join([*lines, "", "[source]", 'by = ""', ""])
+
+
+def _tests(plan: Plan) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
+    writer.writeheader()
+    for one in plan.candidates:
+        if one.test is not None:
+            writer.writerow(_row(plan, one))
+    return text.getvalue()
+
+
+def _row(plan: Plan, one: Candidate) -> dict[str, str]:
+    """Return the row of a planned test: what is set beforehand; what is measured stays empty."""
+    test = one.test
+    assert test is not None
+    row = {"test": test.name, "direction": test.direction, "use": test.use, "note": one.words}
+    if test.force_world is not None:
+        row |= {f"force_{axis}_world_N": f"{value + 0.0:.6g}"
+                for axis, value in zip("xyz", test.force_world, strict=True)}  # fmt: skip
+    if np.isfinite(test.s_contact):
+        row |= {"s_contact_mm": f"{test.s_contact / MM:.2f}", "std_s_mm": f"{test.std_s / MM:.2g}"}
+    if test.force_world is None:
+        row["std_contact_mm"] = f"{test.std_contact / MM:g}"
+    if one.set_up == "turned":
+        T = test.T_world_base
+        values = [*T[:3, 3] / MM, *_rotation_deg(T)]
+        row |= {name: f"{value + 0.0:.4f}" for name, value in zip(COLUMNS[11:17], values, strict=True)}
+    return row
+
+
+def _rotation_deg(T: Array) -> Array:
+    return np.asarray(np.degrees(Rotation.from_matrix(T[:3, :3]).as_rotvec()))
+
+
+def _list(values: Array) -> str:
+    return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
+
+
+# the bench
+
+
+def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
+    """Return the steps at the bench: headings with their lines.
+
+    Args:
+        plan: of the campaign.
+        folder: of the data, as the commands at the end name it.
+    """
+    kinds = {one.set_up for one in plan.candidates}
+    model = plan.bench.model
+    marks = sorted({one.mark for one in plan.candidates if np.isfinite(one.mark)})
+    before = [f"Check that the part bears the fingerprint {model.fingerprint}."]
+    if marks:
+        before.append(f"Draw marks around the probe at s = {', '.join(f'{s / MM:g}' for s in marks)} mm from the base, "
+                      f"each to {STD_MARK / MM:g} mm, measured along the straight probe.")  # fmt: skip
+    if "weighing" in kinds:
+        before.append("Weigh the printed probe with its flange, and write [weighing] in campaign.toml.")
+    if "calipers" in kinds:
+        std = plan.bench.instruments.calipers or 0.0
+        before.append("Measure the diameter at the base and at each mark twice, at a right angle. Write the diameters "
+                      f"into [probe] of the design and diameter_mm = {std / MM:g} into its [tolerances] before you "
+                      "freeze it.")  # fmt: skip
+    mount = [
+        "Zero the sensor before the probe is mounted. Switch it on half an hour before.",
+        "Measure the pose of the base in the frame of the stage or cameras, and write [base] in campaign.toml. "
+        "std_mm and std_deg are one standard deviation of this measurement; an error of 0.2° moves the tip of this "
+        f"probe by {np.radians(0.2) * model.rod.length / MM:.1f} mm.",
+        "The base's z axis points from the base to the tip, its x axis to the clocking mark of the flange.",
+    ]
+    each = [
+        f"Wait until the reading is still (1 minute after a change), then take {READINGS} readings, each the mean of "
+        f"{model.averaging_samples} samples, with their time_s, and append them to wrenches.csv.",
+        "Write the reading as the sensor shows it and keep the line `# frame: sensor`. A wrench is what the probe does "
+        "to its mount: with a probe that hangs free, the force has the direction of gravity.",
+    ]
+    if "weight" in kinds:
+        each.append("Weight: write the mass on the balance times 9.81 m/s² with a minus sign into force_z_world_N. "
+                    "The thread lies on the mark, and s_contact_mm is the mark.")  # fmt: skip
+    if "touch" in kinds:
+        each.append("Touch: push with an edge at the mark, read the place of the touched point on the surface from the "
+                    "stage, and write contact_x/y/z_world_mm. The direction is where the object moves. s_contact_mm "
+                    "is where the force's line meets the axis: nearer to the base than the mark by r·tan α, with "
+                    "r the radius and α the half angle of the cone. It is written already.")  # fmt: skip
+    if "turned" in kinds:
+        each.append("Turned base: write the measured pose into the six base columns of the test.")
+    if plan.bench.instruments.cameras is not None:
+        each.append(f"Markers: write their places into {MARKERS} with the columns {MARKER_COLUMNS}; or photograph "
+                    "them with calibrated cameras (docs/stereo.md).")  # fmt: skip
+    held_out = [one.name for one in plan.candidates if one.held_out]
+    if held_out:
+        each.append(f"{', '.join(held_out)}: measure them like the others. identify leaves them out, and validate "
+                    "judges the probe by them.")  # fmt: skip
+    each.append(
+        "A test that failed or was not made: leave its row without readings; identify then ignores it."
+    )
+    names = ",".join(name for name in plan.names if not (name == "diameters" and "calipers" in kinds))
+    after = [
+        f"probedesign identify DESIGN {folder} --for {names} --out IDENTIFIED.toml",
+        "probedesign deploy IDENTIFIED.toml --out PROBE.probe.json",
+        f"probedesign validate PROBE.probe.json {folder}",
+    ]
+    return [("Before mounting", before), ("Mounting", mount), ("Each test, in the order of tests.csv", each),
+            ("Afterwards", after)]  # fmt: skip
+
+
+def checklist_text(plan: Plan, folder: str) -> str:
+    """Return the checklist as Markdown."""
+    summary = (
+        f"{len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} minutes; {PAGE} shows each set-up."
+    )
+    lines = [f"# Campaign of {plan.bench.model.name}", "", summary]
+    for heading, steps in checklist(plan, folder):
+        lines += ["", f"## {heading}", "", *(f"- [ ] {step}" for step in steps)]
+    return "\n".join([*lines, ""])
+
+
+# writing
+
+
+def check_target(folder: Path, force: bool) -> None:
+    """Refuse a folder that exists; with `force` replace a plan without measured values, and nothing else.
+
+    Raises:
+        InputError: the folder must not be replaced, or cannot be written.
+    """
+    check_writable(folder)
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if not folder.is_dir() or not (folder / PLAN).is_file():
+        raise InputError(
+            f"{folder}: has no {PLAN}, so it is not a plan and is not replaced; name another folder"
+        )
+    if not force:
+        raise exists_already(folder)
+    for name, empty in ((WRENCHES, WRENCH_HEADER), (MARKERS, ""), (PIXELS, ""), (IMAGES, "")):
+        path = folder / name
+        if path.exists() and (path.is_dir() or path.read_bytes().split() != empty.encode().split()):
+            raise InputError(
+                f"{folder}: {name} has measured values, which are not replaced; name another folder"
+            )
+
+
+def write_folder(folder: Path, contents: Sequence[tuple[str, bytes]], force: bool) -> list[Path]:
+    """Write the data folder, atomically, and return its files.
+
+    Raises:
+        InputError: as `check_target`.
+    """
+    check_target(folder, force)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        try:
+            for name, content in contents:
+                (draft / name).write_bytes(content)
+            os.chmod(draft, 0o755)
+            old = draft.with_name(f"{draft.name}.old") if folder.exists() else None
+            if old is not None:
+                os.replace(folder, old)
+            os.replace(draft, folder)
+            if old is not None:
+                shutil.rmtree(old, ignore_errors=True)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+    return [folder / name for name, _ in contents]

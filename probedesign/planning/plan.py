@@ -1,0 +1,455 @@
+"""Choice of the tests that determine the requested parameters best in the time available.
+
+The information of a test on the parameters, its own unknowns marginalised, is that of `identify`: the whitened
+Jacobian of its residuals at the designed probe. Tests are chosen one after the other by the gain in D-optimality,
+½ log det of the marginal information on the requested parameters, per minute; then chosen tests are exchanged for
+others as long as that increases it. Source: V. Fedorov, Theory of Optimal Experiments, 1972.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.estimation.model import ProbeModel
+from probedesign.identification.fit_checks import unobservable_direction
+from probedesign.identification.identify import data_of
+from probedesign.identification.parameters import (
+    OWNER,
+    PARAMETERS,
+    PRINT,
+    ParameterValues,
+    columns_of,
+)
+from probedesign.identification.residuals import MassMeasurement, ResidualBlock
+from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize, start_nuisance
+from probedesign.planning.candidates import TOUCH_PLACES, Bench, Candidate, Instruments, SetUp
+
+DEFAULT = ("E", "G", "root", "diameters")
+"""Parameters that a plan is for unless others are requested."""
+PREPARATION = 20.0
+"""Time to mount the probe, to let sensor and resin settle and to zero [min] (assumed)."""
+HELD_OUT = 4
+"""Touches that a plan holds out for `validate`, if the bench can touch and the time allows it."""
+MIN_GAIN = 0.01
+"""Gain of ½ log det below which a further test is not proposed: it narrows no interval by more than 1 %."""
+MAX_EXCHANGES = 10
+ENOUGH = 1.1
+"""Ratio of a standard deviation to the final one from which on further tests are not necessary."""
+LEVEL = 0.95
+ORDER: tuple[SetUp, ...] = ("weighing", "calipers", "hang", "weight", "turned", "touch")
+"""Measurements away from the sensor come first. The others keep one set-up after the other."""
+
+
+@dataclass(frozen=True)
+class ExpectedInterval:
+    """Interval of a parameter that `identify` will state, expected before the tests.
+
+    Attributes:
+        name: of the parameter or its component.
+        unit: of the values; empty for plain factors.
+        std: standard deviation with the design's dimensions [unit], relative for a logarithm; None if the tests do
+            not determine the parameter.
+        low, high: ends of the 95 % interval about the design's value [unit]; None as well.
+        std_of_print: standard deviation with the dimensions as uncertain as they are after the tests.
+        relative: whether both standard deviations are relative.
+    """
+
+    name: str
+    unit: str
+    std: float | None
+    low: float | None
+    high: float | None
+    std_of_print: float | None
+    relative: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedTest:
+    """A test of a plan.
+
+    Attributes:
+        candidate: what to do.
+        minutes: since the start when it is done [min].
+        expected: intervals after it; the same as before for a test that is held out.
+    """
+
+    candidate: Candidate
+    minutes: float
+    expected: tuple[ExpectedInterval, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan of a campaign.
+
+    Attributes:
+        bench: the probe and its instruments.
+        names: requested parameters.
+        minutes: time available [min].
+        tests: in the order to be made.
+        unobservable: why a requested parameter is not determined, one line each.
+    """
+
+    bench: Bench
+    names: tuple[str, ...]
+    minutes: float
+    tests: tuple[PlannedTest, ...]
+    unobservable: tuple[str, ...]
+
+    @property
+    def expected(self) -> tuple[ExpectedInterval, ...]:
+        """Intervals after all tests."""
+        return self.tests[-1].expected
+
+    @property
+    def enough(self) -> PlannedTest:
+        """The first test after which every standard deviation is at most a tenth above its final value."""
+        final = [one.std for one in self.expected]
+        for test in self.tests:
+            now = [one.std for one in test.expected]
+            if all(b is None or (a is not None and a <= ENOUGH * b) for a, b in zip(now, final, strict=True)):
+                return test
+        return self.tests[-1]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user, each one line."""
+        calipers = any(one.set_up == "calipers" for one in self.candidates)
+        own: tuple[str, ...] = (
+            "The intervals are those of the fit; identify adds its systematic effects, such as the sensor's gain.",
+        )
+        if "diameters" in self.names and calipers:
+            own += (
+                "Diameters are measured by calipers and written into the design; leave them out of identify --for.",
+            )
+        return (*self.unobservable, *own)
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """What is to be done, in order."""
+        return tuple(one.candidate for one in self.tests)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "schema": 1,
+            "probe": self.bench.model.name,
+            "fingerprint": self.bench.model.fingerprint,
+            "for": list(self.names),
+            "minutes": self.minutes,
+            "minutes_planned": self.tests[-1].minutes,
+            "enough_after": self.enough.candidate.name,
+            "tests": [
+                {"name": one.candidate.name, "set_up": one.candidate.set_up, "what": one.candidate.words,
+                 "use": "validate" if one.candidate.held_out else "identify",
+                 "minutes": one.candidate.minutes, "minutes_since_start": one.minutes,
+                 "expected": [vars(interval) for interval in one.expected]}
+                for one in self.tests
+            ],
+            "unobservable": list(self.unobservable),
+        }  # fmt: skip
+
+
+# information
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Information of all candidates on the parameters.
+
+    Attributes:
+        bench: probe and instruments.
+        candidates: all of them.
+        flange_volume: of printed material that is weighed with the flexible part [m³].
+    """
+
+    bench: Bench
+    candidates: tuple[Candidate, ...]
+    flange_volume: float
+
+    @cached_property
+    def whole(self) -> Linearization:
+        """All tests at the designed probe, linearised by every parameter."""
+        data = data_of(self.bench.campaign(list(self.candidates)), self.bench.model, self.flange_volume)
+        problem = LeastSquaresProblem(data.common, data.tests, None, np.ones(data.common.size))
+        values = ParameterValues(data.common, np.zeros(data.common.size))
+        return linearize(problem, values, start_nuisance(data.tests, self.bench.model.rod), root=True)
+
+    @cached_property
+    def blocks(self) -> dict[str, tuple[ResidualBlock, ...]]:
+        """Residuals of each candidate by its name."""
+        found: dict[str, list[ResidualBlock]] = {one.name: [] for one in self.candidates}
+        for block in self.whole.blocks:
+            found[block.test].append(block)
+        balance = self.bench.instruments.balance
+        if "weighing" in found and balance is not None:
+            mass = MassMeasurement(0.0, balance, self.flange_volume).block(self.whole.values)
+            found["weighing"] = [mass._replace(r=0.0 * mass.r, residual=0.0 * mass.residual)]
+        if "calipers" in found:
+            found["calipers"] = [self._calipers()]
+        return {name: tuple(blocks) for name, blocks in found.items()}
+
+    def _calipers(self) -> ResidualBlock:
+        """Return the residuals of diameters measured at the marks, with derivatives by differences: they are linear in
+        the logarithms of the diameters."""
+        std, rod, step = self.bench.instruments.calipers, self.bench.model.rod, 1e-5
+        assert std is not None
+        s = np.array([0.02, *TOUCH_PLACES]) * rod.length
+        common = self.whole.problem.common
+        J = np.zeros((len(s), common.size))
+        for column in (*columns_of(["diameters"]), *range(PRINT, common.size)):
+            x = np.zeros(common.size)
+            x[column] = step
+            J[:, column] = (
+                -2.0 * (ParameterValues(common, x).rod.radius_at(s) - rod.radius_at(s)) / (step * std)
+            )
+        return ResidualBlock("", "calipers", 0, np.zeros(len(s)), J, np.zeros((len(s), 0)), np.zeros(len(s)))
+
+    def matrix(self, name: str, active: NDArray[np.intp]) -> Array:
+        """Return the information of one candidate on the active parameters, its own unknowns marginalised."""
+        J = np.concatenate([block.J[:, active] for block in self.blocks[name]])
+        own = np.concatenate([block.J_nuisance for block in self.blocks[name]])
+        if own.shape[1]:
+            size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+            J = J - (own / size) @ np.linalg.lstsq(own / size, J, rcond=None)[0]
+        return np.asarray(J.T @ J)
+
+    def expected(
+        self, chosen: Sequence[Candidate], names: Sequence[str]
+    ) -> tuple[tuple[ExpectedInterval, ...], tuple[str, ...]]:
+        """Return the intervals that `identify` would state of these tests, and why parameters are not determined."""
+        requested, why = tuple(names), list[str]()
+        common = self.whole.problem.common
+        inside = {one.name for one in chosen}
+        solved = tuple(test for test in self.whole.tests if test.measured.name in inside)
+        blocks = tuple(block for one in chosen for block in self.blocks[one.name])
+        while requested:
+            problem = LeastSquaresProblem(common, tuple(test.measured for test in solved), None,
+                                          common.prior_without(requested))  # fmt: skip
+            point = Linearization(problem, self.whole.values, solved, blocks)
+            lost = unobservable_direction(point, np.ones(len(blocks)), requested)
+            if lost is None:
+                return self._intervals(point, names, requested), tuple(why)
+            why.append(lost.description)
+            requested = tuple(name for name in requested if name != lost.name)
+        return tuple(_unknown(name) for name in _components(names)), tuple(why)
+
+    def _intervals(
+        self, point: Linearization, names: Sequence[str], determined: Sequence[str]
+    ) -> tuple[ExpectedInterval, ...]:
+        rows, _ = point.system(np.ones(len(point.blocks)))
+        size = np.linalg.norm(rows, axis=0)
+        scale = 1.0 / np.where(size > 0.0, size, 1.0)
+        inverse = np.linalg.pinv(np.linalg.qr(rows * scale, mode="r"))
+        cov = scale[:, None] * (inverse @ inverse.T) * scale
+        active = np.flatnonzero(point.problem.active)
+        given = np.flatnonzero((active >= PRINT) | (active == columns_of(["diameters"])[0]))
+        found, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
+        for label, column in zip(_components(names), columns_of(names), strict=True):
+            owner = OWNER[column]
+            if owner.name not in determined:
+                found.append(_unknown(label))
+                continue
+            i = int(np.searchsorted(active, column))
+            of_print = float(cov[i, i])
+            alone = of_print
+            if i not in given and len(given):
+                across = cov[i, given]
+                alone -= float(across @ np.linalg.solve(cov[np.ix_(given, given)], across))
+            std, rod = math.sqrt(max(alone, 0.0)), self.bench.model.rod
+            low, high = (owner.reported(rod, sign * quantile * std) for sign in (-1.0, 1.0))
+            unit = 1.0 if owner.logarithm else owner.scale
+            found.append(
+                ExpectedInterval(
+                    label, owner.unit, unit * std, low, high, unit * math.sqrt(of_print), owner.logarithm
+                )
+            )
+        return tuple(found)
+
+
+def _components(names: Sequence[str]) -> list[str]:
+    return [label for name in names for label in PARAMETERS[name].labels]
+
+
+def _unknown(label: str) -> ExpectedInterval:
+    owner = next(one for one in PARAMETERS.values() if label in one.labels)
+    return ExpectedInterval(label, owner.unit, None, None, None, None, owner.logarithm)
+
+
+# choice
+
+
+def make_plan(
+    model: ProbeModel,
+    flange_volume: float,
+    minutes: float,
+    names: Sequence[str] = DEFAULT,
+    instruments: Instruments | None = None,
+    held_out: int = HELD_OUT,
+) -> Plan:
+    """Choose the tests of a campaign.
+
+    Args:
+        model: of the probe as designed.
+        flange_volume: of printed material that is weighed with the flexible part [m³].
+        minutes: time available, preparation included [min].
+        names: requested parameters, of `identification.parameters.REQUESTABLE`.
+        instruments: of the bench; the default ones if None.
+        held_out: number of touches for `validate`.
+
+    Raises:
+        InputError: the time is too short for a plan, or the probe does not hang stably in its mount.
+    """
+    bench = Bench(model, instruments or Instruments())
+    candidates = bench.candidates()
+    hang = candidates[0]
+    fixed = [hang.named("hang-1"), hang.named("hang-2")]
+    candidates = [*fixed, *candidates[1:]]
+    if len(candidates) == len(fixed):
+        raise InputError("no test is possible besides the free hang; name a stage, cameras, weights, a balance or "
+                         "calipers, or leave out --no-turn")  # fmt: skip
+    for_validation = _spread([one for one in candidates if one.set_up == "touch"], held_out)
+    reserved = PREPARATION + sum(one.minutes for one in (*fixed, *for_validation))
+    shortest = reserved + min((one.minutes for one in candidates[2:]), default=0.0)
+    if minutes < shortest:
+        raise InputError(f"--minutes {minutes:g} is too short: {PREPARATION:g} min of preparation, two free hangs and "
+                         f"{len(for_validation)} touches for validate need {shortest:g} min with one further test; "
+                         "give more time, or fewer touches with --held-out")  # fmt: skip
+    information = Information(bench, tuple(candidates), flange_volume)
+    free = [one for one in candidates[2:] if one not in for_validation]
+    chosen = _Choice(information, names, fixed).best(free, minutes - reserved)
+    validation = [replace(one, held_out=True) for one in sorted(for_validation, key=lambda one: one.mark)]
+    away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
+    ordered = (*away, fixed[0], *mounted, *validation, fixed[1])
+    tests, clock, done = list[PlannedTest](), PREPARATION, list[Candidate]()
+    intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
+    why: tuple[str, ...] = ()
+    counts = dict.fromkeys(ORDER, 0)
+    for one in ordered:
+        clock += one.minutes
+        if not one.held_out:
+            done.append(one)
+            intervals, why = information.expected(done, names)
+        counts[one.set_up] += 1
+        named = one
+        if one.test is not None and one not in fixed:
+            named = one.named(f"{one.set_up}-{counts[one.set_up]:02d}", one.held_out)
+        tests.append(PlannedTest(named, clock, intervals))
+    return Plan(bench, tuple(names), minutes, tuple(tests), why)
+
+
+def _ordered(chosen: list[Candidate]) -> list[Candidate]:
+    """Return the chosen tests with one set-up after the other, the most informative test of each first."""
+    return [one for kind in ORDER for one in chosen if one.set_up == kind]
+
+
+def _spread(touches: list[Candidate], count: int) -> list[Candidate]:
+    """Return touches at places along the probe, each in another direction and by another displacement."""
+    if not touches or count <= 0:
+        return []
+    marks = sorted({one.mark for one in touches})
+    directions = list(dict.fromkeys(one.test.direction for one in touches if one.test is not None))
+    found: list[Candidate] = []
+    for k in range(count):
+        mark = marks[round((k + 0.5) / count * len(marks) - 0.5)]
+        here = [one for one in touches if one.mark == mark and one not in found]
+        own = [
+            one
+            for one in here
+            if one.test is not None and one.test.direction == directions[k % len(directions)]
+        ]
+        pool = sorted(own or here, key=lambda one: one.displacement)
+        if pool:
+            found.append(pool[k % len(pool)])
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Search for the tests with the largest determinant.
+
+    Attributes:
+        information: of all candidates.
+        names: requested parameters.
+        fixed: tests that are made in any case.
+    """
+
+    information: Information
+    names: Sequence[str]
+    fixed: list[Candidate]
+
+    @cached_property
+    def scale(self) -> Array:
+        """Standard deviations of the parameter vector before the tests: for requested ones their limit of use."""
+        common = self.information.whole.problem.common
+        std = common.prior_without(self.names)
+        for name in self.names:
+            limit = PARAMETERS[name].max_std
+            assert limit is not None
+            std[PARAMETERS[name].columns] = limit
+        return np.asarray(std)
+
+    @cached_property
+    def active(self) -> NDArray[np.intp]:
+        """Indices of the estimated entries of the parameter vector."""
+        return np.asarray(np.flatnonzero(self.scale > 0.0))
+
+    @cached_property
+    def matrices(self) -> dict[str, Array]:
+        """Information of each candidate in units of the prior."""
+        scale = self.scale[self.active]
+        return {one.name: scale[:, None] * self.information.matrix(one.name, self.active) * scale
+                for one in self.information.candidates}  # fmt: skip
+
+    def value(self, matrices: Array) -> Array:
+        """Return ½ log det of the marginal information on the requested parameters, of matrices (..., n, n)."""
+        others = np.flatnonzero(~np.isin(self.active, columns_of(self.names)))
+        whole = np.linalg.slogdet(matrices)[1]
+        return np.asarray(0.5 * (whole - np.linalg.slogdet(matrices[..., others[:, None], others])[1]))
+
+    def best(self, candidates: list[Candidate], minutes: float) -> list[Candidate]:
+        """Return tests within the time, the most informative per minute first."""
+        total = np.eye(len(self.active)) + sum(self.matrices[one.name] for one in self.fixed)
+        chosen: list[Candidate] = []
+        left = minutes
+        while pool := [one for one in candidates if one not in chosen and one.minutes <= left]:
+            gains = self._values(total, pool) - self.value(total)
+            k = int(np.argmax(np.where(gains >= MIN_GAIN, gains / [one.minutes for one in pool], -np.inf)))
+            if gains[k] < MIN_GAIN:
+                break
+            chosen.append(pool[k])
+            total, left = total + self.matrices[pool[k].name], left - pool[k].minutes
+        return self._exchanged(chosen, candidates, total, left)
+
+    def _values(self, total: Array, pool: list[Candidate]) -> Array:
+        """Return the value with each candidate added."""
+        return self.value(total + np.stack([self.matrices[one.name] for one in pool]))
+
+    def _exchanged(
+        self, chosen: list[Candidate], candidates: list[Candidate], total: Array, left: float
+    ) -> list[Candidate]:
+        """Return the tests after the exchanges that increase the determinant."""
+        for _ in range(MAX_EXCHANGES):
+            best, gain = None, MIN_GAIN
+            for i, one in enumerate(chosen):
+                free = left + one.minutes
+                pool = [other for other in candidates if other not in chosen and other.minutes <= free]
+                if pool:
+                    gains = self._values(total - self.matrices[one.name], pool) - self.value(total)
+                    if gains.max() > gain:
+                        best, gain = (i, pool[int(np.argmax(gains))]), float(gains.max())
+            if best is None:
+                break
+            i, other = best
+            total = total - self.matrices[chosen[i].name] + self.matrices[other.name]
+            left += chosen[i].minutes - other.minutes
+            chosen[i] = other
+        return chosen

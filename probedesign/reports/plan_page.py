@@ -1,0 +1,119 @@
+"""Page of a plan: the tests with the expected intervals, a drawing of each set-up, and the checklist for the bench."""
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+from probedesign.planning.candidates import Candidate
+from probedesign.planning.folder import checklist
+from probedesign.planning.plan import ENOUGH, ExpectedInterval, Plan
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
+from probedesign.reports.html_page import REPORT_STYLE, HtmlTable, html_document
+from probedesign.reports.setup_drawing import set_up_drawing
+
+STYLE = """
+.sheet { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(78mm, 100%), 1fr)); gap: 4mm }
+.sheet section { border: 0.4pt solid #bbb; padding: 2mm }
+.sheet h3, .steps h3 { font-size: 10.5pt; margin: 0 }
+.steps ul { list-style: none; padding: 0; margin: 1mm 0 3mm } .steps li { margin: 1mm 0 1mm 6mm; text-indent: -6mm }
+.steps li::before { content: "\\2610\\00a0\\00a0" } 
+.steps li.command { font-family: monospace; overflow-wrap: anywhere }
+.plan td:nth-child(2), .plan th:nth-child(2) { text-align: left; white-space: normal; min-width: 45mm; width: 60% }
+.plan { break-inside: auto } .plan th, .plan td { padding: 0.6mm 1.5mm }
+.stop { max-width: 120mm }
+@media print { .sheet { grid-template-columns: 1fr 1fr } .plan table { break-inside: auto } }
+"""
+
+
+def interval_text(one: ExpectedInterval) -> str:
+    """Return half the width of the 95 % interval as text: relative for a factor, else in its unit."""
+    if one.std is None or one.low is None or one.high is None:
+        return "—"
+    half = 0.5 * (one.high - one.low)
+    if one.relative:
+        return f"± {half / (0.5 * (one.high + one.low)):.1%}"
+    return f"± {half:.2g} {one.unit}".rstrip()
+
+
+def plan_page(plan: Plan, folder: str) -> bytes:
+    """Return the page of a plan.
+
+    Args:
+        plan: the plan.
+        folder: of the data, as the commands of the checklist name it.
+    """
+    model, enough = plan.bench.model, plan.enough
+    about = [
+        f"{len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} of {plan.minutes:g} minutes, preparation "
+        f"included; geometry {model.fingerprint}. Durations are assumed.",
+        f"After {enough.candidate.name} ({enough.minutes:.0f} min) every interval is within {ENOUGH - 1.0:.0%} of the "
+        "final one.",
+        *plan.notes,
+    ]
+    drawings = "".join(_set_up(plan, one) for one in plan.candidates if one.shape is not None)
+    body = (
+        f'<section class="plan"><h2>Expected 95 % intervals after each test</h2>{_table(plan).html()}</section>'
+        f"{_chart_section(plan)}"
+        f'<section class="steps" style="break-inside: auto"><h2>Checklist</h2>{_checklist(plan, folder)}</section>'
+        f'<h2>Set-ups</h2><div class="sheet">{drawings}</div>'
+    )
+    return html_document(
+        f"{model.name}: plan of a campaign", [escape(line) for line in about], body, REPORT_STYLE + STYLE
+    )
+
+
+def _table(plan: Plan) -> HtmlTable:
+    head = ["test", "what", "min", "since start", *(one.name for one in plan.expected)]
+    rows = [
+        [
+            one.candidate.name,
+            one.candidate.words + (" For validate." if one.candidate.held_out else ""),
+            f"{one.candidate.minutes:g}",
+            f"{one.minutes:.0f}",
+            *("" if one.candidate.held_out else interval_text(interval) for interval in one.expected),
+        ]
+        for one in plan.tests
+    ]
+    return HtmlTable(
+        head, rows, "Intervals of identify with the design's dimensions; — : not determined yet."
+    )
+
+
+def _chart_section(plan: Plan) -> str:
+    """Return the chart of the intervals over time, relative to the final ones."""
+    times = [one.minutes for one in plan.tests]
+    lines = {}
+    for k, final in enumerate(plan.expected):
+        if final.std is not None:
+            now = [one.expected[k].std for one in plan.tests]
+            lines[final.name] = [math.nan if std is None else std / final.std for std in now]
+    if not lines:
+        return ""
+    values = [v for line in lines.values() for v in line if math.isfinite(v)]
+    chart = Chart(ChartAxis("time [min]", 0.0, 1.03 * times[-1]),
+                  ChartAxis.spanning("interval over the final one", [*values, 1.0, 2.0], log=True))  # fmt: skip
+    for i, (name, line) in enumerate(lines.items()):
+        style = (COLOURS[1 + i % 6], DASHES[i % len(DASHES)], MARKS[i % len(MARKS)])
+        chart.line(times, line, *style, name=name)
+    heading = "When to stop"
+    svg = chart.svg().decode().replace("<svg ", f'<svg role="img" aria-label="{heading}" ', 1)
+    caption = (
+        "Where a line begins the tests first determine the parameter. It may rise where another one begins."
+    )
+    return f"<section class=stop><h2>{heading}</h2>{svg}<p>{caption}</p></section>"
+
+
+def _checklist(plan: Plan, folder: str) -> str:
+    *steps, (last, commands) = checklist(plan, folder)
+    parts = [f"<h3>{escape(heading)}</h3>{_items(lines)}" for heading, lines in steps]
+    return "".join(parts) + f"<h3>{escape(last)}</h3>{_items(commands, ' class=command')}"
+
+
+def _items(lines: Sequence[str], attribute: str = "") -> str:
+    return f"<ul>{''.join(f'<li{attribute}>{escape(line)}</li>' for line in lines)}</ul>"
+
+
+def _set_up(plan: Plan, one: Candidate) -> str:
+    drawing = set_up_drawing(plan.bench.model, one).decode()
+    use = " For validate." if one.held_out else ""
+    return f"<section><h3>☐ {escape(one.name)}</h3>{drawing}<p>{escape(one.words)}{use}</p></section>"
