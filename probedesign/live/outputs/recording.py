@@ -55,7 +55,7 @@ class RecordingFile(Sink, Protocol):
 
 
 class BackgroundWriter:
-    """Writes a recording on a background thread; drops and counts what exceeds the queue.
+    """Writes a recording, or serves it, on a background thread; drops and counts what exceeds the queue.
 
     Attributes:
         dropped: number of readings dropped.
@@ -68,10 +68,14 @@ class BackgroundWriter:
         log: Log,
         max_queued: int = MAX_QUEUED_READINGS,
         flush_period: float = FLUSH_PERIOD,
+        cause: str = "the disk",
     ) -> None:
-        """Start the thread; it alone uses the file from now on, and `log` is called from both threads."""
+        """Start the thread; it alone uses the file from now on, and `log` is called from both threads.
+
+        `cause` names what may be too slow.
+        """
         self._file, self._name, self._log = file, name, log
-        self._max_queued, self._flush_period = max_queued, flush_period
+        self._max_queued, self._flush_period, self._cause = max_queued, flush_period, cause
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._queued = self._done = 0
         self._counting = threading.Lock()  # events come from several threads
@@ -91,7 +95,7 @@ class BackgroundWriter:
         if self._enqueue(len(block) or 1, partial(self._file.on_samples, block)):
             return
         if not self.dropped:
-            self._log(f"{self._name}: the disk is too slow; readings are dropped")
+            self._log(f"{self._name}: {self._cause} is too slow; readings are dropped")
         self._dropped[0] += len(block)
         self.dropped += len(block)
 
@@ -114,10 +118,10 @@ class BackgroundWriter:
         self._queue.put(None)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
-            self._log(f"{self._name}: the disk does not respond; unwritten data are lost")
+            self._log(f"{self._name}: {self._cause} does not respond; unwritten data are lost")
         elif self.dropped and not self._failed:
             self._log(
-                f"{self._name}: the disk was too slow: {self.dropped} readings dropped, marked in the file"
+                f"{self._name}: {self._cause} was too slow: {self.dropped} readings dropped, marked in the file"
             )
 
     def _enqueue(self, weight: int, job: Callable[[], None]) -> bool:
@@ -149,8 +153,10 @@ class BackgroundWriter:
                 self._file.close()
             known = str(error) if isinstance(error, ProbeDesignError) else f"{type(error).__name__}: {error}"
             reason = error.strerror if isinstance(error, OSError) else known
-            complete = f"the file contains {self._file.readings} readings, the run continues"
-            self._log(f"{self._name}: recording ended: {reason}; {complete}")
+            contents = (
+                f"the file contains {self._file.readings} readings, " if self._cause == "the disk" else ""
+            )
+            self._log(f"{self._name}: recording ended: {reason}; {contents}the run continues")
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
 
