@@ -31,6 +31,8 @@ def parse_foxglove_address(text: str) -> tuple[str, int]:
     """
     try:
         host, port = split_address(f"ws://{text}", "ws")
+        if not text.isprintable() or " " in text:
+            raise ValueError
     except ValueError:
         raise InputError(f"--foxglove {text}: write HOST:PORT, as 127.0.0.1:8765") from None
     if port == 0:
