@@ -129,6 +129,7 @@ def live(
         outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
         updates = pipeline.live(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
         source_ended = _print(updates, sinks.log, as_json, live_table)
+        sinks.on_end()
         if view and source_ended and _is_terminal():
             sinks.log("the run ended; the page stays open until Ctrl-C")
             with suppress(KeyboardInterrupt):

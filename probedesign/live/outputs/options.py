@@ -96,9 +96,17 @@ class OutputOptions:
         if publisher is not None:
             sinks.add(publisher)
         if self.page is not None:
-            sinks.add(BrowserView(estimator, self.parts_folder, commands, sinks.log, *self.page, counts))
+            sinks.add(
+                BrowserView(
+                    estimator, self.parts_folder, commands, sinks.log, *self.page, counts, recordings.state
+                )
+            )
         if self.terminal:
-            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+            sinks.add(
+                TerminalView(
+                    f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state
+                )
+            )
         if self.record is not None:  # after the views, which show recording by its events
             recordings.start()
 

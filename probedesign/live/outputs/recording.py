@@ -54,11 +54,12 @@ class RecordingFile(Sink, Protocol):
         """Receive the number of readings, and of estimates and events, that were dropped before this point."""
 
 
-class BackgroundWriter:
+class BackgroundWriter(Sink):
     """Writes a recording, or serves it, on a background thread; drops and counts what exceeds the queue.
 
     Attributes:
         dropped: number of readings dropped.
+        failure: why it ended by itself; empty if it did not.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class BackgroundWriter:
         self._counting = threading.Lock()  # events come from several threads
         self._dropped = [0, 0]
         self.dropped = 0
-        self._failed = False
+        self.failure = ""
         self._thread = threading.Thread(target=self._work, name=f"writing {name}", daemon=True)
         self._thread.start()
 
@@ -119,14 +120,14 @@ class BackgroundWriter:
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
             self._log(f"{self._name}: {self._cause} does not respond; unwritten data are lost")
-        elif self.dropped and not self._failed:
+        elif self.dropped and not self.failure:
             self._log(
                 f"{self._name}: {self._cause} was too slow: {self.dropped} readings dropped, marked in the file"
             )
 
     def _enqueue(self, weight: int, job: Callable[[], None]) -> bool:
         """Queue a job; return False if the queue is full."""
-        if self._failed:
+        if self.failure:
             return True  # the failure has been reported
         with self._counting:
             waiting = self._queued - self._done
@@ -148,11 +149,11 @@ class BackgroundWriter:
         try:
             self._write()
         except Exception as error:  # a full disk or a bug: the run continues in both cases
-            self._failed = True
             with suppress(Exception):  # it releases the file; what fits is written
                 self._file.close()
             known = str(error) if isinstance(error, ProbeDesignError) else f"{type(error).__name__}: {error}"
             reason = error.strerror if isinstance(error, OSError) else known
+            self.failure = reason or known
             contents = (
                 f"the file contains {self._file.readings} readings, " if self._cause == "the disk" else ""
             )
@@ -308,7 +309,7 @@ class SplitRecording(Sink):
         self._file.close()
 
 
-class RecordingSink:
+class RecordingSink(Sink):
     """Sink that records between `start` and `stop`, to a new file each time; no file is ever overwritten unasked."""
 
     def __init__(
@@ -340,6 +341,15 @@ class RecordingSink:
     def path(self) -> Path | None:
         """Path of the current file, or None."""
         return self._current and self._current[0].path
+
+    def state(self) -> tuple[str, str]:
+        """Return what is recorded, and why the recording ended by itself; each may be empty."""
+        if self._current is None:
+            return "", ""
+        recording, writer = self._current
+        if writer.failure:
+            return "", f"ended: {writer.failure}"
+        return f"to {recording.path}, {writer.readings} readings", ""
 
     def start(self) -> None:
         """Open the next file.

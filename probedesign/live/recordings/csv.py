@@ -19,9 +19,9 @@ from probedesign.core import csv_tables
 from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, plain, quote_input
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import AppendFile
 from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS, unit_of
 from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND, fault_of
@@ -275,7 +275,7 @@ def write_recording(
         file.close()
 
 
-class CsvRecorder:
+class CsvRecorder(Sink):
     """Records raw readings as CSV, in whole lines; called from one thread (see `RecordingFile`).
 
     Attributes:
@@ -307,14 +307,8 @@ class CsvRecorder:
         self._n_pending += len(block)
         self.flush()  # little data, so it is written at once
 
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Ignore estimates: CSV contains raw readings only."""
-
     def on_pose(self, pose: TimedPose) -> None:
         """Ignore poses: CSV contains raw readings only."""
-
-    def on_event(self, time: float, line: str) -> None:
-        """Ignore events: CSV contains raw readings only."""
 
     def on_dropped(self, readings: int, others: int) -> None:
         """Write a comment."""

@@ -15,6 +15,7 @@ import numpy as np
 from probedesign.core.frames import Array, inverse
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.model import ProbeModel
+from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block, joined
 from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
@@ -29,7 +30,7 @@ _MAX_NS = 4 * 10**18
 """Half the range of 63-bit nanoseconds."""
 
 
-class MessageEncoder(ABC):
+class MessageEncoder(Sink, ABC):
     """Encodes readings, estimates, poses and events of a run; called from one thread (see `RecordingFile`).
 
     Time stamps are wall clock: the arrival of the first block, plus the time elapsed on the source's clock since then.

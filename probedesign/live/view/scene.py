@@ -122,6 +122,7 @@ class SceneSetup:
         parts: parts at its base.
         gravity_base: gravity vector [m/s²], (3,).
         note: note on what is drawn, if any.
+        token: secret that a browser must know; empty on an address of this machine only.
     """
 
     title: str
@@ -132,6 +133,7 @@ class SceneSetup:
     parts: tuple[RigidPart, ...]
     gravity_base: Array
     note: str = ""
+    token: str = ""
 
 
 CHART_SECONDS = 15.0
@@ -163,13 +165,17 @@ class StripCharts:
             self._last_drawn = self._due
         return due
 
-    def lines(self) -> dict[str, tuple[Array, ...]]:
-        """Return the data of the charts, each after the times [s].
+    def lines(self, age: float = 0.0) -> dict[str, tuple[Array, ...]]:
+        """Return the data of the charts, each after the times [s], which are negative: seconds before now.
 
         Position s [mm] with its 95 % interval, contact force [mN], and force [mN] and moment [N·mm] at the base.
+
+        Args:
+            age: time since the last row [s]: old data move out of the charts.
         """
-        rows = self._recent()
-        time, s, wide = rows[:, 0], rows[:, S] / MM, 1.96 * rows[:, STD] / MM
+        rows = self._recent(age)
+        last = float(self._rows[-1][0]) if self._rows else 0.0
+        time, s, wide = rows[:, 0] - last - age, rows[:, S] / MM, 1.96 * rows[:, STD] / MM
         return {
             "place": (time, s, s - wide, s + wide),
             "push": (time, rows[:, FORCE] / MILLINEWTON),
@@ -177,12 +183,7 @@ class StripCharts:
             "moments": (time, *(rows[:, 4:7] / MM).T),
         }
 
-    def window(self) -> tuple[float, float]:
-        """Return the time range of the charts [s]."""
-        end = float(self._rows[-1][0]) if self._rows else 0.0
-        return max(end, CHART_SECONDS) - CHART_SECONDS, max(end, CHART_SECONDS)
-
-    def _recent(self) -> Array:
+    def _recent(self, age: float) -> Array:
         rows = np.array(self._rows).reshape(-1, len(STRIP))
-        recent: Array = rows[rows[:, 0] >= self.window()[0]]
+        recent: Array = rows[rows[:, 0] >= rows[-1, 0] + age - CHART_SECONDS] if len(rows) else rows
         return recent if len(recent) else np.full((1, len(STRIP)), np.nan)
