@@ -207,7 +207,7 @@ MAX_MARKS = 24
 LABEL_GAP = 0.012
 """Minimum distance between two numbered touches [m]."""
 FIELD_OF_VIEW = math.radians(40.0)
-DISTANCE, SHOWN_WIDTH = 2.5, 1.35
+DISTANCE, SHOWN_WIDTH = 2.5, 1.6
 """Distance of the camera at least, and width of the scene that is shown at least, in lengths of the probe."""
 SMALL_WIDTH = 576
 """Width [px] up to which viser covers the lower part of the scene with its panel."""
@@ -333,8 +333,8 @@ class ViewerPage:
         distance = UNIT * length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * aspect))
         small = client.camera.image_width <= SMALL_WIDTH
         shift = np.array([0.0, 0.0, 0.5 * tangent * distance]) if small else np.zeros(3)
-        client.camera.look_at = self._middle - shift
         client.camera.position = self._middle - shift + distance * self._direction
+        client.camera.look_at = self._middle - shift  # last: the position moves it too
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; grey and unchanged if it is unknown."""
