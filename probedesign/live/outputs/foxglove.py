@@ -138,12 +138,16 @@ def _static_sender(server: FoxgloveServer) -> "ServerListener":
 
 
 class FoxgloveSink(BackgroundWriter):
-    """Sink of a run that feeds a `FoxgloveServer` from a thread of its own; nothing waits for a client."""
+    """Sink of a run that feeds a `FoxgloveServer` from a thread of its own; nothing waits for a client.
+
+    Attributes:
+        url: address of the server.
+    """
 
     def __init__(self, model: ProbeModel, address: tuple[str, int], log: Log) -> None:
         """Start server and thread; see `FoxgloveServer`."""
         server = FoxgloveServer(model, address)
-        local = address[0] in LOOPBACK
+        self.url, local = server.url, address[0] in LOOPBACK
         log(
             f"foxglove: {server.url}, {'this machine only' if local else 'readable by anyone in the network'}"
         )
