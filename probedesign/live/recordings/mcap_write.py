@@ -234,7 +234,6 @@ class McapRecorder(MessageEncoder):
         for name, content in schemas.QOS_METADATA.items():
             self._writer.add_metadata(name, content)
         self._channels = {topic.name: self._channel(topic) for topic in schemas.TOPICS}
-        self.encode_static()
         try:
             self._file.flush()
         except OSError:
@@ -247,8 +246,12 @@ class McapRecorder(MessageEncoder):
         self._writer.add(self._channels[topic.name], logged, data, sequence)
 
     def on_clock(self) -> None:
-        """Write the offset of the clocks, with which a replay restores the source's clock of a header exactly."""
+        """Write the offset of the clocks, with which a replay restores the source's clock of a header exactly.
+
+        The static transform follows, so that its time is within that of the recording.
+        """
         self._writer.add_metadata(CLOCK_NAME, {OFFSET_KEY: str(self.clock_offset)})
+        self.encode_static()
 
     @property
     def size(self) -> int:

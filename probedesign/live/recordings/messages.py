@@ -140,7 +140,7 @@ class MessageEncoder(Sink, ABC):
         age = time.monotonic() - received
         now = time.time_ns() - (round(1e9 * age) if math.isfinite(age) else 0)
         self._epoch = int(np.clip(stamp, -_MAX_NS, _MAX_NS)), now
-        self.clock_offset = now - self._epoch[0]
+        self.clock_offset, self._logged = now - self._epoch[0], max(now, 0)
         self.on_clock()
 
     def _wall(self, stamps: Nanoseconds) -> Nanoseconds:
