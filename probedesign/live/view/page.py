@@ -309,7 +309,7 @@ class ViewerPage:
         low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
         self._server.scene.add_grid(
             "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
-            cell_color=(172, 178, 184), section_color=(140, 148, 156), plane_opacity=0.0, shadow_opacity=0.2,
+            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.2,
             position=(0.0, 0.0, UNIT * low),
         )  # fmt: skip
         along = T[:, 2]
@@ -380,8 +380,9 @@ class ViewerPage:
         self._force.points = (UNIT * np.array([[tail, surface]])).astype(np.float32)
         self._contact.color = STALE_COLOUR if snapshot.stale else CONTACT
         self._label.position = UNIT * tail
-        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm, {1e3 * strength:.1f} mN"
-        self._label.text = f"old, {snapshot.age:.0f} s: {text}" if snapshot.stale else text
+        place = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
+        fresh = f"{place}, {1e3 * strength:.1f} mN"
+        self._label.text = f"{snapshot.age:.0f} s old: {place}" if snapshot.stale else fresh
 
     def _show_touches(self, touches: tuple[ContactMarker, ...]) -> None:
         """Show earlier contacts in grey, with the numbers of those that no later one covers."""
