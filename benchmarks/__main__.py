@@ -18,6 +18,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--minutes", type=float, help="how long live streams, default a third of a minute")
     parser.add_argument("--view", action="store_true", help="live with the page of live --view")
+    parser.add_argument("--foxglove", action="store_true", help="live with the server of live --foxglove")
     parser.add_argument("--draws", type=int, help="coverage: single touches a row")
     parser.add_argument("--only", help="coverage: only rows with this in their name")
     parser.add_argument("--bounds", action="store_true", help="coverage: the bounds of one touch instead")
@@ -32,7 +33,7 @@ def main(arguments: list[str]) -> int:
     for name in args.parts or PARTS:
         given: dict[str, object] = {}
         if name == "live":
-            given = {"minutes": args.minutes, "view": args.view or None}
+            given = {"minutes": args.minutes, "view": args.view or None, "foxglove": args.foxglove or None}
         elif name == "coverage":
             given = {"draws": args.draws, "only": args.only, "bounds_only": args.bounds or None,
                      "as_json": args.json or None, "workers": args.workers}  # fmt: skip

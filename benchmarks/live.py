@@ -11,16 +11,18 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.timing import print_table
+from benchmarks.view import free_port
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
+from probedesign.live.outputs.foxglove import FoxgloveSink
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup
 from probedesign.live.processing.blocks import Block
@@ -43,12 +45,13 @@ RARELY = 100
 """Estimates from one look at the memory to the next, since that takes as long as some."""
 
 
-def report(minutes: float = MINUTES, view: bool = False) -> None:
+def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False) -> None:
     """Print losses, latency and their growth; then what a restart of the box does.
 
     Args:
         minutes: how long the records stream [min].
         view: with the page of `live --view` open.
+        foxglove: with the server of `live --foxglove`, and another process that subscribed to every topic.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -57,7 +60,7 @@ def report(minutes: float = MINUTES, view: bool = False) -> None:
         estimator = load_estimator(bundle)  # as the command has it
         warm_up(estimator, print, fusing=True)
         with _box(bundle) as spec:
-            _rate(estimator, spec, 60.0 * minutes, folder, view)
+            _rate(estimator, spec, 60.0 * minutes, folder, view, foxglove)
         with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as spec:
             _faults(estimator, spec, 20.0)
 
@@ -91,7 +94,7 @@ class Watched:
             yield block
 
 
-def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: bool) -> None:
+def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: bool, foxglove: bool) -> None:
     source = open_source(spec, estimator.model, print)
     assert isinstance(source, NetFTSource)
     late, memory = [], []
@@ -99,11 +102,15 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
     plan = ProcessingOptions(TARE, AVERAGE, seconds=seconds)
     recordings = RecordingSink(folder / "record.mcap", estimator.model, print)
     recordings.start()
-    with closing(SinkGroup(recordings)) as sinks:
+    with closing(SinkGroup(recordings)) as sinks, ExitStack() as others:
         if view:
             sinks.add(BrowserView(estimator, folder, CommandQueue(), print, counts=lambda: source.counts))
+        if foxglove:
+            server = FoxgloveSink(estimator.model, ("127.0.0.1", free_port()), print)
+            sinks.add(server)
+            others.enter_context(_subscriber(server.url))
         for answer in estimate_stream(estimator, source, plan, print, sinks):
-            late.append(1e3 * (answer.made - answer.reading.received))
+            late.append(1e3 * (answer.computed - answer.reading.received))
             if len(late) % RARELY == 1:
                 memory.append(_resident())
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu
@@ -115,7 +122,7 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
         ["records", str(counts["received"]), ""],
         ["estimates a second", f"{len(late) / wall:.0f}", ""],
         ["made within 20 ms, of all that were due", f"{np.sum(np.array(late) <= 20.0) / due:.2%}", "99.9 %"],
-        # the latencies below are of those that were made: none that waited for `due.LATE` is among them
+        # the latencies below are of those that were made: none that waited for `control.MAX_AGE` is among them
         ["left out since they came too late", f"{max(due - len(late), 0)} of {due}", "none"],
         ["dropped by our queue", str(counts["dropped"]), "0"],
         ["lost before it, in the kernel", lost, "< 1 %"],
@@ -127,8 +134,9 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
         ["wall, processor [s]", f"{wall:.1f}, {cpu:.1f} ({cpu / wall:.0%} of one core)", ""],
         ["full collections of garbage", str(gc.get_stats()[2]["collections"] - collected), ""],
     ]  # fmt: skip
-    title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded{', seen' * view}"
-    print_table(title, ["", "measured", "target"], rows)
+    title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded"
+    shown = ", seen" * view + ", subscribed in Foxglove's protocol" * foxglove
+    print_table(title + shown, ["", "measured", "target"], rows)
 
 
 def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
@@ -152,6 +160,33 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     print_table(
         f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows
     )
+
+
+SUBSCRIBER = """
+import json, sys
+from websockets.sync.client import connect
+with connect(sys.argv[1], subprotocols=["foxglove.sdk.v1"], max_size=None) as ws:
+    for message in ws:
+        if isinstance(message, str) and json.loads(message)["op"] == "advertise":
+            wanted = [{"id": c["id"], "channelId": c["id"]} for c in json.loads(message)["channels"]]
+            ws.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+            print("subscribed", flush=True)
+"""
+
+
+@contextmanager
+def _subscriber(url: str) -> Iterator[None]:
+    """A process that receives every message of a Foxglove server."""
+    client = subprocess.Popen(
+        [sys.executable, "-c", SUBSCRIBER, url], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    try:
+        assert client.stdout is not None
+        client.stdout.readline()
+        yield
+    finally:
+        client.terminate()
+        client.wait()
 
 
 def _resident() -> float:

@@ -19,6 +19,7 @@ ENABLES = {
     "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",
     "daq": "live with a sensor at a National Instruments card",
     "view": "studio and live --view: the probe in the browser",
+    "foxglove": "live --foxglove: the server for Foxglove and PlotJuggler",
     "vision": "markers and board: photographs, calibration files",
 }
 """Features that each extra enables; "" is for the required packages."""

@@ -108,7 +108,7 @@ def recover(
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
-    """Copy the readable part of an MCAP recording that was cut off into a new file.
+    """Copy the intact parts of an MCAP recording that was cut off or is damaged into a new file.
 
     If a recorder is killed or the disk is full, the file has no end. replay and estimate read it up to there; other
     tools refuse it, but open the new file. The original is not changed. See docs/recording-format.md.

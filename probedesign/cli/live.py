@@ -22,6 +22,8 @@ def live(
     *,
     source: str,
     record: Path | None = None,
+    split_mb: float | None = None,
+    split_minutes: float | None = None,
     force: bool = False,
     tare_s: str | None = None,
     average: int = 1,
@@ -33,6 +35,7 @@ def live(
     count: int | None = None,
     seconds: float | None = None,
     publish: str | None = None,
+    foxglove: str | bool = False,
     view: bool = False,
     view_host: str = "127.0.0.1",
     view_port: int = 8080,
@@ -54,6 +57,8 @@ def live(
         source: netft://HOST (a Net F/T box), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card), replay:FILE (a
             recording) or sim: (a simulated contact that moves along the probe).
         record: record everything to NAME.mcap, or raw readings to NAME.csv.
+        split_mb: continue the recording in NAME-2, NAME-3, ... after this many megabytes.
+        split_minutes: the same after this many minutes.
         force: replace an existing recording.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
         average: number of readings per mean; each mean is one estimate.
@@ -66,6 +71,8 @@ def live(
         count: end after this number of estimates.
         seconds: end this many seconds after the first reading.
         publish: send each estimate as a JSON datagram to udp://HOST:PORT.
+        foxglove: serve the messages of a recording to Foxglove and PlotJuggler, at HOST:PORT. Default:
+            127.0.0.1:8765.
         view: show the probe, the contact and charts on a page in the browser.
         view_host: address on which the page is served. 0.0.0.0 makes it accessible from the network.
         view_port: port of the page, or the next free one.
@@ -79,7 +86,9 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign import pipeline
+    from probedesign.live.outputs.foxglove import parse_foxglove_address
     from probedesign.live.outputs.options import OutputOptions
+    from probedesign.live.outputs.recording import SplitLimits
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.base_poses import open_poses
     from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_window
@@ -104,7 +113,9 @@ def live(
     }
     live_table = not (lines or as_json) and _is_terminal()
     page = (view_host, view_port) if view else None
-    outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings)
+    server = None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove)
+    split = SplitLimits.of_options(split_mb, split_minutes)
+    outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings, split, server)
     outputs.check(source)
     with closing(SinkGroup(StderrSink())) as sinks, interrupt_on_termination():
         opened_source = open_source(source, estimator.model, sinks.log)
@@ -118,6 +129,7 @@ def live(
         outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
         updates = pipeline.live(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
         source_ended = _print(updates, sinks.log, as_json, live_table)
+        sinks.on_end()
         if view and source_ended and _is_terminal():
             sinks.log("the run ended; the page stays open until Ctrl-C")
             with suppress(KeyboardInterrupt):
@@ -139,19 +151,17 @@ def _print(
     from probedesign.live.run import count_results, describe_counts
 
     results: list[str] = []
-    start: float | None = None
     complete = False
     try:
         with closing(updates):
             for update in updates:
                 reading, estimate = update.reading, update.estimate
-                start = reading.time if start is None else start
                 results.append(estimate.result)
                 if as_json:
                     world = world_row(update) if update.fused is not None else {}
                     print(json_line(estimate_row(reading, estimate) | world), flush=True)
                 elif not live_table:
-                    print(readable_line(reading.time - start, reading, estimate, update), flush=True)
+                    print(readable_line(reading.time, reading, estimate, update), flush=True)
         complete = True
     except KeyboardInterrupt:
         pass

@@ -23,7 +23,8 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import RESINS
 from probedesign.design.sensors import SENSORS
-from probedesign.live.view.page import UNIT, LoopbackServer, level_rotation, restrict_origins
+from probedesign.live.view.access import protect
+from probedesign.live.view.page import UNIT, LoopbackServer, level_rotation
 from probedesign.prediction.predict import FORCES_N
 from probedesign.prediction.table_one import PROBES, paper_design
 from probedesign.reports.chart import Chart
@@ -42,6 +43,7 @@ from probedesign.studio.figures import (
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, Session, StudioTouch, knots_of, mounting_of, with_knots
 
+TITLE = "probedesign studio"
 REST_SECONDS = 0.35
 """Time without a change after which everything is predicted."""
 
@@ -64,9 +66,9 @@ class StudioPage:
         self._drawn: DrawnTouch | None = None
         self._complete = False
         self._stopped = threading.Event()
-        restrict_origins(host)
+        protect(TITLE, token="")
         with redirect_stdout(io.StringIO()):  # viser prints a banner
-            self._server = LoopbackServer(host, port, "probedesign studio", verbose=False)
+            self._server = LoopbackServer(host, port, TITLE, verbose=False)
         self._host = host
         self._controls()
         self._scene = StudioScene(self._server.scene, self.move)

@@ -11,6 +11,7 @@ import viser
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
+from probedesign.live.outputs.drawing import BentShape, centreline, ellipsoid
 from probedesign.live.view.page import (
     ARROW,
     CONTACT,
@@ -22,8 +23,7 @@ from probedesign.live.view.page import (
     level_rotation,
     quaternion,
 )
-from probedesign.live.view.scene import centreline, ellipsoid, rigid_parts
-from probedesign.live.view.state import BentShape
+from probedesign.live.view.scene import rigid_parts
 from probedesign.probe import Probe
 from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours
 from probedesign.studio.session import StudioTouch, knots_of

@@ -1,15 +1,20 @@
 """The page: its process, its errors, its buttons, and its appearance in a real browser."""
 
 import base64
+import contextlib
+import gzip
 import io
 import json
+import re
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from http.client import HTTPConnection
 from itertools import islice
+from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import numpy as np
@@ -47,11 +52,16 @@ def assert_eventually(happened, seconds=60.0):
 @pytest.fixture(scope="module")
 def view(estimator, tmp_path_factory):
     """A page that shows a simulated touch, its messages, and its commands."""
-    log_lines, requests = [], CommandQueue()
+    log_lines, requests, recording = [], CommandQueue(), ["", ""]
     view = BrowserView(
-        estimator, tmp_path_factory.mktemp("view"), requests, log_lines.append, port=free_port()
+        estimator,
+        tmp_path_factory.mktemp("view"),
+        requests,
+        log_lines.append,
+        port=free_port(),
+        recording=lambda: tuple(recording),
     )
-    view.log_lines, view.requests = log_lines, requests
+    view.log_lines, view.requests, view.recording = log_lines, requests, recording
     stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=8")
     list(estimate_stream(estimator, stream, ProcessingOptions(), log_lines.append, view))
     yield view
@@ -66,31 +76,113 @@ def test_the_page_is_served_to_this_machine(view):
         assert b"<title>" in page.read()
 
 
-def test_only_the_page_itself_may_talk_to_its_server(view):
-    """A page of the internet, open in a browser on this machine, could else press the buttons."""
+def ask(url: str, **headers: str):
+    """The response to a request, also if it is a refusal; redirections are not followed."""
+    address = urlsplit(url)
+    connection = HTTPConnection(address.hostname, address.port, timeout=30)
+    connection.request("GET", url.removeprefix(f"http://{address.netloc}") or "/", headers=headers)
+    response = connection.getresponse()
+    body = response.read()
+    connection.close()
+    return response, gzip.decompress(body) if response.getheader("Content-Encoding") == "gzip" else body
+
+
+def handshake(url: str, **headers: str) -> None:
+    """Open a WebSocket as a browser does, and receive something."""
     import viser
-    from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
     from websockets.typing import Origin, Subprotocol
 
-    ours, protocol = view.url.replace("http", "ws"), Subprotocol(f"viser-v{viser.__version__}")
-    with connect(ours, origin=Origin(view.url), subprotocols=[protocol]) as own:
+    origin = headers.pop("Origin", None)
+    protocol = Subprotocol(f"viser-v{viser.__version__}")
+    with connect(
+        url.replace("http", "ws"),
+        origin=origin and Origin(origin),
+        subprotocols=[protocol],
+        additional_headers=headers,
+    ) as own:
         assert len(own.recv(timeout=30)) > 0
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(ours, origin=Origin("http://example.org"), subprotocols=[protocol])
 
 
-def test_the_next_free_port_is_used_and_network_access_is_reported(estimator, tmp_path, view):
+def test_only_the_page_itself_may_talk_to_its_server(view):
+    """A page of the internet, open in a browser on this machine, could else press the buttons."""
+    from websockets.exceptions import InvalidStatus
+
+    handshake(view.url, Origin=view.url)
+    other_port = f"http://127.0.0.1:{int(view.url.rpartition(':')[2]) + 1}"
+    for origin in ("http://example.org", "null", other_port, view.url + ".example.org", None):
+        with pytest.raises(InvalidStatus, match="403"):
+            handshake(view.url, **({"Origin": origin} if origin else {}))
+
+
+def test_a_name_that_was_bound_to_this_machine_is_refused(view):
+    """Otherwise the page of another site could reach the server under that site's name."""
+    response, body = ask(view.url, Host="example.org")
+    assert response.status == 403 and b"this machine only" in body
+    assert ask(view.url, Host="localhost:1")[0].status == 200
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "identity"])
+def test_the_page_has_title_and_icon_of_the_project_and_refuses_frames(view, encoding):
+    response, body = ask(view.url, **{"Accept-Encoding": encoding})
+    assert b"<title>large " in body and b"Viser</title>" not in body
+    assert body.count(b'rel="icon"') == 1 and b"%23ec9242" in body
+    assert "frame-ancestors 'none'" in response.getheader("Content-Security-Policy")
+    assert response.getheader("X-Frame-Options") == "DENY"
+    assert ask(view.url + "/no-such-file")[0].status == 404
+    assert "frame-ancestors 'none'" in ask(view.url + "/no-such-file")[0].getheader("Content-Security-Policy")
+
+
+@pytest.fixture(scope="module")
+def public(estimator, tmp_path_factory, view):
+    """A page that is open to the network, and its token, as the terminal shows it."""
+    log_lines, shown = [], io.StringIO()
     port = int(view.url.rpartition(":")[2])
-    log_lines = []
-    second = BrowserView(estimator, tmp_path, CommandQueue(), log_lines.append, host="0.0.0.0", port=port)
-    second.close()
-    assert second.url != view.url
-    assert (
-        log_lines[-1] == f"view: {second.url}, open to the network: anyone there can tare and stop recordings"
-    )
+    with contextlib.redirect_stderr(shown):
+        public = BrowserView(
+            estimator, tmp_path_factory.mktemp("public"), CommandQueue(), log_lines.append, "0.0.0.0", port
+        )
+    public.local = public.url.replace("0.0.0.0", "127.0.0.1")
+    public.token = re.search(r"view: open http://\S+:\d+/\?token=(\S+)", shown.getvalue())[1]
+    public.log_lines = log_lines
+    yield public
+    public.close()
     with pytest.raises(OSError):
-        urlopen(second.url)
+        urlopen(public.local)
+
+
+def test_the_next_free_port_is_used_and_network_access_is_reported(public, view):
+    assert public.url != view.url
+    assert public.log_lines[-1] == f"view: {public.url}, open to the network, with its token"
+    assert len(public.token) >= 32
+    assert not any(
+        public.token in line for line in public.log_lines
+    )  # recordings and the network receive these
+
+
+def test_beyond_this_machine_the_token_is_required(public):
+    """Once in the address, from then on as a cookie that scripts and other sites cannot use."""
+    from websockets.exceptions import InvalidStatus
+
+    url, name = public.local, f"probedesign_view_{public.local.rpartition(':')[2]}"
+    for path in ("", "/?token=", "/?token=wrong", f"/?token={public.token}x", "/?token=%00%FF"):
+        response, body = ask(url + path)
+        assert response.status == 403 and b"token" in body and public.token.encode() not in body
+    response, _ = ask(f"{url}/?token={public.token}")
+    assert (response.status, response.getheader("Location")) == (303, "/")
+    cookie = response.getheader("Set-Cookie")
+    assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; "))
+    known = {"Cookie": cookie.partition(";")[0]}
+    assert b"<title>" in ask(url, **known)[1]
+    handshake(url, Origin=url, **known)
+    for headers in (
+        {"Origin": url},
+        {"Origin": "http://example.org", **known},
+        {"Origin": url, "Cookie": f"{name}=wrong"},
+        {"Origin": url, "Cookie": ";=;;,"},
+    ):
+        with pytest.raises(InvalidStatus, match="403"):
+            handshake(url, **headers)
 
 
 @pytest.mark.parametrize(
@@ -199,6 +291,11 @@ def test_a_browser_shows_status_and_sends_commands(view, tab):
     tab.locator("input.mantine-TextInput-input").last.fill("third card", timeout=PATIENCE)
     asked = []
     for i, button in enumerate(("Tare", "Mark", "Start", "Stop")):
+        if button == "Stop":  # it is disabled until something is recorded
+            assert tab.locator("button", has_text=button).is_disabled()
+            view.recording[0] = "to a.mcap, 7 readings"
+            tab.get_by_text("● recording to a.mcap").wait_for(timeout=PATIENCE)
+            assert_eventually(lambda: tab.locator("button", has_text="Stop").is_enabled())
         tab.locator("button", has_text=button).dispatch_event("click")
         # The lambda is called within this pass only.
         assert_eventually(lambda: asked.extend(view.requests.pop_all()) or len(asked) > i)  # noqa: B023
@@ -207,6 +304,39 @@ def test_a_browser_shows_status_and_sends_commands(view, tab):
     assert tab.locator("text=Share").count() == 0
     outside = [url for url in tab.foreign if not url.startswith((view.url, "data:", "blob:"))]
     assert outside == []  # no request to the internet
+
+
+def test_the_page_fits_its_screen(view, tab):
+    """A telephone, and the small windows of a laptop: the panels inside, most of the rest for the scene."""
+    box = """() => [...document.querySelectorAll('.pd')].map(e => e.getBoundingClientRect())
+        .map(r => [r.left, r.right])"""
+    chart = "() => [...document.querySelectorAll('.uplot')].map(e => e.getBoundingClientRect().right)"
+    for width, height, least in ((390, 844, 0), (1100, 650, 400), (1280, 720, 550)):
+        tab.set_viewport_size({"width": width, "height": height})
+
+        def fits(width=width, least=least):
+            boxes = tab.evaluate(box)
+            edges = [edge for pair in boxes for edge in pair]
+            charts = tab.evaluate(chart)
+            inside = bool(boxes) and min(edges) >= 0 and max(edges) <= width
+            return inside and (least == 0 or min(left for left, _ in boxes) - max(charts, default=0) >= least)
+
+        assert_eventually(fits)
+    assert tab.title().startswith("large ")
+
+
+def test_a_browser_that_is_cut_off_shows_no_value_as_current(view, tab):
+    """The page's process is stopped, as a network that fails does it; then it continues."""
+    banner = tab.locator("#pd-lost")
+    assert_eventually(lambda: not banner.is_visible())
+    view._process.send_signal(signal.SIGSTOP)
+    try:
+        banner.wait_for(state="visible", timeout=PATIENCE)
+        assert "all values are" in banner.inner_text()
+        assert "grayscale" in tab.evaluate("() => getComputedStyle(document.querySelector('.pd')).filter")
+    finally:
+        view._process.send_signal(signal.SIGCONT)
+    banner.wait_for(state="hidden", timeout=PATIENCE)
 
 
 @pytest.mark.slow

@@ -2,18 +2,24 @@
 
 import errno
 import os
+import subprocess
+import sys
 import threading
+import time
 from contextlib import closing
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live import recordings as pieces
-from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink
+from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink, SplitLimits
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.recordings.csv import read_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
+from probedesign.live.sources.replay import open_recording
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import block, joined, read, same
 
@@ -32,9 +38,12 @@ class BlockedFile:
         self.file, self.go = file, threading.Event()
 
     def __getattr__(self, name):
+        if not callable(found := getattr(self.file, name)):
+            return found
+
         def call(*arguments):
             assert self.go.wait(30)
-            return getattr(self.file, name)(*arguments)
+            return found(*arguments)
 
         return call
 
@@ -124,12 +133,15 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
     (line,) = [line for line in log_lines if "recording ended" in line]
     assert "No space left on device" in line and "the run continues" in line
     if kind == "csv":
+        n = len(read_recording(path).time) if room else 0  # a file without readings is refused
         assert room == 0 or read_recording(path).dropped_lines == 0
     else:
-        blocks = read(path, estimator.model)[1]
-        time = [time for each in blocks for time in each.time]
+        time = [time for each in read(path, estimator.model)[1] for time in each.time]
         assert time == [i / 60.0 for i in range(len(time))]
-        assert len(time) < 240 and bool(time) == bool(room)
+        n = len(time)
+    assert n < 240 and bool(n) == bool(room)
+    assert f"the file contains {n} readings" in line  # the counts are those of the file
+    assert log_lines[-1] == f"recorded {n} readings to {path}"
 
 
 def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
@@ -174,6 +186,88 @@ def test_no_file_is_overwritten_without_force(model, tmp_path):
         recordings.start()
         assert recordings.path == path
     assert read(path, model)[1] == []
+
+
+@pytest.mark.parametrize("name", ["r.mcap", "r.csv"])
+def test_a_second_writer_on_the_same_file_is_refused_and_leaves_it_whole(model, tmp_path, name):
+    """With --force too, from this process and from another one."""
+    path, log_lines = tmp_path / name, []
+    with closing(RecordingSink(path, model, log_lines.append)) as first:
+        first.start()
+        first.on_samples(block(0, 5))
+        with pytest.raises(InputError, match="another program is writing this file"):
+            RecordingSink(path, model, print, force=True).start()
+        code = (
+            "import sys; from pathlib import Path; from probedesign.live.recordings import AppendFile\n"
+            "AppendFile(Path(sys.argv[1]), True)"
+        )
+        other = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True)
+        assert other.returncode == 1 and "another program is writing this file" in other.stderr
+    assert log_lines[-1] == f"recorded 5 readings to {path}"
+    assert sum(map(len, open_recording(path, model).blocks())) == 5
+    RecordingSink(path, model, print, force=True).start()  # the lock ends with the writer
+
+
+@pytest.mark.parametrize("kind", ["mcap", "csv"])
+def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, kind):
+    log_lines, path = [], tmp_path / f"r.{kind}"
+    sink = RecordingSink(path, model, log_lines.append, limits=SplitLimits(size=40_000))
+    sink.start()
+    sink._current[1]._flush_period = 0.0
+    written = [block(i * 100, 100) for i in range(12)]
+    for each in written:
+        sink.on_samples(each)
+        time.sleep(0.06)  # longer than readings are gathered for one write
+    sink.close()
+    paths = [path, *(tmp_path / f"r-{i}.{kind}" for i in range(2, len(list(tmp_path.iterdir())) + 1))]
+    assert len(paths) > 2
+    blocks = [each for part in paths for each in open_recording(part, model).blocks()]
+    assert joined(blocks) == joined(written)
+    assert all(open_recording(part, model).missing() == () for part in paths)
+    assert log_lines[-1] == f"recorded 1200 readings to {paths[-1]}"
+    assert [line for line in log_lines if "continues in" in line] == [
+        f"recording continues in {part}" for part in paths[1:]
+    ]
+
+
+def test_a_recording_is_split_by_time(model, tmp_path):
+    path = tmp_path / "r.csv"
+    sink = RecordingSink(path, model, print, limits=SplitLimits(duration=0.15))
+    sink.start()
+    sink._current[1]._flush_period = 0.0
+    for i in range(5):
+        sink.on_samples(block(i * 10, 10))
+        time.sleep(0.1)
+    sink.close()
+    files = list(tmp_path.iterdir())
+    assert len(files) > 1
+    assert sum(len(read_recording(each).time) for each in files) == 50
+
+
+def test_limits_that_are_no_positive_numbers_are_refused():
+    for limits in ((0.0, None), (None, -1.0), (float("nan"), None)):
+        with pytest.raises(InputError, match="must be a positive number"):
+            SplitLimits.of_options(*limits)
+    assert SplitLimits.of_options(None, None) == SplitLimits()
+    assert SplitLimits.of_options(2.0, 3.0) == SplitLimits(2e6, 180.0)
+
+
+def test_csv_and_mcap_contain_the_same_readings_with_their_faults(model, tmp_path):
+    """A saturated reading with any values, a fault text with delimiters, and a silence."""
+    quiet = replace(block(0, 0), fault="stale")
+    wild = replace(block(30, 5), fault='saturated, channel "Fx"', wrench_sensor=np.full((5, 6), np.nan))
+    found = {}
+    for kind in ("mcap", "csv"):
+        path, log_lines = tmp_path / f"both.{kind}", []
+        with closing(RecordingSink(path, model, log_lines.append)) as sink:
+            sink.start()
+            for each in (block(0, 30), wild, quiet, block(40, 20)):
+                sink.on_samples(each)
+        assert log_lines[-1] == f"recorded 55 readings to {path}"
+        found[kind] = [each for each in open_recording(path, model).blocks() if len(each)]
+    assert joined(found["mcap"]) == joined(found["csv"])
+    assert [len(each) for each in found["csv"]] == [30, 5, 20]
+    assert [each.fault for each in found["csv"]] == ["", "saturated; channel 'Fx'", ""]
 
 
 def test_an_unknown_suffix_is_refused(model, tmp_path):

@@ -116,7 +116,7 @@ def test_recover_reports_what_it_saved(estimator, tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     assert (printed["path"], printed["messages"], printed["damage"]) == (
         str(tmp_path / "cut-recovered.mcap"),
-        8,
+        9,  # with the static transform
         "it was cut off",
     )
     assert printed["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
@@ -129,7 +129,7 @@ def test_recover_leaves_a_whole_file_alone(estimator, tmp_path, capsys):
     path = write(tmp_path / "whole.mcap", estimator.model, [block(0, 3)])
     before = path.read_bytes()
     assert run(["recover", str(path)]) == 0
-    assert "is complete: 4 messages over" in capsys.readouterr().out
+    assert "is complete: 5 messages over" in capsys.readouterr().out
     assert [p.name for p in tmp_path.iterdir()] == ["whole.mcap"] and path.read_bytes() == before
 
 

@@ -13,23 +13,16 @@ from rich.console import Console
 from probedesign.core.frames import pose
 from probedesign.core.stl import RECORD
 from probedesign.estimation.estimate import RESULTS, Estimate
+from probedesign.live.outputs.drawing import SIDES, BentShape, TubeMesh, centreline, ellipsoid
 from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.processing.control import ProcessingOptions
-from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.estimates import EstimateUpdate, readable_line
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
-from probedesign.live.view.scene import (
-    RING_POINTS,
-    StripCharts,
-    TubeMesh,
-    centreline,
-    ellipsoid,
-    read_stl,
-    rigid_parts,
-)
+from probedesign.live.view.scene import StripCharts, read_stl, rigid_parts
 from probedesign.live.view.sinks import TerminalView, table_of
-from probedesign.live.view.state import STRIP, BentShape, Snapshot, StatusLine, ViewState
+from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, ViewState
 
 
 def bent(estimator):
@@ -63,7 +56,7 @@ def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator
     a, b, c = (vertices[tube.faces[:, i]] for i in range(3))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
     # a polygon of n corners lacks 1 - sin(2π/n) n/2π of its circle, 0.5 % here; chords of a bent axis far less
-    rounded = math.sin(2.0 * math.pi / RING_POINTS) * RING_POINTS / (2.0 * math.pi)
+    rounded = math.sin(2.0 * math.pi / SIDES) * SIDES / (2.0 * math.pi)
     assert volume == pytest.approx(rounded * estimator.model.rod.body.volume_beyond[0], rel=2e-3)
     corners = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)[1].reshape(-1)
     edges = Counter(
@@ -77,9 +70,7 @@ def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator
 
 def test_a_flattened_section_is_drawn_flat(estimator):
     free, rod = estimator.free((0.0, 0.0, 9.81)), estimator.model.rod
-    ring = TubeMesh(rod.s, rod.radius, 0.5).vertices(BentShape(free.s, free.p_base, free.R_base))[
-        :RING_POINTS
-    ]
+    ring = TubeMesh(rod.s, rod.radius, 0.5).vertices(BentShape(free.s, free.p_base, free.R_base))[:SIDES]
     assert np.ptp(ring[:, 0]) == pytest.approx(2.0 * rod.radius[0])
     assert np.ptp(ring[:, 1]) == pytest.approx(rod.radius[0])
 
@@ -261,15 +252,73 @@ def test_readings_without_estimates_make_what_is_known_old(estimator):
 
 
 def test_loss_tare_and_recording_are_shown(estimator):
-    state = ViewState(lambda: {"lost": 3, "received": 10})
-    for line in ("tare from 100 readings", "recording to a.mcap", "mark: here"):
+    recording = ["to a.mcap, 7 readings", ""]
+    state = ViewState(lambda: {"lost": 3, "received": 10}, recording=lambda: tuple(recording))
+    for line in ("tare from 100 readings", "mark: here"):
         state.on_event(1.0, line)
     words = of(state.snapshot())
     assert words["loss"] == StatusLine("loss", "3 lost of 0 readings", "fair")
-    assert words["tare"].text == "from 100 readings" and words["recording"].text == "to a.mcap"
-    state.on_event(2.0, "recorded 7 readings to a.mcap")
-    assert of(state.snapshot())["recording"].text == "recorded 7 readings to a.mcap"
-    assert state.snapshot().events[-2:] == ((1.0, "mark: here"), (2.0, "recorded 7 readings to a.mcap"))
+    assert words["tare"].text == "from 100 readings"
+    assert words["recording"] == StatusLine("recording", "to a.mcap, 7 readings", "good")
+    assert state.snapshot().recording == "to a.mcap, 7 readings"
+    assert "● recording to a.mcap" in status_html(state.snapshot())
+    recording[:] = "", "ended: No space left on device"
+    assert of(state.snapshot())["recording"] == StatusLine("recording", recording[1], "bad")
+    assert "●" not in status_html(state.snapshot())
+
+
+def test_tares_and_marks_stay_visible_among_many_other_events():
+    state = ViewState()
+    state.on_event(1.0, "tare from 100 readings")
+    state.on_event(2.0, "mark: third card")
+    for i in range(300):
+        state.on_event(3.0 + i, f"touch {i}, {i}.02 ... {i}.90 s: single reading: s {i}.5 mm")
+        state.on_event(3.5 + i, f"192.168.1.1: {i} records lost on the way")
+    events = state.snapshot().events
+    assert [(event.line[:4], event.number) for event in events] == [
+        ("tare", 1), ("mark", 1), ("touc", 300), ("192.", 300)
+    ]  # fmt: skip
+    assert events[2].line.startswith("touch 299,") and "(×300)" in events_html(state.snapshot())
+    for i in range(100):  # of as many kinds
+        state.on_event(400.0, "".join(chr(97 + int(digit)) for digit in f"{i:03}") + " went wrong")
+    assert len(state.snapshot().events) <= 16
+    assert {"mark: third card", "tare from 100 readings"} <= {e.line for e in state.snapshot().events}
+
+
+def test_the_end_of_a_run_is_shown_without_a_green_banner(estimator):
+    clock = Clock()
+    state = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
+    fresh = status_html(state.snapshot())
+    assert "pd-banner pd-good" in fresh and "pd-old" not in fresh
+    state.on_end()
+    clock.now += 12.0
+    snapshot = state.snapshot()
+    assert snapshot.stale and snapshot.age == pytest.approx(12.0)
+    assert of(snapshot)["result"].text == "the run has ended: all values are 12.0 s old"
+    assert "pd-good" not in status_html(snapshot).partition("</div>")[0]
+    assert 'class="pd-old"' in status_html(snapshot)
+
+
+def test_every_old_value_is_faded_and_what_is_current_is_not(estimator):
+    clock = Clock()
+    state = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
+    clock.now += 60.0
+    html = status_html(state.snapshot())
+    assert 'class="pd-old"' in html and "pd-banner pd-bad" in html and "stale: no reading for 60.0 s" in html
+    for name in ("contact", "point", "force", "forces", "moments", "phase"):
+        assert f'<td class="pd-name">{name}</td>' in html
+    for name in ("rate", "loss", "tare", "recording"):
+        assert f'<td class="pd-name pd-now">{name}</td>' in html
+
+
+def test_time_is_that_of_the_source(estimator):
+    """The same clock as in JSON, CSV and events."""
+    update = answer(estimator, Estimate("no_contact"), 1234.5)
+    state = ViewState()
+    state.on_estimate(update)
+    snapshot = state.snapshot()
+    assert snapshot.time == 1234.5 and snapshot.strip[0, 0] == 1234.5
+    assert readable_line(update.reading.time, update.reading, update.estimate).split()[0] == "1234.50"
 
 
 def test_each_touch_is_stored_once_with_its_best_contact(estimator):
@@ -308,10 +357,12 @@ def test_a_known_pose_puts_the_contact_into_the_world(estimator):
 
 def test_what_comes_from_outside_is_escaped():
     snapshot = Snapshot(
-        status=(StatusLine("fault", "<script>", "bad"),), events=((math.nan, "mark: <img src=x>"),)
+        status=(StatusLine("fault", "<script>", "bad"),),
+        events=(Event(math.nan, "mark: <img src=x>"),),
+        recording="<b>",
     )
     assert "<script>" not in status_html(snapshot) and "&lt;script&gt;" in status_html(snapshot)
-    assert "<img" not in events_html(snapshot)
+    assert "<img" not in events_html(snapshot) and "<b>" not in status_html(snapshot)
 
 
 # charts
@@ -325,7 +376,9 @@ def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
     assert charts.add(rows)
     time, s, low, high = charts.lines()["place"]
     assert np.isnan([s, low, high]).any() and np.isfinite([s, low, high]).any()
-    assert 400 <= len(time) <= 450 and charts.window() == pytest.approx((time[-1] - 15.0, time[-1]))
+    assert 400 <= len(time) <= 450 and time[-1] == 0.0 and time[0] >= -15.0
+    assert charts.lines(age=5.0)["push"][0][-1] == -5.0  # old data move out of the chart
+    assert np.isnan(charts.lines(age=16.0)["push"][0]).all()
     assert not charts.add(rows[:0])
     assert charts.add(np.zeros((1, len(STRIP))))  # another run's clock
     assert len(charts.lines()["push"][0]) == 1

@@ -1,7 +1,7 @@
 """The outputs that the user of a run selected, and their sinks."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -9,9 +9,10 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log
-from probedesign.live.outputs.recording import RecordingSink, check_suffix
+from probedesign.live.outputs.recording import RecordingSink, SplitLimits, check_suffix
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.control import CommandQueue
 from probedesign.live.sources.source import Source
 from probedesign.live.view.sinks import BrowserView, TerminalView
@@ -29,6 +30,8 @@ class OutputOptions:
         terminal: whether a live table is shown on the terminal.
         parts_folder: folder of the exported parts, which the page shows.
         metadata: options of the run, stored in the recording.
+        split: when a recording continues in a new file.
+        foxglove: host and port of the Foxglove server; None serves none.
     """
 
     record: Path | None
@@ -38,6 +41,8 @@ class OutputOptions:
     terminal: bool
     parts_folder: Path
     metadata: Mapping[str, str]
+    split: SplitLimits = field(default_factory=SplitLimits)
+    foxglove: tuple[str, int] | None = None
 
     def check(self, source: str) -> None:
         """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
@@ -70,20 +75,42 @@ class OutputOptions:
         """Add the selected sinks to a run and register their commands.
 
         Raises:
-            InputError: the file cannot be written, or the page has no port.
+            InputError: the file cannot be written, or an address cannot be used.
         """
         counts = partial(getattr, source, "counts", {})
-        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, dict(self.metadata))
+        recordings = RecordingSink(
+            self.record, estimator.model, sinks.log, self.force, self.metadata, self.split
+        )
         commands.register("start recording", lambda _: recordings.try_start())
         commands.register("stop recording", lambda _: recordings.stop())
         sinks.add(recordings)
+        takers = [recordings.on_pose]
+        if self.foxglove is not None:
+            from probedesign.live.outputs.foxglove import FoxgloveSink
+
+            server = FoxgloveSink(estimator.model, self.foxglove, sinks.log)
+            sinks.add(server)
+            takers.append(server.on_pose)
         if poses is not None:
-            poses.on_pose = recordings.on_pose
+            poses.on_pose = partial(_give_to_all, takers)
         if publisher is not None:
             sinks.add(publisher)
         if self.page is not None:
-            sinks.add(BrowserView(estimator, self.parts_folder, commands, sinks.log, *self.page, counts))
+            sinks.add(
+                BrowserView(
+                    estimator, self.parts_folder, commands, sinks.log, *self.page, counts, recordings.state
+                )
+            )
         if self.terminal:
-            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts))
+            sinks.add(
+                TerminalView(
+                    f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state
+                )
+            )
         if self.record is not None:  # after the views, which show recording by its events
             recordings.start()
+
+
+def _give_to_all(takers: Sequence[Callable[[TimedPose], None]], pose: TimedPose) -> None:
+    for take in takers:
+        take(pose)

@@ -1,8 +1,11 @@
 """Recording sink: one file after another, each started and stopped on request and written by a background thread."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -33,6 +36,14 @@ Job = tuple[int, Callable[[], None]]
 class RecordingFile(Sink, Protocol):
     """A sink that writes a file; called from one thread, may raise OSError."""
 
+    @property
+    def readings(self) -> int:
+        """Number of readings in the file, without those that wait for the next flush."""
+
+    @property
+    def size(self) -> int:
+        """Length of the file [bytes]."""
+
     def flush(self) -> None:
         """Pass everything to the operating system; from then on it survives this program."""
 
@@ -43,12 +54,12 @@ class RecordingFile(Sink, Protocol):
         """Receive the number of readings, and of estimates and events, that were dropped before this point."""
 
 
-class BackgroundWriter:
-    """Writes a recording on a background thread; drops and counts what exceeds the queue.
+class BackgroundWriter(Sink):
+    """Writes a recording, or serves it, on a background thread; drops and counts what exceeds the queue.
 
     Attributes:
-        readings: number of readings passed to the file.
         dropped: number of readings dropped.
+        failure: why it ended by itself; empty if it did not.
     """
 
     def __init__(
@@ -58,26 +69,34 @@ class BackgroundWriter:
         log: Log,
         max_queued: int = MAX_QUEUED_READINGS,
         flush_period: float = FLUSH_PERIOD,
+        cause: str = "the disk",
     ) -> None:
-        """Start the thread; it alone uses the file from now on, and `log` is called from both threads."""
+        """Start the thread; it alone uses the file from now on, and `log` is called from both threads.
+
+        `cause` names what may be too slow.
+        """
         self._file, self._name, self._log = file, name, log
-        self._max_queued, self._flush_period = max_queued, flush_period
+        self._max_queued, self._flush_period, self._cause = max_queued, flush_period, cause
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._queued = self._done = 0
         self._counting = threading.Lock()  # events come from several threads
         self._dropped = [0, 0]
-        self.readings = self.dropped = 0
-        self._failed = False
+        self.dropped = 0
+        self.failure = ""
         self._thread = threading.Thread(target=self._work, name=f"writing {name}", daemon=True)
         self._thread.start()
+
+    @property
+    def readings(self) -> int:
+        """Number of readings in the file."""
+        return self._file.readings
 
     def on_samples(self, block: Block) -> None:
         """Queue readings; see `Sink`."""
         if self._enqueue(len(block) or 1, partial(self._file.on_samples, block)):
-            self.readings += 0 if self._failed else len(block)
             return
         if not self.dropped:
-            self._log(f"{self._name}: the disk is too slow; readings are dropped")
+            self._log(f"{self._name}: {self._cause} is too slow; readings are dropped")
         self._dropped[0] += len(block)
         self.dropped += len(block)
 
@@ -100,15 +119,15 @@ class BackgroundWriter:
         self._queue.put(None)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
-            self._log(f"{self._name}: the disk does not respond; unwritten data are lost")
-        elif self.dropped and not self._failed:
+            self._log(f"{self._name}: {self._cause} does not respond; unwritten data are lost")
+        elif self.dropped and not self.failure:
             self._log(
-                f"{self._name}: the disk was too slow: {self.dropped} readings dropped, marked in the file"
+                f"{self._name}: {self._cause} was too slow: {self.dropped} readings dropped, marked in the file"
             )
 
     def _enqueue(self, weight: int, job: Callable[[], None]) -> bool:
         """Queue a job; return False if the queue is full."""
-        if self._failed:
+        if self.failure:
             return True  # the failure has been reported
         with self._counting:
             waiting = self._queued - self._done
@@ -130,10 +149,15 @@ class BackgroundWriter:
         try:
             self._write()
         except Exception as error:  # a full disk or a bug: the run continues in both cases
-            self._failed = True
-            reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            complete = "the file is complete up to this point, the run continues"
-            self._log(f"{self._name}: recording ended: {reason}; {complete}")
+            with suppress(Exception):  # it releases the file; what fits is written
+                self._file.close()
+            known = str(error) if isinstance(error, ProbeDesignError) else f"{type(error).__name__}: {error}"
+            reason = error.strerror if isinstance(error, OSError) else known
+            self.failure = reason or known
+            contents = (
+                f"the file contains {self._file.readings} readings, " if self._cause == "the disk" else ""
+            )
+            self._log(f"{self._name}: recording ended: {reason}; {contents}the run continues")
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
 
@@ -194,7 +218,98 @@ def open_recording_file(
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-class RecordingSink:
+@dataclass(frozen=True)
+class SplitLimits:
+    """When a recording continues in a new file.
+
+    Attributes:
+        size: length of a file [bytes].
+        duration: duration of a file [s], by the computer's clock.
+    """
+
+    size: float = math.inf
+    duration: float = math.inf
+
+    @classmethod
+    def of_options(cls, megabytes: float | None, minutes: float | None) -> "SplitLimits":
+        """Return the limits that the user stated, in units of 10⁶ bytes and 60 s; None sets no limit.
+
+        Raises:
+            InputError: a number is not positive.
+        """
+        for name, value in (("--split-mb", megabytes), ("--split-minutes", minutes)):
+            if value is not None and not 0.0 < value < math.inf:
+                raise InputError(f"{name} {value:g} must be a positive number")
+        return cls(1e6 * (megabytes or math.inf), 60.0 * (minutes or math.inf))
+
+
+class SplitRecording(Sink):
+    """A recording in several files; each is complete and can be read by itself.
+
+    Attributes:
+        path: path of the current file.
+    """
+
+    def __init__(
+        self, open_next: Callable[[], tuple[Path, RecordingFile]], limits: SplitLimits, log: Log
+    ) -> None:
+        """Open the first file; `open_next` opens a file, and `log` is told of every further one."""
+        self._open_next, self._limits, self._log = open_next, limits, log
+        self._n_before = 0
+        self.path, self._file = open_next()
+        self._opened = time.monotonic()
+
+    @property
+    def readings(self) -> int:
+        """Number of readings in all files; see `RecordingFile`."""
+        return self._n_before + self._file.readings
+
+    @property
+    def size(self) -> int:
+        """Length of the current file [bytes]."""
+        return self._file.size
+
+    def on_samples(self, block: Block) -> None:
+        """Write readings, beyond a limit to the next file; see `Sink`."""
+        age = time.monotonic() - self._opened
+        if self._file.size >= self._limits.size or age >= self._limits.duration:
+            self._continue()
+        self._file.on_samples(block)
+
+    def _continue(self) -> None:
+        """Close the file and open the next."""
+        self._file.close()
+        path, file = self._open_next()
+        self._n_before += self._file.readings
+        self.path, self._file, self._opened = path, file, time.monotonic()
+        self._log(f"recording continues in {path}")
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Write an estimate; see `Sink`."""
+        self._file.on_estimate(update)
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Write a pose; see `RecordingFile`."""
+        self._file.on_pose(pose)
+
+    def on_event(self, time: float, line: str) -> None:
+        """Write an event; see `Sink`."""
+        self._file.on_event(time, line)
+
+    def on_dropped(self, readings: int, others: int) -> None:
+        """Write the number of what was dropped; see `RecordingFile`."""
+        self._file.on_dropped(readings, others)
+
+    def flush(self) -> None:
+        """Flush the current file; see `RecordingFile`."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class RecordingSink(Sink):
     """Sink that records between `start` and `stop`, to a new file each time; no file is ever overwritten unasked."""
 
     def __init__(
@@ -204,6 +319,7 @@ class RecordingSink:
         log: Log,
         force: bool = False,
         metadata: Mapping[str, str] | None = None,
+        limits: SplitLimits = SplitLimits(),  # it is immutable
     ) -> None:
         """Prepare to record; no file is opened.
 
@@ -213,17 +329,27 @@ class RecordingSink:
             model: probe on the sensor.
             force: whether the first file may replace an existing one.
             metadata: additional metadata of an MCAP file.
+            limits: when a recording continues in a new file.
         """
         self._path = path or DEFAULT_FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
         self._model, self._log, self._metadata = model, log, metadata or {}
-        self._force = force and path is not None
-        self._current: tuple[Path, BackgroundWriter] | None = None
+        self._force, self._limits = force and path is not None, limits
+        self._current: tuple[SplitRecording, BackgroundWriter] | None = None
         self._started = False
 
     @property
     def path(self) -> Path | None:
         """Path of the current file, or None."""
-        return self._current and self._current[0]
+        return self._current and self._current[0].path
+
+    def state(self) -> tuple[str, str]:
+        """Return what is recorded, and why the recording ended by itself; each may be empty."""
+        if self._current is None:
+            return "", ""
+        recording, writer = self._current
+        if writer.failure:
+            return "", f"ended: {writer.failure}"
+        return f"to {recording.path}, {writer.readings} readings", ""
 
     def start(self) -> None:
         """Open the next file.
@@ -233,22 +359,26 @@ class RecordingSink:
             MissingDependencyError: the package that writes it is not installed.
         """
         if self._current is not None:
-            self._log(f"recording to {self._current[0]} is already active")
+            self._log(f"recording to {self.path} is already active")
             return
+        recording = SplitRecording(self._open_next, self._limits, self._log)
+        self._current = recording, BackgroundWriter(recording, str(recording.path), self._log)
+        self._log(f"recording to {recording.path}")
+
+    def _open_next(self) -> tuple[Path, RecordingFile]:
         path = _unused_path(self._path) if self._started else self._path
         file = open_recording_file(path, self._model, self._force and not self._started, self._metadata)
         self._started = True
-        self._current = path, BackgroundWriter(file, str(path), self._log)
-        self._log(f"recording to {path}")
+        return path, file
 
     def stop(self) -> None:
         """Close the file."""
         if self._current is None:
             self._log("no recording is active")
             return
-        (path, writer), self._current = self._current, None
+        (recording, writer), self._current = self._current, None
         writer.close()
-        self._log(f"recorded {writer.readings} readings to {path}")
+        self._log(f"recorded {writer.readings} readings to {recording.path}")
 
     def try_start(self) -> None:
         """Open the next file on request; a failure is reported and the run continues."""

@@ -31,6 +31,10 @@ class Sink(Protocol):
         """Receive an event at the source's time [s]: a tare, a mark, silence, loss, a fault."""
         return None
 
+    def on_end(self) -> None:
+        """Handle the end of the source: no further reading will come, but the run may stay open."""
+        return None
+
     def close(self) -> None:
         """Handle the end of the run; called once, whatever ended it."""
         return None
@@ -60,6 +64,10 @@ class SinkGroup:
     def on_event(self, time: float, line: str) -> None:
         """Forward an event."""
         self._call_all(lambda sink: sink.on_event(time, line))
+
+    def on_end(self) -> None:
+        """Forward the end of the source."""
+        self._call_all(lambda sink: sink.on_end())
 
     def log(self, line: str) -> None:
         """Forward an event at the time of the last reading; may be called from any thread."""

@@ -1,6 +1,7 @@
 """Recordings: CSV with raw readings, and MCAP with standard ROS 2 messages in a file that survives a crash."""
 
 import os
+import sys
 from pathlib import Path
 
 from probedesign.core.errors import InputError, require
@@ -20,15 +21,21 @@ class AppendFile:
     """Buffers what is written until `flush`, which appends all of it or leaves the file unchanged."""
 
     def __init__(self, path: Path, force: bool = False) -> None:
-        """Create the file, and its folder if necessary; `force` replaces an existing file.
+        """Create the file, and its folder if necessary, and lock it; `force` replaces an existing file.
 
         Raises:
-            InputError: the file exists and `force` is not set, or it cannot be written.
+            InputError: the file exists and `force` is not set, another program writes it, or it cannot be written.
         """
-        flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0) | (os.O_TRUNC if force else os.O_EXCL)
+        flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0) | (0 if force else os.O_EXCL)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if force and path.exists() and not path.is_file():  # a pipe would block until someone reads it
+                raise InputError(f"{path}: cannot be written: it is not a regular file")
             self._file = os.open(path, flags, 0o644)
+            if not _lock(self._file):
+                os.close(self._file)
+                raise InputError(f"{path}: another program is writing this file; choose another name")
+            os.ftruncate(self._file, 0)  # only now: the file of another writer is left as it is
         except FileExistsError:
             raise exists_already(path) from None
         except OSError as error:
@@ -71,3 +78,18 @@ class AppendFile:
         """Close and delete the file."""
         self.close()
         self._path.unlink(missing_ok=True)
+
+
+def _lock(file: int) -> bool:
+    """Lock an open file against other writers; return False if it is locked already."""
+    if sys.platform == "win32":
+        return True  # not implemented there
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core import csv_tables
-from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, quote_input
+from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, plain, quote_input
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
-from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import AppendFile
 from probedesign.live.sources.netft.configuration import FORCE_UNITS, TORQUE_UNITS, unit_of
 from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND, fault_of
@@ -32,6 +32,9 @@ ALIASES = {"t": "time", "timestamp": "time", **csv_tables.WRENCH_ALIASES}
 
 CSV_HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
 GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
+FAULT = "fault"
+"""Optional column with the fault of a reading as text; empty if there is none."""
+_NO_DELIMITERS = str.maketrans(',"', ";'")
 
 
 def recording_columns(table: CsvLines) -> list[Column]:
@@ -66,6 +69,7 @@ class Recording:
         missing_samples: number of samples missing in the gaps.
         dropped_lines: number of dropped lines: an incomplete line at the end.
         notes: notes for the user about the above, one line each.
+        faults: fault of each reading, (n,), empty if none; empty if the file has no such column.
     """
 
     time: Array
@@ -76,6 +80,7 @@ class Recording:
     missing_samples: int = 0
     dropped_lines: int = 0
     notes: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -89,21 +94,35 @@ def read_recording(path: str | Path) -> Recording:
     rows, notes = _whole_rows(table, columns)
     if not rows:
         raise InputError(f"{path}: no samples, only a header")
-    values = _numeric_columns(table, rows, columns)
-    _check(table, columns, values)
+    faults = _faults(table, rows)
+    values = _numeric_columns(table, rows, columns, faults)
+    _check(table, columns, values, faults)
     gravity = values[:, 7:] if values.shape[1] > 7 else None
     gaps, missing = gaps_in(values[:, 0])
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
     dropped = len(table.rows) - len(rows)
-    return Recording(values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes)
+    return Recording(
+        values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes, faults
+    )
+
+
+def _faults(table: CsvLines, rows: list[str]) -> tuple[str, ...]:
+    """Return the fault of each row; nothing if there is no such column."""
+    names = [name.strip().casefold() for name in table.header]
+    if FAULT not in names:
+        return ()
+    index = names.index(FAULT)
+    return tuple(plain(row.split(",")[index].strip(), 200) for row in rows)
 
 
 def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
     """Return the rows without an incomplete last line, and notes; every row has the right number of fields."""
     rows, notes = table.rows, []
     ignored = [
-        quote_input(name) for i, name in enumerate(table.header) if i not in {c.index for c in columns}
+        quote_input(name)
+        for i, name in enumerate(table.header)
+        if i not in {c.index for c in columns} and name.strip().casefold() != FAULT
     ]
     if ignored:
         notes.append(f"columns not read: {', '.join(ignored)[:200]}")
@@ -138,23 +157,35 @@ def _is_float(text: str) -> bool:
     return True
 
 
-def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column]) -> Array:
-    """Return the columns in SI units, (n, len(columns)); an invalid number is located only if there is one."""
+def _numeric_columns(
+    table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]
+) -> Array:
+    """Return the columns in SI units, (n, len(columns)); an invalid number is located only if there is one.
+
+    A reading with a fault may have any wrench, but must have a time.
+    """
     index = [column.index for column in columns]
     try:
         values = np.loadtxt(rows, delimiter=",", usecols=index, comments=None, ndmin=2)
     except ValueError:
         values = np.full((1, 1), np.nan)
-    if not np.isfinite(values).all():
-        _name_bad_number(table, rows, columns)
+    if not np.isfinite(values[:, 0]).all() or not np.isfinite(_healthy(values, faults)).all():
+        _name_bad_number(table, rows, columns, faults)
     return np.asarray(values * [column.factor for column in columns])
 
 
-def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) -> NoReturn:
-    """Raise the error of the first field that is not a finite number."""
-    for row, number in zip(rows, table.numbers, strict=False):
+def _healthy(values: Array, faults: tuple[str, ...]) -> Array:
+    """Return the rows without a fault."""
+    return values[[not fault for fault in faults]] if len(faults) == len(values) and any(faults) else values
+
+
+def _name_bad_number(
+    table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]
+) -> NoReturn:
+    """Raise the error of the first field that is not a finite number; of a reading with a fault, only of its time."""
+    for i, (row, number) in enumerate(zip(rows, table.numbers, strict=False)):
         fields = row.split(",")
-        for column in columns:
+        for column in columns[:1] if faults and faults[i] else columns:
             text = fields[column.index].strip()
             if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
                 remedy = "correct the value or delete the line"
@@ -162,9 +193,11 @@ def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column]) ->
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
 
 
-def _check(table: CsvLines, columns: list[Column], values: Array) -> None:
-    """Refuse values beyond the range of any sensor, and decreasing time."""
+def _check(table: CsvLines, columns: list[Column], values: Array, faults: tuple[str, ...]) -> None:
+    """Refuse values beyond the range of any sensor, unless they are marked as a fault, and decreasing time."""
     absurd = np.abs(values) > [column.ceiling for column in columns]
+    if faults:
+        absurd[:, 1:] &= np.array([not fault for fault in faults])[:, None]
     if absurd.any():
         i, j = np.argwhere(absurd)[0]
         value = f"{columns[j].name} = {values[i, j] / columns[j].factor:g}"
@@ -242,40 +275,40 @@ def write_recording(
         file.close()
 
 
-class CsvRecorder:
+class CsvRecorder(Sink):
     """Records raw readings as CSV, in whole lines; called from one thread (see `RecordingFile`).
 
-    Readings with a fault are omitted and leave a gap.
+    Attributes:
+        readings: number of readings in the file.
     """
 
     def __init__(self, path: Path, force: bool = False) -> None:
         """Create the file and write its header; see `AppendFile`."""
-        self._file = AppendFile(path, force)
-        self._file.write(f"# frame: sensor\n{CSV_HEADER},{GRAVITY_HEADER}\n".encode())
+        self._file, self.readings, self._n_pending = AppendFile(path, force), 0, 0
+        self._file.write(f"# frame: sensor\n{CSV_HEADER},{GRAVITY_HEADER},{FAULT}\n".encode())
         try:
             self._file.flush()
         except OSError:
             self._file.discard()
             raise
 
+    @property
+    def size(self) -> int:
+        """Length of the file [bytes]."""
+        return self._file.tell()
+
     def on_samples(self, block: Block) -> None:
         """Write one line per reading."""
-        if block.fault:
-            return
-        gravity = "".join(f",{value!r}" for value in block.gravity_base.tolist())
+        fault = plain(block.fault).translate(_NO_DELIMITERS)
+        last = "".join(f",{value!r}" for value in block.gravity_base.tolist()) + f",{fault}\n"
         rows = zip(block.time.tolist(), block.wrench_sensor.tolist(), strict=True)
-        lines = [",".join(map(repr, (time, *wrench))) + gravity for time, wrench in rows]
-        self._file.write("".join(f"{line}\n" for line in lines).encode())
-        self._file.flush()  # little data, so it is written at once
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Ignore estimates: CSV contains raw readings only."""
+        lines = [",".join(map(repr, (time, *wrench))) + last for time, wrench in rows]
+        self._file.write("".join(lines).encode())
+        self._n_pending += len(block)
+        self.flush()  # little data, so it is written at once
 
     def on_pose(self, pose: TimedPose) -> None:
         """Ignore poses: CSV contains raw readings only."""
-
-    def on_event(self, time: float, line: str) -> None:
-        """Ignore events: CSV contains raw readings only."""
 
     def on_dropped(self, readings: int, others: int) -> None:
         """Write a comment."""
@@ -284,11 +317,12 @@ class CsvRecorder:
     def flush(self) -> None:
         """Pass the buffer to the operating system."""
         self._file.flush()
+        self.readings, self._n_pending = self.readings + self._n_pending, 0
 
     def close(self) -> None:
         """Write the buffer and close the file."""
         try:
-            self._file.flush()
+            self.flush()
         finally:
             self._file.close()
 

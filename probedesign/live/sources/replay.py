@@ -106,18 +106,20 @@ def _open_table(path: Path, model: ProbeModel, options: RecordingOptions) -> Ope
 
 
 def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
-    """Yield the samples of a table; a block has one gravity vector."""
+    """Yield the samples of a table; a block has one gravity vector and one fault or none."""
     n = len(recording.time)
     gravity = recording.gravity_base
     notes = np.zeros((n, 3)) if gravity is None else gravity
     turns = np.flatnonzero((np.diff(notes, axis=0) != 0).any(axis=1)) + 1
+    faults = recording.faults or ("",) * n
+    turns = np.concatenate([turns, [i for i in range(1, n) if faults[i] != faults[i - 1]]]).astype(int)
     cuts = np.unique(np.concatenate([turns, np.arange(0, n, BLOCK_SIZE), [n]])).tolist()
     for start, end in pairwise(cuts):
         here = model.gravity_base if gravity is None else gravity[start]
         wrench = recording.wrench[start:end]
         if recording.frame == "base":  # one by one: the product of many rows rounds differently
             wrench = np.array([model.to_sensor(row, here) for row in wrench])
-        yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan))
+        yield Block(recording.time[start:end], wrench, here, np.full(end - start, np.nan), faults[start])
 
 
 def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
@@ -127,7 +129,12 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     def missing() -> tuple[str, ...]:
         notes = []
         if blocks.n_dropped:
-            notes.append(f"{blocks.n_dropped} readings were dropped by the recorder: the disk was too slow")
+            why = (
+                "lie in damaged parts"
+                if bag.damage
+                else "were dropped by the recorder: the disk was too slow"
+            )
+            notes.append(f"{blocks.n_dropped} readings {why}")
         if bag.damage:
             notes.append(f"incomplete: {bag.damage}")
         return tuple(notes)
@@ -239,6 +246,9 @@ class NativeRecording:
             try:
                 first, block = _native_block(raw, read_text(message.data))
             except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+                if self._bag.damage:  # the rest of this block lies in the damaged part
+                    raw = []
+                    continue
                 raise InputError(
                     f"{self._bag.path}: a {BLOCK.name} after {n_read} readings: {error}"
                 ) from None

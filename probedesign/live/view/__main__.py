@@ -25,10 +25,11 @@ def main() -> None:
             back.flush()
 
     try:
-        from probedesign.live.view.page import ViewerPage, restrict_origins
+        from probedesign.live.view.access import protect
+        from probedesign.live.view.page import ViewerPage
 
         setup = pickle.load(sys.stdin.buffer)
-        restrict_origins(setup.host)
+        protect(setup.title, setup.token)
         page = ViewerPage(setup, lambda name, text: send(command=name, text=text))
         send(url=page.url)
         while True:

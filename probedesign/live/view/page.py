@@ -4,73 +4,71 @@ All text from outside is escaped.
 """
 
 import math
-import re
+import time
 from collections.abc import Callable, Iterable
-from functools import partial
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
 import viser.transforms as tf
 from viser import uplot
-from websockets.asyncio import server
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.live import LOOPBACK
-from probedesign.live.view.scene import SceneSetup, StripCharts, ellipsoid
-from probedesign.live.view.state import ContactMarker, Level, Snapshot
+from probedesign.live.outputs.drawing import ContactMarker, ellipsoid
+from probedesign.live.view.scene import CHART_SECONDS, SceneSetup, StripCharts
+from probedesign.live.view.state import Snapshot, StatusLine
 
-if TYPE_CHECKING:
-    pass
-
-
-LEVEL_COLOURS: dict[Level, str] = {"good": "#1b7f4b", "fair": "#a86400", "bad": "#b3261e", "plain": "#46525e"}
-TABLE = (
-    "width:100%;border-collapse:collapse;font-size:13px;line-height:1.45;font-variant-numeric:tabular-nums"
-)
 MAX_SHOWN = 8
 """Maximum number of events and touches on the page: the last ones."""
+CURRENT = ("rate", "loss", "fault", "tare", "recording")
+"""Status lines that describe the run itself: they are current even if the values are old."""
 
 
-def status_html(snapshot: Snapshot) -> str:
-    """Return the result on a coloured background and the other lines in two columns."""
+def status_html(snapshot: Snapshot, beat: int = 0) -> str:
+    """Return the result on a coloured background and the other lines in two columns; old values are faded.
+
+    `beat` changes while the page is alive: the browser marks everything as old if it does not.
+    """
     if not snapshot.status:
         return ""
     first, *rest = snapshot.status
-    rows = "".join(
-        f'<tr><td style="color:#75808b;padding-right:10px;vertical-align:top">{escape(line.name)}</td>'
-        f'<td style="color:{LEVEL_COLOURS[line.level] if line.level != "plain" else "inherit"}">'
-        f"{escape(line.text)}</td></tr>"
-        for line in rest
+    rows = "".join(_status_row(line) for line in rest)
+    old = ' class="pd-old"' if snapshot.stale else ""
+    recording = (
+        f'<div class="pd-rec">● recording {escape(snapshot.recording)}</div>' if snapshot.recording else ""
     )
-    ground = f"background:{LEVEL_COLOURS[first.level]};color:white;border-radius:6px;padding:7px 10px;margin-bottom:8px"
     return (
-        f'<div style="padding:4px 12px"><div style="{ground};font-size:14px;font-weight:600">{escape(first.text)}</div>'
-        f'<table style="{TABLE}">{rows}</table></div>'
+        f'<div class="pd" data-beat="{beat}"><div class="pd-banner pd-{first.level}">{escape(first.text)}</div>'
+        f"{recording}<table{old}>{rows}</table></div>"
+    )
+
+
+def _status_row(line: StatusLine) -> str:
+    now = " pd-now" if line.name in CURRENT else ""
+    return (
+        f'<tr><td class="pd-name{now}">{escape(line.name)}</td>'
+        f'<td class="pd-{line.level}{now}">{escape(line.text)}</td></tr>'
     )
 
 
 def events_html(snapshot: Snapshot) -> str:
-    """Return the last events, newest first."""
+    """Return the last events, newest first; similar ones are one line with their number."""
     lines = "".join(
-        f'<tr><td style="color:#75808b;padding-right:8px;vertical-align:top;white-space:nowrap">{_time_text(time)}</td>'
-        f"<td>{escape(line)}</td></tr>"
-        for time, line in reversed(snapshot.events[-MAX_SHOWN:])
+        f"<tr><td>{_time_text(event.time)}</td><td>{escape(event.line)}"
+        f"{f' <b>(×{event.number})</b>' if event.number > 1 else ''}</td></tr>"
+        for event in reversed(snapshot.events)
     )
-    return f'<div style="padding:2px 12px"><table style="{TABLE};font-size:12px">{lines}</table></div>'
+    return f'<div class="pd pd-small"><table>{lines}</table></div>'
 
 
 def touches_html(touches: tuple[ContactMarker, ...]) -> str:
     """Return the earlier touches, newest first."""
     if not touches:
-        return '<div style="padding:2px 12px;font-size:12px;color:#75808b">none yet; added when a touch ends</div>'
+        return '<div class="pd pd-small">none yet; added when a touch ends</div>'
     rows = "".join(_touch(marker) for marker in reversed(touches[-MAX_SHOWN:]))
-    head = (
-        "<tr style='color:#75808b'><td>no.</td><td>s ± std [mm]</td><td>x, y, z [mm]</td><td>frame</td></tr>"
-    )
-    return f'<div style="padding:2px 12px"><table style="{TABLE};font-size:12px">{head}{rows}</table></div>'
+    head = "<tr><td>no.</td><td>s ± std [mm]</td><td>x, y, z [mm]</td><td>frame</td></tr>"
+    return f'<div class="pd pd-small"><table>{head}{rows}</table></div>'
 
 
 def _touch(marker: ContactMarker) -> str:
@@ -88,9 +86,16 @@ AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
 """Colours of x, y and z."""
 INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
 """Colours of an estimate and of the ends of its interval."""
-AXIS: uplot.Axis = {"stroke": "#55606b", "grid": {"stroke": "#e7eaed", "width": 1}, "ticks": {"show": False},
-                    "font": "11px sans-serif"}  # fmt: skip
-HEIGHT = 150
+AXIS: uplot.Axis = {"stroke": "#808b96", "grid": {"stroke": "rgba(128,139,150,0.22)", "width": 1},
+                    "ticks": {"show": False}, "font": "11px sans-serif", "size": 24}  # fmt: skip
+"""An axis whose colours are readable on light and on dark ground."""
+HEIGHT = 142
+STATUS_WIDTH, CHARTS_WIDTH = 350.0, 300.0
+"""Widths of the panels [px]: of 1100, 450 are left for the scene."""
+
+
+WINDOW = (-CHART_SECONDS, 0.0)
+"""Range of the charts [s], before now."""
 
 
 class Panel:
@@ -103,29 +108,31 @@ class Panel:
         self._length_mm = length / MM
         gui = server.gui
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(400.0)
+        gui.main_panel.set_width(STATUS_WIDTH)
         self._texts = [gui.add_html("")]
-        self._buttons(gui, send_command)
+        self._recording = False
+        self._start, self._stop = self._buttons(gui, send_command)
         for title in ("Events", "Touches so far"):
             with gui.add_folder(title):
                 self._texts.append(gui.add_html(""))
         if note:
             gui.add_markdown(note)
         strips = gui.add_panel()
-        with strips.add_tab("Last 15 s"):
+        with strips.add_tab("Last 15 s, 0 is now"):
             self._charts = {
-                "place": _chart(gui, "s of the contact and its 95 % [mm]", ("s", "from", "to"), dots=True),
+                "place": _chart(gui, "s of the contact, 95 % [mm]", ("s", "from", "to"), dots=True),
                 "push": _chart(gui, "force of the contact [mN]", ("F",), dots=True),
-                "forces": _chart(gui, "force at the base [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz")),
-                "moments": _chart(
-                    gui, "moment at the base [N·mm]: x red, y green, z blue", ("Mx", "My", "Mz")
-                ),
+                "forces": _chart(gui, "base force [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz")),
+                "moments": _chart(gui, "base moment [N·mm]: x, y, z", ("Mx", "My", "Mz")),
             }
         strips.dock_left()
-        strips.set_width(360.0)
+        strips.set_width(CHARTS_WIDTH)
 
-    def _buttons(self, gui: viser.GuiApi, send_command: Callable[[str, str], None]) -> None:
-        tare = gui.add_button("Tare: nothing touches the probe now", icon=viser.Icon.SCALE)
+    def _buttons(
+        self, gui: viser.GuiApi, send_command: Callable[[str, str], None]
+    ) -> tuple[viser.GuiButtonHandle, viser.GuiButtonHandle]:
+        """Create the buttons; return those that start and stop a recording."""
+        tare = gui.add_button("Tare: the probe is free", icon=viser.Icon.SCALE)
         tare.on_click(lambda _: send_command("tare", ""))
         text = gui.add_text("Note", "")
         mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
@@ -134,6 +141,14 @@ class Panel:
         start.on_click(lambda _: send_command("start recording", ""))
         stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray")
         stop.on_click(lambda _: send_command("stop recording", ""))
+        stop.disabled = True
+        return start, stop
+
+    def show_recording(self, active: bool) -> None:
+        """Enable the button that applies."""
+        if active != self._recording:
+            self._recording = self._start.disabled = active
+            self._stop.disabled = not active
 
     def show_text(self, *texts: str) -> None:
         """Update status, events and touches where they have changed."""
@@ -141,14 +156,13 @@ class Panel:
             if shown.content != text:
                 shown.content = text
 
-    def draw(self, charts: StripCharts) -> None:
-        """Draw the charts."""
-        low, high = charts.window()
-        for name, data in charts.lines().items():
+    def draw(self, charts: StripCharts, age: float) -> None:
+        """Draw the charts, whose last row has an age [s]."""
+        for name, data in charts.lines(age).items():
             chart = self._charts[name]
             chart.data = tuple(np.ascontiguousarray(line, dtype=np.float64) for line in data)
             y = (0.0, 1.05 * self._length_mm) if name == "place" else _range(data[1:])
-            chart.scales = {"x": {"time": False, "range": (low, high)}, "y": {"range": y}}
+            chart.scales = {"x": {"time": False, "range": WINDOW}, "y": {"range": y}}
 
 
 def _range(lines: Iterable[Array]) -> tuple[float, float]:
@@ -172,23 +186,12 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
         data=(empty,) * (1 + len(names)),
         series=tuple(series),
         title=title,
-        scales={"x": {"time": False, "range": (0.0, 15.0)}, "y": {"auto": True}},
-        axes=({**AXIS}, {**AXIS, "size": 46}),
+        scales={"x": {"time": False, "range": WINDOW}, "y": {"auto": True}},
+        padding=(0, 10, 0, 0),
+        axes=({**AXIS}, {**AXIS, "size": 40}),
         legend={"show": False},
         height=HEIGHT,
     )
-
-
-def restrict_origins(host: str) -> None:
-    """Accept WebSockets only from pages of this server, in the whole process.
-
-    Otherwise any page in a browser on this machine could connect and press its buttons. A server that is open to the
-    network has unknown names and is not restricted.
-    """
-    if host not in LOOPBACK:
-        return
-    names = "|".join(re.escape(f"[{name}]" if ":" in name else name) for name in LOOPBACK)
-    server.serve = partial(server.serve, origins=[re.compile(rf"http://({names})(:\d+)?")])  # type: ignore[misc, assignment]  # viser has no option for it
 
 
 SendCommand = Callable[[str, str], None]
@@ -201,6 +204,15 @@ ARROW = 0.03
 """Length of the force arrow [m]; its label states the force."""
 MAX_MARKS = 24
 """Maximum number of earlier touches that are drawn."""
+LABEL_GAP = 0.012
+"""Minimum distance between two numbered touches [m]."""
+FIELD_OF_VIEW = math.radians(40.0)
+DISTANCE, SHOWN_WIDTH = 2.5, 1.6
+"""Distance of the camera at least, and width of the scene that is shown at least, in lengths of the probe."""
+SMALL_WIDTH = 576
+"""Width [px] up to which viser covers the lower part of the scene with its panel."""
+AGEING = 0.5
+"""Interval in which the charts of old data are drawn again [s]."""
 
 PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
 METAL = (132, 142, 154)
@@ -221,6 +233,7 @@ class ViewerPage:
     def __init__(self, setup: SceneSetup, send_command: SendCommand) -> None:
         """Start the server and show the free probe; `send_command` receives a command and its text."""
         self._setup, self._charts = setup, StripCharts()
+        self._drawn_age = 0.0
         self._server = server = LoopbackServer(setup.host, setup.port, setup.title, verbose=False)
         server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
@@ -228,6 +241,7 @@ class ViewerPage:
         self._scene()
         self._panel = Panel(server, send_command, setup.note, float(setup.tube.s[-1]))
         self._set_camera()
+        server.on_client_connect(self._frame)
 
     @property
     def url(self) -> str:
@@ -245,10 +259,13 @@ class ViewerPage:
             self._show_probe(snapshot)
             self._show_contact(snapshot)
             self._show_touches(snapshot.touches)
-            texts = status_html(snapshot), events_html(snapshot), touches_html(snapshot.touches)
-            self._panel.show_text(*texts)
-            if self._charts.add(snapshot.strip):
-                self._panel.draw(self._charts)
+            status = status_html(snapshot, int(time.monotonic()))
+            self._panel.show_text(status, events_html(snapshot), touches_html(snapshot.touches))
+            self._panel.show_recording(bool(snapshot.recording))
+            age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
+            if self._charts.add(snapshot.strip) or abs(age - self._drawn_age) > AGEING:
+                self._panel.draw(self._charts, age)
+                self._drawn_age = age
         self._server.flush()
 
     def _scene(self) -> None:
@@ -292,17 +309,32 @@ class ViewerPage:
         low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
         self._server.scene.add_grid(
             "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
-            cell_color=(222, 226, 230), section_color=(190, 198, 206), plane_color=(250, 250, 251),
-            plane_opacity=1.0, shadow_opacity=0.2, position=(0.0, 0.0, UNIT * low),
+            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.2,
+            position=(0.0, 0.0, UNIT * low),
         )  # fmt: skip
         along = T[:, 2]
-        middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
+        self._middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
         side = np.cross(along, (0.0, 0.0, 1.0))
         side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
+        self._direction = 2.3 * side + np.array([0.0, 0.0, 0.8]) + 0.5 * along
+        self._direction /= np.linalg.norm(self._direction)
         camera = self._server.initial_camera
-        camera.fov = math.radians(40.0)
-        camera.look_at = middle
-        camera.position = middle + UNIT * length * (2.3 * side + np.array([0.0, 0.0, 0.8]) + 0.5 * along)
+        camera.fov = FIELD_OF_VIEW
+        camera.look_at = self._middle
+        camera.position = self._middle + UNIT * length * DISTANCE * self._direction
+
+    def _frame(self, client: viser.ClientHandle) -> None:
+        """Move the camera of a browser so far away that the whole probe fits into its width.
+
+        On a small screen, whose lower part the panel covers, the probe is in the upper part.
+        """
+        aspect = client.camera.aspect if client.camera.image_height else 1.0
+        tangent, length = math.tan(0.5 * FIELD_OF_VIEW), float(self._setup.tube.s[-1])
+        distance = UNIT * length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * aspect))
+        small = client.camera.image_width <= SMALL_WIDTH
+        shift = np.array([0.0, 0.0, 0.5 * tangent * distance]) if small else np.zeros(3)
+        client.camera.position = self._middle - shift + distance * self._direction
+        client.camera.look_at = self._middle - shift  # last: the position moves it too
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; grey and unchanged if it is unknown."""
@@ -348,15 +380,20 @@ class ViewerPage:
         self._force.points = (UNIT * np.array([[tail, surface]])).astype(np.float32)
         self._contact.color = STALE_COLOUR if snapshot.stale else CONTACT
         self._label.position = UNIT * tail
-        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm, {1e3 * strength:.1f} mN"
-        self._label.text = f"old: {text}" if snapshot.stale else text
+        place = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
+        fresh = f"{place}, {1e3 * strength:.1f} mN"
+        self._label.text = f"{snapshot.age:.0f} s old: {place}" if snapshot.stale else fresh
 
     def _show_touches(self, touches: tuple[ContactMarker, ...]) -> None:
-        """Show earlier contacts in grey, with their numbers."""
-        for (mark, number), marker in zip(self._marks, touches[-MAX_MARKS:], strict=False):
-            R, origin = self._scene_transform(marker)
-            mark.visible = number.visible = True
-            mark.position, number.text = UNIT * (R @ marker.p_surface + origin), f"{marker.number}"
+        """Show earlier contacts in grey, with the numbers of those that no later one covers."""
+        shown = touches[-MAX_MARKS:]
+        points = [
+            R @ marker.p_surface + origin for marker in shown for R, origin in [self._scene_transform(marker)]
+        ]
+        for i, ((mark, number), marker) in enumerate(zip(self._marks, shown, strict=False)):
+            mark.visible, mark.position = True, UNIT * points[i]
+            number.visible = all(np.linalg.norm(later - points[i]) > LABEL_GAP for later in points[i + 1 :])
+            number.text = f"{marker.number}"
 
 
 def level_rotation(gravity_base: Array) -> Array:

@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import secrets
 import socket
 import subprocess
 import sys
@@ -10,13 +11,15 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
+from urllib.parse import urlsplit
 
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import LOOPBACK, Log
+from probedesign.live.outputs.drawing import BentShape, TubeMesh
 from probedesign.live.processing.control import CommandName, CommandQueue
-from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
-from probedesign.live.view.state import BentShape, Counts, Level, Snapshot, ViewState
+from probedesign.live.view.scene import SceneSetup, rigid_parts
+from probedesign.live.view.state import Counts, Level, RecordingState, Snapshot, ViewState, not_recording
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
 
 PERIOD = 1.0 / 30.0
 """Minimum interval between two frames [s]."""
+TOKEN_BYTES = 24
+"""Random bytes of the token of a page that is open to the network: 192 bits."""
 MAX_NOTE = 200
 """Maximum number of characters of a mark."""
 
@@ -47,6 +52,7 @@ class BrowserView(ViewState):
         host: str = "127.0.0.1",
         port: int = 8080,
         counts: Counts = dict,
+        recording: RecordingState = not_recording,
     ) -> None:
         """Open the page.
 
@@ -56,6 +62,7 @@ class BrowserView(ViewState):
             host: address to listen on.
             port: port, or the first free one after it.
             counts: returns the counters of the source: lost, dropped.
+            recording: returns what is recorded.
 
         Raises:
             InputError: the address cannot be used.
@@ -64,15 +71,17 @@ class BrowserView(ViewState):
         require("viser", "--view", "view")
         _check_address(host, port)
         self._commands, self._log = commands, log
-        super().__init__(counts)
+        super().__init__(counts, recording=recording)
         self._ended = threading.Event()
         self._process = process = _start_process()
         assert process.stdin is not None and process.stdout is not None
+        token = "" if host in LOOPBACK else secrets.token_urlsafe(TOKEN_BYTES)
         with suppress(BrokenPipeError):  # the next line reports the reason
-            self._send(process.stdin, scene_setup(estimator, folder, host, port, log))
+            self._send(process.stdin, scene_setup(estimator, folder, host, port, log, token))
         self.url = self._wait_for_url(process.stdout)
-        public = "the network: anyone there can tare and stop recordings"
-        log(f"view: {self.url}, open to {'this machine only' if host in LOOPBACK else public}")
+        if token:  # not to the log, which recordings and the network receive
+            print(f"view: open {_address_for_others(self.url)}/?token={token}", file=sys.stderr, flush=True)
+        log(f"view: {self.url}, open to {'the network, with its token' if token else 'this machine only'}")
         self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
         self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
         self._writer.start()
@@ -117,7 +126,15 @@ class BrowserView(ViewState):
             self._log(f"view: the page has closed: {why}; the run continues")
 
 
-def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: Log) -> SceneSetup:
+def _address_for_others(url: str) -> str:
+    """Return the address of a page that listens on all addresses by the name of this machine."""
+    parts = urlsplit(url)
+    return f"http://{socket.gethostname()}:{parts.port}" if parts.hostname in ("0.0.0.0", "::") else url
+
+
+def scene_setup(
+    estimator: Estimator, folder: Path, host: str, port: int, log: Log, token: str = ""
+) -> SceneSetup:
     """Return the static content of the page."""
     model = estimator.model
     parts, note = rigid_parts(model, folder)
@@ -129,8 +146,9 @@ def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: L
     tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
     free = BentShape(eq.s, eq.p_base, eq.R_base)
     return SceneSetup(
-        f"{model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note
-    )
+        f"{model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note,
+        token,
+    )  # fmt: skip
 
 
 def _start_process() -> "subprocess.Popen[bytes]":
@@ -174,11 +192,17 @@ STYLES: dict[Level, str] = {"good": "bold green", "fair": "yellow", "bad": "bold
 class TerminalView(ViewState):
     """Sink that shows a live table at the bottom of a terminal until it is closed."""
 
-    def __init__(self, title: str, counts: Counts = dict, console: "Console | None" = None) -> None:
+    def __init__(
+        self,
+        title: str,
+        counts: Counts = dict,
+        recording: RecordingState = not_recording,
+        console: "Console | None" = None,
+    ) -> None:
         """Start the table, on standard output if `console` is None; `counts` returns the counters of the source."""
         from rich.live import Live
 
-        super().__init__(counts)
+        super().__init__(counts, recording=recording)
         self._title = title
         self._live = Live(console=console, get_renderable=self._table, refresh_per_second=REFRESH_RATE)
         self._live.start()
@@ -196,7 +220,7 @@ def table_of(title: str, snapshot: Snapshot) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=f"{title}, {snapshot.since:.1f} s", title_justify="left", show_header=False, box=None)
+    table = Table(title=f"{title}, {snapshot.time:.1f} s", title_justify="left", show_header=False, box=None)
     for line in snapshot.status:
         table.add_row(Text(line.name, style="dim"), Text(line.text, style=STYLES[line.level]))
     for marker in snapshot.touches[-3:]:

@@ -1,6 +1,7 @@
 """State of a run for the views: a sink that stores the latest data, and snapshots of it with status lines."""
 
 import math
+import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -12,6 +13,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import RESULTS
+from probedesign.live.outputs.drawing import BentShape, ContactMarker, bent_shape, contact_marker
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
@@ -27,45 +29,12 @@ class StatusLine(NamedTuple):
     level: Level = "plain"
 
 
-@dataclass(frozen=True)
-class BentShape:
-    """The bent centreline at the nodes of its solution.
+class Event(NamedTuple):
+    """An event, or several similar ones of which it is the last: its source's time [s], its text, their number."""
 
-    Attributes:
-        s: arclengths, base to tip [m], (k,).
-        p_base: points [m], (k, 3).
-        R_base: section frames with columns x, y and tangent, (k, 3, 3).
-    """
-
-    s: Array
-    p_base: Array
-    R_base: Array
-
-
-@dataclass(frozen=True)
-class ContactMarker:
-    """A located contact.
-
-    Attributes:
-        p_surface: touched point [m], (3,).
-        cov: its covariance [m²], (3, 3).
-        force: force of the object on the probe [N], (3,).
-        s, std_s: arclength and its standard deviation [m].
-        in_world: whether all this is in the world frame; otherwise in the base frame.
-        time: time by the source's clock [s].
-        number: number of the touch, from 1.
-        friction_ratio: tangential over normal force; NaN if unknown.
-    """
-
-    p_surface: Array
-    cov: Array
-    force: Array
-    s: float
-    std_s: float
-    in_world: bool
     time: float
-    number: int
-    friction_ratio: float = float("nan")
+    line: str
+    number: int = 1
 
 
 STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
@@ -77,9 +46,11 @@ class Snapshot:
     """State of a run at one time.
 
     Attributes:
-        since: time of the last estimate, from the first one [s].
+        time: time of the last estimate, by the source's clock [s].
+        age: time since the last estimate by the computer's clock [s]; NaN before the first.
         result: result of the last estimate; empty before the first.
-        stale: whether probe and contact are not current: no recent reading or estimate.
+        stale: whether probe and contact are not current: no recent reading or estimate, or the run has ended.
+        recording: what is recorded, if anything is.
         status: the status lines.
         shape: shape of the probe, if estimated.
         marker: the contact, if the estimate is ok.
@@ -87,12 +58,14 @@ class Snapshot:
         T_world_base: pose of the base, (4, 4); NaN if unknown.
         gravity_base: gravity vector [m/s²], (3,).
         strip: rows of `STRIP` since the last snapshot, (j, 10).
-        events: last events, with the source's time [s].
+        events: last events, oldest first; similar ones are one.
     """
 
-    since: float = 0.0
+    time: float = 0.0
+    age: float = math.nan
     result: str = ""
     stale: bool = False
+    recording: str = ""
     status: tuple[StatusLine, ...] = ()
     shape: BentShape | None = None
     marker: ContactMarker | None = None
@@ -100,7 +73,7 @@ class Snapshot:
     T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
-    events: tuple[tuple[float, str], ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 NEWTON_MM = 1e-3
@@ -119,7 +92,10 @@ class RunHealth:
         fault: fault of the last readings.
         n_readings: number of readings so far.
         counts: counters of the source.
-        tare, recording: last events on them; empty if there was none.
+        tare: last event on it; empty if there was none.
+        recording: what is recorded; empty if nothing is.
+        recording_failed: why the last recording ended by itself; empty if it did not.
+        ended: whether the source has ended.
     """
 
     stale: bool = False
@@ -132,6 +108,8 @@ class RunHealth:
     counts: Mapping[str, int] = field(default_factory=dict)
     tare: str = ""
     recording: str = ""
+    recording_failed: str = ""
+    ended: bool = False
 
 
 def status_lines(
@@ -148,8 +126,10 @@ def status_lines(
 
 
 def _result_line(update: EstimateUpdate | None, health: RunHealth) -> StatusLine:
+    if health.ended:
+        return StatusLine("result", f"the run has ended: all values are {_age_text(health.silent_for)} old")
     if health.stale:
-        return StatusLine("result", f"stale: no reading for {health.silent_for:.1f} s", "bad")
+        return StatusLine("result", f"stale: no reading for {_age_text(health.silent_for)}", "bad")
     if update is None:
         return StatusLine("result", "no estimate yet" if health.n_readings else "no reading yet", "fair")
     if health.no_estimate:
@@ -205,8 +185,23 @@ def _health_lines(update: EstimateUpdate | None, health: RunHealth) -> list[Stat
         StatusLine("rate", ", ".join(rates).replace("nan", "–")),
         StatusLine("loss", loss, "fair" if lost else "plain"),
         StatusLine("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
-        StatusLine("recording", health.recording.removeprefix("recording ") or "no"),
+        _recording_line(health),
     ]
+
+
+def _recording_line(health: RunHealth) -> StatusLine:
+    if health.recording:
+        return StatusLine("recording", health.recording, "good")
+    if health.recording_failed:
+        return StatusLine("recording", health.recording_failed, "bad")
+    return StatusLine("recording", "no")
+
+
+def _age_text(age: float) -> str:
+    """Return an age [s] in seconds, or in minutes beyond two."""
+    if not math.isfinite(age):
+        return "–"
+    return f"{age:.1f} s" if age < 120.0 else f"{age / 60.0:.0f} min"
 
 
 def _numbers(values: Array, unit: float, digits: int = 1) -> str:
@@ -257,29 +252,66 @@ MAX_TOUCHES = 64
 """Maximum number of earlier touches that are stored."""
 FREE_PHASES = ("free", "moving", "released")
 """Phases without contact."""
-MAX_EVENTS = 8
-STATUS_EVENTS = {"tare": "tare", "recording": "recording", "recorded": "recording"}
-"""First words of the events that update the status of tare and recording."""
+MAX_EVENTS = 12
+"""Maximum number of events that are kept, of those of the user and of the others each."""
+USER_EVENTS = ("tare", "mark", "recording", "recorded")
+"""First words of the events that a user caused: each is kept, however many others follow."""
 MAX_STRIP_ROWS = 4096
 """Maximum number of queued chart rows; at 30 snapshots per second there are a few."""
 
 
+class EventList:
+    """The last events: those of the user one by one, others with similar ones as one, so that none hides the rest."""
+
+    def __init__(self) -> None:
+        self._user: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._others: dict[tuple[str, ...], Event] = {}
+
+    def add(self, time: float, line: str) -> None:
+        """Add an event; a similar earlier one is replaced and counted."""
+        words = re.findall(r"[A-Za-z]{2,}", line)
+        if words and words[0].lower() in USER_EVENTS:
+            self._user.append(Event(time, line))
+            return
+        kind = ("touch",) if words[:1] == ["touch"] else tuple(words[:3])
+        former = self._others.pop(kind, None)
+        self._others[kind] = Event(time, line, former.number + 1 if former else 1)
+        if len(self._others) > MAX_EVENTS:
+            del self._others[next(iter(self._others))]
+
+    def last(self) -> tuple[Event, ...]:
+        """Return the events, oldest first; those without a time come first."""
+        both = (*self._others.copy().values(), *tuple(self._user))
+        return tuple(sorted(both, key=lambda event: event.time if math.isfinite(event.time) else -math.inf))
+
+
 Counts = Callable[[], Mapping[str, int]]
+RecordingState = Callable[[], tuple[str, str]]
+"""Returns what is recorded, and why the last recording ended by itself; each may be empty."""
+
+
+def not_recording() -> tuple[str, str]:
+    """Return that nothing is recorded."""
+    return "", ""
 
 
 class ViewState(Sink):
     """Stores the latest data of a run without blocking, and returns a `Snapshot` on request."""
 
-    def __init__(self, counts: Counts = dict, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        counts: Counts = dict,
+        clock: Callable[[], float] = time.monotonic,
+        recording: RecordingState = not_recording,
+    ) -> None:
         """Start before the first reading; `counts` returns the counters of the source, `clock` the time [s]."""
-        self._counts, self._clock = counts, clock
+        self._counts, self._clock, self._recording = counts, clock, recording
         self._update: EstimateUpdate | None = None
-        self._first = math.nan
+        self._has_ended = False
         self._fault, self._n_readings = "", 0
         self._readings, self._updates = RateMeter(clock), RateMeter(clock)
         self._strip: deque[tuple[float, ...]] = deque(maxlen=MAX_STRIP_ROWS)
-        self._events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
-        self._last_events = {"tare": "", "recording": ""}
+        self._events, self._tare = EventList(), ""
         self._earlier: deque[ContactMarker] = deque(maxlen=MAX_TOUCHES)
         self._current: ContactMarker | None = None
         self._settled = False
@@ -295,35 +327,41 @@ class ViewState(Sink):
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Store an estimate."""
         self._updates.add(1)
-        if self._update is None:
-            self._first = update.reading.time
         self._update = update
         self._follow(update)
         force, estimate = float(np.linalg.norm(update.estimate.force_base)), update.estimate
         contact = (estimate.s_contact, estimate.std_s, force if estimate.ok else math.nan)
-        self._strip.append((update.reading.time - self._first, *update.wrench_base.tolist(), *contact))
+        self._strip.append((update.reading.time, *update.wrench_base.tolist(), *contact))
 
     def on_event(self, time: float, line: str) -> None:
         """Store an event."""
-        self._events.append((time, line))
-        if topic := STATUS_EVENTS.get(line.partition(" ")[0].rstrip(":")):
-            self._last_events[topic] = line
+        self._events.add(time, line)
+        if line.startswith("tare"):
+            self._tare = line
+
+    def on_end(self) -> None:
+        """Store that no further reading will come."""
+        self._has_ended = True
 
     def snapshot(self, shaped: bool = True) -> Snapshot:
         """Return the current snapshot; the probe's shape is solved here, in the calling thread, if requested."""
         update = self._update
         health = RunHealth(
             self._readings.stale, self._updates.stale, self._readings.silent_for, self._readings.rate,
-            self._updates.rate, self._fault, self._n_readings, dict(self._counts()), **self._last_events,
+            self._updates.rate, self._fault, self._n_readings, dict(self._counts()), self._tare, *self._recording(),
+            self._has_ended,
         )  # fmt: skip
-        events, strip = tuple(self._events), self._pop_strip()
+        events, strip = self._events.last(), self._pop_strip()
         if update is None:
-            return Snapshot(status=status_lines(None, None, health), events=events, strip=strip)
+            lines = status_lines(None, None, health)
+            return Snapshot(status=lines, events=events, strip=strip, recording=health.recording)
         marker = contact_marker(update, self._touch_number(update))
         return Snapshot(
-            since=update.reading.time - self._first,
+            time=update.reading.time,
+            age=self._updates.silent_for,
             result=update.estimate.result,
-            stale=health.stale or health.no_estimate,
+            stale=health.stale or health.no_estimate or health.ended,
+            recording=health.recording,
             status=status_lines(update, marker, health),
             shape=bent_shape(update) if shaped else None,
             marker=marker,
@@ -355,26 +393,3 @@ class ViewState(Sink):
         if free and self._current is not None:
             self._earlier.append(self._current)
             self._current, self._settled, self._number = None, False, self._number + 1
-
-
-def contact_marker(update: EstimateUpdate, number: int) -> ContactMarker | None:
-    """Return the contact, fused if available, otherwise of this reading; None if the estimate is not ok."""
-    estimate, fused, T = update.estimate, update.fused, update.T_world_base
-    if not estimate.ok:
-        return None
-    contact = (estimate.force_base, estimate.s_contact, estimate.std_s)
-    when = (update.reading.time, number, estimate.friction_ratio)
-    if not np.isfinite(T).all():
-        return ContactMarker(estimate.p_surface_base, estimate.cov_surface_base, *contact, False, *when)
-    R, origin = T[:3, :3], T[:3, 3]
-    contact = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
-    if fused is not None and fused.ok:
-        return ContactMarker(fused.p_surface_world, fused.cov_surface_world, *contact, True, *when)
-    surface = R @ estimate.p_surface_base + origin
-    return ContactMarker(surface, R @ estimate.cov_surface_base @ R.T, *contact, True, *when)
-
-
-def bent_shape(update: EstimateUpdate) -> BentShape | None:
-    """Return the estimated shape of the probe; None if it is unknown."""
-    eq = update.estimate.shape
-    return BentShape(eq.s, eq.p_base, eq.R_base) if eq is not None and eq.ok else None

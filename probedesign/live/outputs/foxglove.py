@@ -1,0 +1,154 @@
+"""Sink that serves the messages of a recording live to Foxglove and PlotJuggler, by the Foxglove WebSocket protocol."""
+
+from typing import TYPE_CHECKING
+
+from probedesign.core.errors import InputError, require
+from probedesign.estimation.model import ProbeModel
+from probedesign.live import LOOPBACK, Log, split_address
+from probedesign.live.outputs.recording import BackgroundWriter
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.messages import MessageEncoder
+from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic
+
+if TYPE_CHECKING:
+    from foxglove.websocket import ServerListener
+
+DEFAULT_ADDRESS = ("127.0.0.1", 8765)
+"""Host and port that Foxglove proposes."""
+FLUSH_PERIOD = 0.05
+"""Period in which messages are sent [s]; with the gathering of the thread, a message is up to 0.1 s old."""
+MAX_QUEUED_READINGS = 16_384
+"""Maximum number of readings that wait for the server: 2 s at 7000 per second."""
+
+
+def parse_foxglove_address(text: str) -> tuple[str, int]:
+    """Return host and port of `HOST:PORT`, `HOST` or `:PORT`; what is missing is that of `DEFAULT_ADDRESS`.
+
+    Raises:
+        InputError: the text is no address.
+    """
+    try:
+        host, port = split_address(f"ws://{text}", "ws")
+        if not text.isprintable() or " " in text:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--foxglove {text}: write HOST:PORT, as 127.0.0.1:8765") from None
+    if port == 0:
+        raise InputError(f"--foxglove {text}: the port must be in 1 ... 65535")
+    return host or DEFAULT_ADDRESS[0], port or DEFAULT_ADDRESS[1]
+
+
+class FoxgloveServer(MessageEncoder):
+    """Server of all topics; messages that nobody subscribed to are not encoded.
+
+    Clients can only read: the server offers no services and no parameters, and takes no messages.
+
+    Attributes:
+        url: address of the server.
+        readings: 0; a server keeps nothing (see `RecordingFile`).
+        size: 0, likewise.
+    """
+
+    readings = size = 0
+
+    def __init__(self, model: ProbeModel, address: tuple[str, int]) -> None:
+        """Start the server.
+
+        Raises:
+            InputError: the address cannot be used.
+            MissingDependencyError: the package is not installed.
+        """
+        require("foxglove", "--foxglove", "foxglove", "foxglove-sdk")
+        import foxglove
+
+        super().__init__(model)
+        context = self._context = foxglove.Context()  # channels live as long as it
+        self._channels = {
+            topic.name: foxglove.Channel(
+                topic.name,
+                schema=foxglove.Schema(
+                    name=topic.type, encoding="ros2msg", data=schemas.definition(topic.type)
+                ),
+                message_encoding="cdr",
+                metadata=topic.metadata,
+                context=context,
+            )
+            for topic in schemas.TOPICS
+        }
+        host, port = address
+        try:
+            self._server = foxglove.start_server(
+                name=f"probedesign {model.name} {model.fingerprint}",
+                host=host,
+                port=port,
+                context=context,
+                server_listener=_static_sender(self),
+            )
+        except Exception as error:  # the package raises its own type for each reason
+            reason = " ".join(str(error).split())
+            raise InputError(f"--foxglove {host}:{port}: {reason}; use a free port of this machine") from None
+        self.url = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
+
+    def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
+        """Send messages; see `MessageEncoder`."""
+        channel = self._channels[topic.name]
+        if channel.has_sinks():
+            for time, message in zip(logged.tolist(), data, strict=True):
+                channel.log(message.tobytes(), log_time=time)
+
+    def is_wanted(self, topic: Topic) -> bool:
+        """Return whether somebody subscribed to a topic."""
+        return self._channels[topic.name].has_sinks()
+
+    def on_samples(self, block: Block) -> None:
+        """Encode readings if somebody listens; see `MessageEncoder`."""
+        if self._is_watched():
+            super().on_samples(block)
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Encode an estimate if somebody listens; see `MessageEncoder`."""
+        if self._is_watched():
+            super().on_estimate(update)
+
+    def flush(self) -> None:
+        """Send what is buffered."""
+        self.encode()
+
+    def close(self) -> None:
+        """Send what is buffered, and stop the server."""
+        self.encode()
+        self._server.stop()
+
+    def _is_watched(self) -> bool:
+        return any(channel.has_sinks() for channel in self._channels.values())
+
+
+def _static_sender(server: FoxgloveServer) -> "ServerListener":
+    """Return a listener that sends the static transform to every new subscriber: the protocol keeps no message."""
+    from foxglove import websocket
+
+    class Listener(websocket.ServerListener):
+        def on_subscribe(self, client: websocket.Client, channel: websocket.ChannelView) -> None:
+            if channel.topic == schemas.TF_STATIC.name:  # in a thread of the server
+                server.encode_static()
+
+    return Listener()
+
+
+class FoxgloveSink(BackgroundWriter):
+    """Sink of a run that feeds a `FoxgloveServer` from a thread of its own; nothing waits for a client.
+
+    Attributes:
+        url: address of the server.
+    """
+
+    def __init__(self, model: ProbeModel, address: tuple[str, int], log: Log) -> None:
+        """Start server and thread; see `FoxgloveServer`."""
+        server = FoxgloveServer(model, address)
+        self.url, local = server.url, address[0] in LOOPBACK
+        log(
+            f"foxglove: {server.url}, {'this machine only' if local else 'readable by anyone in the network'}"
+        )
+        super().__init__(server, "foxglove", log, MAX_QUEUED_READINGS, FLUSH_PERIOD, cause="the server")

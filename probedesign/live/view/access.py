@@ -1,0 +1,145 @@
+"""Who may use the page: its own origin only and, beyond this machine, with a token; and how it presents itself."""
+
+import gzip
+import hmac
+import http
+from collections.abc import Callable
+from html import escape
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio import server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from probedesign.live import LOOPBACK
+from probedesign.live.view.style import FAVICON, SCRIPT, STYLE
+
+Handler = Callable[[server.ServerConnection, Request], Response | None]
+
+HEADERS = {
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+"""Headers of every response: no other page may show this one in a frame, under its own buttons."""
+NEEDS_TOKEN = "This page needs the address with its token, which the terminal of the run shows.\n"
+
+
+def protect(title: str, token: str) -> None:
+    """Guard every server that viser starts from now on in this process; viser has no options for it.
+
+    Args:
+        title: title of the page in the browser.
+        token: secret that a browser must know; empty on an address of this machine only.
+    """
+    original = server.serve
+
+    def serve(
+        handler: object, host: str, port: int, *, process_request: Handler | None, **options: object
+    ) -> object:
+        guard = Guard(title, token, port, process_request)
+        return original(handler, host, port, process_request=guard, **options)  # type: ignore[arg-type]  # viser's
+
+    server.serve = serve  # type: ignore[misc, assignment]
+
+
+class Guard:
+    """Decides about each request, and completes the responses of viser's own handler."""
+
+    def __init__(self, title: str, token: str, port: int, serve_file: Handler | None) -> None:
+        self._title, self._token, self._serve_file = title, token, serve_file
+        self._cookie = f"probedesign_view_{port}"  # a browser sends cookies to all ports of a host
+        self._pages: dict[int, bytes] = {}
+
+    def __call__(self, connection: server.ServerConnection, request: Request) -> Response | None:
+        """Return the response to a request; None accepts a WebSocket."""
+        host = request.headers.get("Host", "")
+        if not self._token and _name(host) not in LOOPBACK:
+            return _refusal("This page is open to this machine only.\n")  # a name that was bound to 127.0.0.1
+        upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
+        if upgrade and not _same_origin(request.headers.get("Origin", ""), host):
+            return _refusal("Only the page itself may connect.\n")
+        if self._token and not self._is_known(request):
+            if not upgrade and self._has_token(request):
+                return self._enter()
+            return _refusal(NEEDS_TOKEN)
+        if upgrade or self._serve_file is None:
+            return None
+        accepted = request.headers.get("Accept-Encoding", "")
+        plain = Headers(
+            [
+                (name, value)
+                for name, value in request.headers.raw_items()
+                if name.lower() != "accept-encoding"
+            ]
+        )
+        response = self._serve_file(connection, Request(request.path, plain))
+        return None if response is None else self._complete(response, "gzip" in accepted)
+
+    def _is_known(self, request: Request) -> bool:
+        try:
+            cookies = SimpleCookie("; ".join(request.headers.get_all("Cookie")))
+        except CookieError:
+            return False
+        return self._cookie in cookies and self._matches(cookies[self._cookie].value)
+
+    def _has_token(self, request: Request) -> bool:
+        return any(map(self._matches, parse_qs(urlsplit(request.path).query).get("token", [])))
+
+    def _matches(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self._token.encode())
+
+    def _enter(self) -> Response:
+        """Return the page without the token in its address; the browser keeps it as a cookie for this session."""
+        cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+        headers = Headers({"Location": "/", "Set-Cookie": cookie, "Content-Length": "0"} | HEADERS)
+        return Response(http.HTTPStatus.SEE_OTHER, "See Other", headers)
+
+    def _complete(self, response: Response, zipped: bool) -> Response:
+        """Return a response of viser with our headers, and its page with our title, icon, style and script."""
+        body = bytes(response.body or b"")
+        if response.headers.get("Content-Type", "").startswith("text/html"):
+            key = len(body) * 2 + zipped
+            if key not in self._pages:
+                page = _page(body.decode(), self._title).encode()
+                self._pages[key] = gzip.compress(page) if zipped else page
+            body = self._pages[key]
+        else:
+            zipped = False
+        ours = {
+            "Content-Length": str(len(body)),
+            "Content-Encoding": "gzip" if zipped else "identity",
+        } | HEADERS
+        kept = {name: value for name, value in response.headers.raw_items() if name.title() not in ours}
+        headers = Headers(kept | ours)
+        return Response(response.status_code, response.reason_phrase, headers, body)
+
+
+def _page(text: str, title: str) -> str:
+    """Return viser's page with our head."""
+    before, found, after = text.partition("<title>Viser</title>")
+    head = f"<title>{escape(title)}</title>" if found else ""
+    icon = before.find("<link")
+    if icon >= 0 and (end := before.find("/>", icon)) >= 0:
+        before = before[:icon] + f'<link rel="icon" href="{FAVICON}" />' + before[end + 2 :]
+    return f"{before}{head}<style>{STYLE}</style><script>{SCRIPT}</script>{after}"
+
+
+def _name(host: str) -> str:
+    """Return the name in a header `Host`, without the port."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _same_origin(origin: str, host: str) -> bool:
+    return bool(host) and origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())
+
+
+def _refusal(text: str) -> Response:
+    body = text.encode()
+    about = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers(about | HEADERS), body)
