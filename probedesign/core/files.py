@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import stat
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -97,6 +98,20 @@ def check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
     check_writable(folder / "file")
+
+
+def check_regular(path: Path) -> None:
+    """Refuse a path that is a device, a pipe or a socket: reading it may not end. A missing path is accepted.
+
+    Raises:
+        InputError: it is one of these.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return  # the reader reports the reason
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise InputError(f"{path}: is a device, pipe or socket; name a file")
 
 
 def check_overwrite(path: Path, force: bool) -> None:

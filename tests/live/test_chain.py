@@ -336,7 +336,7 @@ class Heard(PoseListener):
     def pop_messages(self):
         return []
 
-    def pop_poses(self):
+    def pop(self):
         while self._waiting and self._waiting[0].time - 7.0 + 0.004 <= self.now:
             pose = self._waiting.pop(0)
             yield pose.time - 7.0 + 0.004, pose, 0
