@@ -1,7 +1,7 @@
 """Poses of the base from a robot's own controller: Universal Robots (`ur://HOST`) and Franka (`franka://HOST`).
 
 The pose is that of the tool centre point in the robot's base frame: set the probe's base frame as the tool centre point
-(UR), or as the end effector frame (Franka). Both connections only read.
+(UR), or as the end effector frame (Franka). Neither connection commands a motion.
 
 Source: the docstrings of ur_rtde 1.6.5 and franky-control 2.0.0. Neither has been tried with a robot.
 """
@@ -20,7 +20,10 @@ POLL_PERIOD = 0.002
 """Interval at which a controller's newest state is read [s]: the period of an e-Series controller, 500 Hz."""
 RETRY_PERIOD = 1.0
 """Interval between attempts to connect again [s]."""
+MAX_TRIES = 10
+"""Maximum number of attempts to read a pose and its time from the same state."""
 MAX_QUEUED = 4096
+"""Maximum number of queued poses and messages."""
 
 Reader = Callable[[], TimedPose]
 """Returns the newest pose; raises any exception if the connection is lost."""
@@ -151,10 +154,12 @@ def open_ur(target: str, parameters: Mapping[str, str]) -> RobotPoses:
         def read() -> TimedPose:
             if not robot.isConnected():
                 raise ConnectionError("the connection is lost")
-            while True:  # two calls: repeated if the state has been updated between them
+            for _ in range(MAX_TRIES):  # separate calls: repeated if the state has been updated between them
                 time, values = robot.getTimestamp(), robot.getActualTCPPose()
                 if robot.getTimestamp() == time:
                     break
+            else:
+                raise InputError("the controller's state changes faster than it is read")
             turn = Rotation.from_rotvec(values[3:])
             return timed_pose(time, values[:3], turn.as_quat().tolist())
 

@@ -84,7 +84,8 @@ def main(kind: str, *arguments: str) -> None:
     import rclpy
 
     def end_with_parent() -> None:
-        sys.stdin.buffer.read()
+        while os.read(0, 4096):  # not sys.stdin, whose lock would be held at exit
+            pass
         os._exit(0)
 
     threading.Thread(target=end_with_parent, daemon=True).start()
