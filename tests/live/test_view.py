@@ -13,23 +13,16 @@ from rich.console import Console
 from probedesign.core.frames import pose
 from probedesign.core.stl import RECORD
 from probedesign.estimation.estimate import RESULTS, Estimate
+from probedesign.live.outputs.drawing import SIDES, BentShape, TubeMesh, centreline, ellipsoid
 from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
-from probedesign.live.view.scene import (
-    RING_POINTS,
-    StripCharts,
-    TubeMesh,
-    centreline,
-    ellipsoid,
-    read_stl,
-    rigid_parts,
-)
+from probedesign.live.view.scene import StripCharts, read_stl, rigid_parts
 from probedesign.live.view.sinks import TerminalView, table_of
-from probedesign.live.view.state import STRIP, BentShape, Snapshot, StatusLine, ViewState
+from probedesign.live.view.state import STRIP, Snapshot, StatusLine, ViewState
 
 
 def bent(estimator):
@@ -63,7 +56,7 @@ def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator
     a, b, c = (vertices[tube.faces[:, i]] for i in range(3))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
     # a polygon of n corners lacks 1 - sin(2π/n) n/2π of its circle, 0.5 % here; chords of a bent axis far less
-    rounded = math.sin(2.0 * math.pi / RING_POINTS) * RING_POINTS / (2.0 * math.pi)
+    rounded = math.sin(2.0 * math.pi / SIDES) * SIDES / (2.0 * math.pi)
     assert volume == pytest.approx(rounded * estimator.model.rod.body.volume_beyond[0], rel=2e-3)
     corners = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)[1].reshape(-1)
     edges = Counter(
@@ -77,9 +70,7 @@ def test_the_skin_is_closed_turned_outward_and_holds_the_probes_volume(estimator
 
 def test_a_flattened_section_is_drawn_flat(estimator):
     free, rod = estimator.free((0.0, 0.0, 9.81)), estimator.model.rod
-    ring = TubeMesh(rod.s, rod.radius, 0.5).vertices(BentShape(free.s, free.p_base, free.R_base))[
-        :RING_POINTS
-    ]
+    ring = TubeMesh(rod.s, rod.radius, 0.5).vertices(BentShape(free.s, free.p_base, free.R_base))[:SIDES]
     assert np.ptp(ring[:, 0]) == pytest.approx(2.0 * rod.radius[0])
     assert np.ptp(ring[:, 1]) == pytest.approx(rod.radius[0])
 

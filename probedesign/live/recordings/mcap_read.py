@@ -1,145 +1,45 @@
-"""Reads MCAP files without trusting them, and recovers files that were not closed.
-
-The `mcap` package parses the records; claimed lengths are checked here first, so that no file makes the program
-allocate memory that the file does not fill.
-"""
+"""Reads MCAP files without trusting them, and recovers files that were not closed or are damaged."""
 
 import json
 import os
+import re
 import struct
 import tempfile
-import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO
 
-import zstandard
-from lz4.frame import LZ4FrameDecompressor
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
-from probedesign.live.recordings.schemas import MCAP_MAGIC, RECORD_PREFIX, BagTopic, Message
+from probedesign.live.recordings.mcap_records import (
+    Damage,
+    DamagedError,
+    parse,
+    split_intact,
+    split_message,
+    walk,
+    walk_intact,
+)
+from probedesign.live.recordings.schemas import CLOCK_NAME, MCAP_MAGIC, OFFSET_KEY, BagTopic, Message
 
-MAX_RECORD = 256 * 1024 * 1024
-"""Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images."""
-Record = TypeVar("Record", bound=records.McapRecord)
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-
-RawMessage = tuple[int, int, int, int, memoryview]
-"""Channel, sequence number, time of recording and of publication [ns], and data."""
-
-
-class DamagedError(Exception):
-    """The file is damaged; the text describes how."""
-
-
-def walk(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of each record up to and including the footer.
-
-    Raises:
-        DamagedError: the file ends before the footer, or a record is too long.
-    """
-    opcode, end = 0, os.fstat(file.fileno()).st_size
-    while opcode != Opcode.FOOTER:
-        prefix = file.read(RECORD_PREFIX.size)
-        if len(prefix) < RECORD_PREFIX.size:
-            raise DamagedError("it was cut off")
-        opcode, length = RECORD_PREFIX.unpack(prefix)
-        if not 0 < opcode < 128 or length > MAX_RECORD:
-            raise DamagedError(f"a record of kind {opcode} claims {length} bytes")
-        if length > end - file.tell():
-            raise DamagedError("it was cut off")
-        yield opcode, file.read(length)
-
-
-def parse(kind: type[Record], content: bytes) -> Record:
-    """Return a record parsed by the `mcap` package.
-
-    Raises:
-        DamagedError: it cannot be parsed.
-    """
-    try:
-        record: Record = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]  # not in its stubs
-    except Exception as error:  # the package does not validate: any exception is the file's fault
-        raise DamagedError(f"a {kind.__name__} record cannot be read ({type(error).__name__})") from None
-    return record
-
-
-def unpack(content: bytes) -> bytes:
-    """Return the content of a chunk.
-
-    Raises:
-        DamagedError: the content does not match the length or the checksum of the chunk.
-    """
-    chunk = parse(records.Chunk, content)
-    size = chunk.uncompressed_size
-    if size > MAX_RECORD:
-        raise DamagedError(f"a chunk claims {size} bytes")
-    try:
-        match chunk.compression:
-            case "":
-                data = chunk.data
-            case "zstd":
-                data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
-            case "lz4":
-                data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
-            case other:
-                raise DamagedError(f"a chunk is compressed by {other[:20]!r}; zstd and lz4 are known")
-    except (zstandard.ZstdError, RuntimeError, MemoryError):
-        raise DamagedError("a chunk does not unpack") from None
-    if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
-        raise DamagedError("a chunk does not match its own checksum")
-    return bytes(data)
-
-
-def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of each record in a chunk.
-
-    Raises:
-        DamagedError: the last record does not end with the chunk.
-    """
-    at, view = 0, memoryview(data)
-    while at < len(view):
-        if at + RECORD_PREFIX.size > len(view):
-            raise DamagedError("a chunk ends in part of a record")
-        opcode, length = RECORD_PREFIX.unpack_from(view, at)
-        at += RECORD_PREFIX.size
-        if length > len(view) - at:
-            raise DamagedError("a chunk ends in part of a record")
-        yield opcode, view[at : at + length]
-        at += length
-
-
-def split_message(content: memoryview) -> RawMessage:
-    """Return the fields of a message record.
-
-    Raises:
-        DamagedError: it is too short.
-    """
-    if len(content) < _MESSAGE_HEAD.size:
-        raise DamagedError("a message is too short")
-    channel, sequence, logged, published = _MESSAGE_HEAD.unpack_from(content)
-    return channel, sequence, logged, published, content[_MESSAGE_HEAD.size :]
-
-
+OFFSET = re.compile(r"-?[0-9]{1,19}")
 FOOTER_AND_MAGIC = 9 + 20 + 8
 MAX_PROBE_BYTES = 10_000_000
 """Maximum length of an attachment that is read as a frozen probe [bytes]."""
 
 
 class McapBag:
-    """An MCAP file as a bag; a damaged file is read up to the damage.
+    """An MCAP file as a bag; damaged parts of it are skipped.
 
     Attributes:
         path: path of the file.
-        damage: description of the damage, as far as the file was read; empty if none.
         metadata: metadata by name, as far as they precede the first message.
+        clock_offset: wall clock of the headers minus the source's clock [ns], in our own recordings; otherwise 0.
         probe: attached frozen probe, if any.
     """
 
@@ -149,7 +49,7 @@ class McapBag:
         Raises:
             InputError: the file is not MCAP.
         """
-        self.path, self.damage = path, ""
+        self.path, self._damage, self.clock_offset = path, Damage(), 0
         self.metadata: dict[str, dict[str, str]] = {}
         self.probe: dict[str, object] | None = None
         self._channels: dict[int, BagTopic] = {}
@@ -160,6 +60,11 @@ class McapBag:
             raise InputError(f"{path}: no such recording") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+    @property
+    def damage(self) -> str:
+        """Description of the damage, as far as the file was read; empty if none."""
+        return str(self._damage)
 
     def channels(self) -> list[BagTopic]:
         """Return all channels, from the summary at the end or by reading the whole file; see `Bag`."""
@@ -172,37 +77,44 @@ class McapBag:
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the messages of the topics; see `Bag`."""
-        self._channels, self._schemas = {}, {}
+        self._channels, self._schemas, self._damage = {}, {}, Damage()
         try:
             for opcode, content in self._records():
-                if opcode == Opcode.MESSAGE:
-                    number, _, logged, _, data = split_message(memoryview(content))
-                    channel = self._channels.get(number)
-                    if channel is None:
-                        raise DamagedError(f"a message belongs to channel {number}, which does not exist")
-                    if channel.topic in topics:
-                        yield Message(channel.topic, logged, data)
-                else:
-                    self._register(opcode, bytes(content))
-        except DamagedError as error:
-            self.damage = str(error)
+                try:
+                    message = self._message(opcode, content, topics)
+                except DamagedError as error:
+                    self._damage.add(str(error))
+                    continue
+                if message is not None:
+                    yield message
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    def _message(self, opcode: int, content: bytes | memoryview, topics: Collection[str]) -> Message | None:
+        """Return the message in a record, if it is one of the topics; store what other records contain."""
+        if opcode != Opcode.MESSAGE:
+            self._register(opcode, bytes(content))
+            return None
+        number, _, logged, _, data = split_message(memoryview(content))
+        channel = self._channels.get(number)
+        if channel is None:
+            raise DamagedError(f"a message belongs to channel {number}, which does not exist")
+        return Message(channel.topic, logged, data) if channel.topic in topics else None
 
     def _records(self) -> Iterator[tuple[int, bytes | memoryview]]:
         """Yield all records up to the end of the data, including those in chunks."""
         with self.path.open("rb") as file:
             file.seek(len(MCAP_MAGIC))
-            for opcode, content in walk(file):
+            for opcode, content in walk_intact(file, self._damage):
                 if opcode == Opcode.CHUNK:
-                    yield from split(unpack(content))
+                    yield from split_intact(content, self._damage)
                 elif opcode == Opcode.DATA_END:
                     return
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA):
                     yield opcode, content
 
     def _register(self, opcode: int, content: bytes) -> None:
-        """Store a schema or a channel."""
+        """Store a schema, a channel or metadata."""
         if opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, content)
             self._schemas[schema.id] = schema.name
@@ -210,6 +122,13 @@ class McapBag:
             channel = parse(records.Channel, content)
             name = self._schemas.get(channel.schema_id, "")
             self._channels[channel.id] = BagTopic(channel.topic, name, channel.message_encoding)
+        elif opcode == Opcode.METADATA:
+            metadata = parse(records.Metadata, content)
+            self.metadata.setdefault(metadata.name, metadata.metadata)
+            if metadata.name == CLOCK_NAME and OFFSET.fullmatch(
+                text := metadata.metadata.get(OFFSET_KEY, "")
+            ):
+                self.clock_offset = int(text)
 
     def _read_head(self) -> None:
         with self.path.open("rb") as file:
@@ -219,13 +138,12 @@ class McapBag:
                 for opcode, content in walk(file):
                     if opcode == Opcode.ATTACHMENT and len(content) < MAX_PROBE_BYTES:
                         self._read_attachment(parse(records.Attachment, content))
-                    elif opcode == Opcode.METADATA:
-                        metadata = parse(records.Metadata, content)
-                        self.metadata[metadata.name] = metadata.metadata
+                    elif opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
+                        self._register(opcode, content)
                     elif opcode not in (Opcode.HEADER, Opcode.ATTACHMENT):
                         return
             except DamagedError as error:
-                self.damage = str(error)
+                self._damage.add(str(error))
 
     def _read_attachment(self, attachment: records.Attachment) -> None:
         if attachment.name.endswith(".probe.json"):
@@ -258,7 +176,7 @@ class RecoveryResult:
         path: path of the new file; None if the old file is not damaged.
         messages: number of messages.
         seconds: time from the first to the last message [s].
-        damage: damage at which the old file ends.
+        damage: description of the damage of the old file.
     """
 
     path: Path | None
@@ -276,8 +194,8 @@ class _RecordCopier:
         self._channels: dict[int, int] = {}
         self.messages, self.first, self.last = 0, 0, 0
 
-    def copy_record(self, opcode: int, content: bytes) -> None:
-        """Copy a record of the file."""
+    def copy_record(self, opcode: int, content: bytes, damage: Damage) -> None:
+        """Copy a record of the file, without what is damaged in a chunk."""
         if opcode == Opcode.HEADER:
             header = parse(records.Header, content)
             self._writer.start(header.profile, header.library)
@@ -288,8 +206,11 @@ class _RecordCopier:
             metadata = parse(records.Metadata, content)
             self._writer.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.CHUNK:
-            for inner, part in split(unpack(content)):
-                self._copy_inner(inner, part)
+            for inner, part in split_intact(content, damage):
+                try:
+                    self._copy_inner(inner, part)
+                except DamagedError as error:
+                    damage.add(str(error))
             self._writer.flush()
         else:
             self._copy_inner(opcode, memoryview(content))
@@ -321,10 +242,10 @@ class _RecordCopier:
 
 
 def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
-    """Copy the undamaged part of an MCAP file to a new file that every tool can open.
+    """Copy the undamaged parts of an MCAP file to a new file that every tool can open.
 
     Args:
-        path: path of the truncated file.
+        path: path of the truncated or damaged file.
         out: path of the new file.
         force: replace an existing file.
 
@@ -366,16 +287,20 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
 
 def _copy_records(copier: _RecordCopier, file: BinaryIO) -> str:
     """Copy record by record; return the damage, empty at a regular end."""
+    damage, ended = Damage(), False
     try:
-        ended = False
-        for i, (opcode, content) in enumerate(walk(file)):
-            if (i == 0) != (opcode == Opcode.HEADER):
+        for i, (opcode, content) in enumerate(walk_intact(file, damage)):
+            if i == 0 and opcode != Opcode.HEADER:
                 return "its records do not begin with a header"
             ended = ended or opcode == Opcode.DATA_END
-            if not ended:
-                copier.copy_record(opcode, content)
-    except DamagedError as error:
-        return str(error)
+            if ended or (i and opcode == Opcode.HEADER):
+                continue
+            try:
+                copier.copy_record(opcode, content, damage)
+            except DamagedError as error:
+                damage.add(str(error))
     except struct.error:
         return "it names more channels than there can be"
-    return "" if ended and file.read() == MCAP_MAGIC else "it was cut off"
+    if not str(damage) and not (ended and file.read() == MCAP_MAGIC):
+        return "it was cut off"
+    return str(damage)

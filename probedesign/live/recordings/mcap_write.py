@@ -7,11 +7,10 @@ Source: the MCAP specification, version 0, mcap.dev/spec.
 """
 
 import json
-import math
 import struct
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,22 +20,19 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
-from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.blocks import Block, joined
-from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
 from probedesign.live.recordings import AppendFile, require_mcap, schemas
+from probedesign.live.recordings.messages import MessageEncoder
 from probedesign.live.recordings.schemas import (
+    CLOCK_NAME,
     MCAP_MAGIC,
     METADATA_NAME,
+    OFFSET_KEY,
     RECORD_PREFIX,
     Bytes,
     Nanoseconds,
-    nanoseconds,
-    stamped,
-    texts,
+    Topic,
 )
 
 _HEAD = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("logged", "<u8"),
@@ -73,18 +69,21 @@ class McapWriter:
         self._indexes.append(records.MetadataIndex(offset, length, name))
 
     def register(self, topic: str, type_name: str, definition: bytes, metadata: Mapping[str, str]) -> int:
-        """Register a channel of CDR messages of a type; return its number."""
+        """Register a channel of CDR messages of a type; return its number.
+
+        It is written outside the chunks, so that no damaged chunk makes the later ones unreadable.
+        """
         if type_name not in self._schemas:
             number = len(self._schemas) + 1
             self._schemas[type_name] = records.Schema(
                 id=number, data=definition, encoding="ros2msg", name=type_name
             )
-            self._append(_bytes(self._schemas[type_name]))
+            self._write(self._schemas[type_name])
         number = len(self._channels) + 1
         self._channels.append(
             records.Channel(number, topic, "cdr", dict(metadata), self._schemas[type_name].id)
         )
-        self._append(_bytes(self._channels[-1]))
+        self._write(self._channels[-1])
         return number
 
     def add(self, channel: int, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
@@ -201,14 +200,9 @@ UNITS = {
     "unit_of_position": "m",
     "unit_in_json": "as names end",
 }
-MAX_BLOCK = 700
-"""Maximum number of readings described by one block message: 0.1 s of the fastest source, so that encoding it does not
-occupy the interpreter for long."""
-_MAX_NS = 4 * 10**18
-"""Half the range of 63-bit nanoseconds."""
 
 
-class McapRecorder:
+class McapRecorder(MessageEncoder):
     """Records everything to MCAP, for ROS 2 tools and for replay; called from one thread (see `RecordingFile`)."""
 
     def __init__(
@@ -223,15 +217,13 @@ class McapRecorder:
             about: additional metadata: the source, the options.
 
         Raises:
-            InputError: the file exists and `force` is not set, or it cannot be written.
+            InputError: the file exists and `force` is not set, it is being written, or it cannot be written.
             MissingDependencyError: the MCAP package is not installed.
         """
         require_mcap()
+        super().__init__(model)
         self._file = AppendFile(path, force)
-        self._pending: list[Block] = []
-        self._updates: list[EstimateUpdate] = []
-        self._count = 0
-        self._first, self._logged, self._epoch = 0, time.time_ns(), (0, 0)
+        self._n_encoded, self.readings = 0, 0
         frozen = freeze(model)
         self._writer = McapWriter(self._file, PROFILE, frozen["written_by"])
         probe = (json.dumps(frozen, indent=2) + "\n").encode()
@@ -239,140 +231,44 @@ class McapRecorder:
         metadata = {"probe": model.name, "fingerprint": model.fingerprint, "written_by": frozen["written_by"]}
         started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
         self._writer.add_metadata(METADATA_NAME, metadata | started | UNITS | dict(about or {}))
+        for name, content in schemas.QOS_METADATA.items():
+            self._writer.add_metadata(name, content)
         self._channels = {topic.name: self._channel(topic) for topic in schemas.TOPICS}
+        self.encode_static()
         try:
             self._file.flush()
         except OSError:
             self._file.discard()
             raise
 
-    def on_samples(self, block: Block) -> None:
-        """Buffer readings until the chunk ends or the state of the source changes."""
-        if self._pending and not (_same_state(self._pending[0], block) and self._count < MAX_BLOCK):
-            self._write_pending()
-        self._pending.append(block)
-        self._count += len(block)
+    def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
+        """Add messages to the chunk; see `MessageEncoder`."""
+        self._n_encoded += len(data) if topic is schemas.RAW else 0
+        self._writer.add(self._channels[topic.name], logged, data, sequence)
 
-    def _write_pending(self) -> None:
-        """Write the estimates, the readings as wrenches, and one message with what their headers do not contain."""
-        updates, self._updates = self._updates, []
-        for topic, stamps, data in update_messages(updates):
-            self._add(topic, stamps, data)
-        if not self._pending:
-            return
-        block, self._pending, self._count = joined(self._pending), [], 0
-        stamps = schemas.nanoseconds(block.time)
-        if len(block):
-            self._add(
-                schemas.RAW, stamps, schemas.stamped("sensor", stamps, block.wrench_sensor), self._first
-            )
-        metadata = {
-            "first": self._first,
-            "time_s": block.time.tolist(),
-            "gravity_base_m_s2": block.gravity_base.tolist(),
-            "stretch": block.stretch,
-            "fault": block.fault,
-        }
-        self._first += len(block)
-        self._add(schemas.BLOCK, stamps[-1:], schemas.texts([json.dumps(metadata)]))
+    def on_clock(self) -> None:
+        """Write the offset of the clocks, with which a replay restores the source's clock of a header exactly."""
+        self._writer.add_metadata(CLOCK_NAME, {OFFSET_KEY: str(self.clock_offset)})
 
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Buffer an estimate as long as the readings."""
-        self._updates.append(update)
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Write a pose of the base, as received."""
-        stamp = schemas.nanoseconds([pose.time])
-        self._add(schemas.BASE, stamp, schemas.stamped("world", stamp, [[*pose.p, *pose.q]]))
-
-    def on_event(self, time: float, line: str) -> None:
-        """Write an event."""
-        metadata = time if math.isfinite(time) else None
-        stamp = schemas.nanoseconds([] if metadata is None else [time])
-        self._add(schemas.EVENT, stamp, schemas.texts([json.dumps({"time_s": metadata, "event": line})]))
-
-    def on_dropped(self, readings: int, others: int) -> None:
-        """Write the numbers of dropped readings and others as an event, and count the readings."""
-        self._write_pending()
-        self._first += readings
-        self.on_event(
-            math.nan, f"the disk was too slow: {readings} readings and {others} other messages dropped here"
-        )
+    @property
+    def size(self) -> int:
+        """Length of the file, with what waits for the next flush [bytes]."""
+        return self._file.tell()
 
     def flush(self) -> None:
         """End the chunk and pass it to the operating system."""
-        self._write_pending()
+        self.encode()
         self._writer.flush()
+        self.readings = self._n_encoded
 
     def close(self) -> None:
         """Write the summary and close the file."""
         try:
-            self._write_pending()
+            self.flush()
             self._writer.finish()
         finally:
             self._file.close()
 
-    def _channel(self, topic: schemas.Topic) -> int:
-        metadata = {"json_schema": json.dumps(topic.schema)} if topic.schema else {}
-        return self._writer.register(topic.name, topic.type, schemas.definition(topic.type), metadata)
-
-    def _add(self, topic: schemas.Topic, stamps: Nanoseconds, data: schemas.Bytes, sequence: int = 0) -> None:
-        """Add messages, logged at the computer's time of the first message plus the source's time since then.
-
-        A message without time stamp is logged at the time of the last one.
-        """
-        if len(stamps):
-            near = np.clip(stamps, -_MAX_NS, _MAX_NS)
-            self._epoch = self._epoch if self._epoch[1] else (int(near[0]), time.time_ns())
-            stamp, now = self._epoch
-            logged = now + np.clip(near - stamp, -now, 2 * _MAX_NS - now)
-            self._logged = int(logged[-1])
-        else:
-            logged = np.array([self._logged])
-        self._writer.add(self._channels[topic.name], logged, data, sequence)
-
-
-def _same_state(a: Block, b: Block) -> bool:
-    """Return whether one block message can describe both blocks."""
-    return (a.fault, a.stretch) == (b.fault, b.stretch) and np.array_equal(a.gravity_base, b.gravity_base)
-
-
-UNKNOWN_ROTATION_VAR = math.pi**2
-"""Variance of each angle of a contact's orientation [rad²], which is not estimated: π in each direction."""
-
-
-def update_messages(updates: Sequence[EstimateUpdate]) -> Iterator[tuple[schemas.Topic, Nanoseconds, Bytes]]:
-    """Yield for each topic the times [ns], (n,), and the messages, (n,), of estimates.
-
-    Messages are encoded together: one by one they take five times as long.
-    """
-    contacts = [(a.reading.time, a.estimate) for a in updates if a.estimate.ok]
-    fused = [(a.reading.time, a.fused) for a in updates if a.fused is not None and a.fused.ok]
-    wrenches = [(a.reading.time, a.wrench_base.tolist()) for a in updates if np.isfinite(a.wrench_base).all()]
-    found = [(t, _pose_values(e.p_surface_base, e.cov_surface_base)) for t, e in contacts]
-    found_world = [(t, _pose_values(f.p_surface_world, f.cov_surface_world)) for t, f in fused]
-    for topic, frame, values in (
-        (schemas.WITHOUT_BIAS, "base", wrenches),
-        (schemas.CONTACT, "base", found),
-        (schemas.CONTACT_WORLD, "world", found_world),
-    ):
-        if values:
-            stamps = nanoseconds([time for time, _ in values])
-            yield topic, stamps, stamped(frame, stamps, [numbers for _, numbers in values])
-    if updates:
-        stamps = nanoseconds([update.reading.time for update in updates])
-        yield schemas.ESTIMATE, stamps, texts([_estimate_json(update) for update in updates])
-
-
-def _pose_values(p: Array, cov: Array) -> list[float]:
-    """Return a point as a pose with covariance, (43,), with unknown orientation."""
-    whole = UNKNOWN_ROTATION_VAR * np.eye(6)
-    whole[:3, :3] = cov
-    return [*p.tolist(), 0.0, 0.0, 0.0, 1.0, *whole.ravel().tolist()]
-
-
-def _estimate_json(update: EstimateUpdate) -> str:
-    """Return the estimate as JSON with the exact pose of the base, which a quaternion does not represent."""
-    world = world_row(update) if update.fused is not None else {}
-    line, T = json_line(estimate_row(update.reading, update.estimate) | world), update.T_world_base
-    return f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line
+    def _channel(self, topic: Topic) -> int:
+        definition = schemas.definition(topic.type)
+        return self._writer.register(topic.name, topic.type, definition, topic.metadata)

@@ -1,8 +1,10 @@
-"""Topics and ROS 2 messages of an MCAP recording: CDR encoding, message definitions and JSON schemas.
+"""Topics and ROS 2 messages of a recording and of the Foxglove server: definitions, CDR encoding, QoS, JSON schemas.
 
-Source: OMG DDSI-RTPS, CDR encapsulation; the definitions are those of ROS 2's common_interfaces.
+Source: OMG DDSI-RTPS, CDR encapsulation; the definitions are those of ROS 2's common_interfaces and geometry2, and of
+foxglove_msgs 3 (`SceneUpdate`); `probedesign_msgs/msg/Contact` is this project's.
 """
 
+import json
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,21 +48,93 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
 UNCERTAIN_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TEXT = "std_msgs/msg/String"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+SCENE_UPDATE = "foxglove_msgs/msg/SceneUpdate"
+CONTACT_STATE = "probedesign_msgs/msg/Contact"
+
+PHASES = ("", "free", "moving", "touching", "settled", "released")
+"""Phases in the order of their numbers in `CONTACT_STATE`."""
+CONTACT_NUMBERS = ("s_contact", "std_s", "p_surface", "force", "force_norm", "force_normal", "force_tangential",
+                   "friction_ratio", "detection_chi2")  # fmt: skip
+"""Numbers of `CONTACT_STATE` [SI], between its header and its codes."""
 
 _HEADER = {"std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
            "builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}  # fmt: skip
 _POSE = {"geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
          "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
          "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"}  # fmt: skip
+_VECTOR = {"geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z"}
+
+
+def _constants(names: Sequence[str], prefix: str = "") -> str:
+    """Return the constants of an enumeration, numbered from zero."""
+    return "\n".join(f"uint8 {prefix}{(name or 'unknown').upper()}={i}" for i, name in enumerate(names))
+
+
+_CONTACT = f"""std_msgs/Header header
+float64 s_contact # arclength of the contact [m], NaN unless the result is OK, as all numbers below
+float64 std_s # its standard deviation [m]
+geometry_msgs/Point p_surface # touched point in the base frame [m]
+geometry_msgs/Vector3 force # of the object on the probe, in base axes [N]
+float64 force_norm # [N]
+float64 force_normal # [N]
+float64 force_tangential # [N]
+float64 friction_ratio # tangential over normal force
+float64 detection_chi2 # distance of the reading from that of the free probe, whatever the result
+{_constants(tuple(RESULTS))}
+uint8 result
+{_constants(PHASES, "PHASE_")}
+uint8 phase"""
+
+_PRIMITIVE = "geometry_msgs/Pose pose\n{}\nfoxglove_msgs/Color color"
+_COLOURED = (
+    "geometry_msgs/Point[] points\nfoxglove_msgs/Color color\nfoxglove_msgs/Color[] colors\nuint32[] indices"
+)
+_TIME = {"builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}
+_SCENE = _TIME | _POSE | _VECTOR | {
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+    "foxglove_msgs/SceneEntityDeletion":
+        "builtin_interfaces/Time timestamp\nuint8 MATCHING_ID=0\nuint8 ALL=1\nuint8 type\nstring id",
+    "foxglove_msgs/SceneEntity":
+        "builtin_interfaces/Time timestamp\nstring frame_id\nstring id\nbuiltin_interfaces/Duration lifetime\n"
+        "bool frame_locked\nfoxglove_msgs/KeyValuePair[] metadata\nfoxglove_msgs/ArrowPrimitive[] arrows\n"
+        "foxglove_msgs/CubePrimitive[] cubes\nfoxglove_msgs/SpherePrimitive[] spheres\n"
+        "foxglove_msgs/CylinderPrimitive[] cylinders\nfoxglove_msgs/LinePrimitive[] lines\n"
+        "foxglove_msgs/TriangleListPrimitive[] triangles\nfoxglove_msgs/TextPrimitive[] texts\n"
+        "foxglove_msgs/ModelPrimitive[] models",
+    "foxglove_msgs/KeyValuePair": "string key\nstring value",
+    "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
+    "foxglove_msgs/ArrowPrimitive": _PRIMITIVE.format(
+        "float64 shaft_length\nfloat64 shaft_diameter\nfloat64 head_length\nfloat64 head_diameter"),
+    "foxglove_msgs/CubePrimitive": _PRIMITIVE.format("geometry_msgs/Vector3 size"),
+    "foxglove_msgs/SpherePrimitive": _PRIMITIVE.format("geometry_msgs/Vector3 size"),
+    "foxglove_msgs/CylinderPrimitive": _PRIMITIVE.format(
+        "geometry_msgs/Vector3 size\nfloat64 bottom_scale\nfloat64 top_scale"),
+    "foxglove_msgs/LinePrimitive":
+        "uint8 LINE_STRIP=0\nuint8 LINE_LOOP=1\nuint8 LINE_LIST=2\nuint8 type\ngeometry_msgs/Pose pose\n"
+        f"float64 thickness\nbool scale_invariant\n{_COLOURED}",
+    "foxglove_msgs/TriangleListPrimitive": f"geometry_msgs/Pose pose\n{_COLOURED}",
+    "foxglove_msgs/TextPrimitive": "geometry_msgs/Pose pose\nbool billboard\nfloat64 font_size\n"
+        "bool scale_invariant\nfoxglove_msgs/Color color\nstring text",
+    "foxglove_msgs/ModelPrimitive": "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\n"
+        "foxglove_msgs/Color color\nbool override_color\nstring url\nstring media_type\nuint8[] data",
+}  # fmt: skip
 _DEFINITIONS = {
     WRENCH: ("std_msgs/Header header\ngeometry_msgs/Wrench wrench",
-             _HEADER | {"geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque",
-                        "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z"}),
+             _HEADER | _VECTOR
+             | {"geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque"}),
     POSE: ("std_msgs/Header header\ngeometry_msgs/Pose pose", _HEADER | _POSE),
     UNCERTAIN_POSE: ("std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose", _HEADER
                      | {"geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance"}
                      | _POSE),
     TEXT: ("string data", {}),
+    TRANSFORMS: ("geometry_msgs/TransformStamped[] transforms", _HEADER | _VECTOR | {
+        "geometry_msgs/TransformStamped":
+            "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform",
+        "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+        "geometry_msgs/Quaternion": _POSE["geometry_msgs/Quaternion"]}),
+    CONTACT_STATE: (_CONTACT, _HEADER | _VECTOR | {"geometry_msgs/Point": _POSE["geometry_msgs/Point"]}),
+    SCENE_UPDATE: ("foxglove_msgs/SceneEntityDeletion[] deletions\nfoxglove_msgs/SceneEntity[] entities", _SCENE),
 }  # fmt: skip
 
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
@@ -84,13 +158,14 @@ def nanoseconds(time: ArrayLike) -> Nanoseconds:
     return whole
 
 
-def stamped(frame: str, stamps: ArrayLike, values: ArrayLike) -> Bytes:
-    """Return messages of a header and doubles: wrenches, poses, poses with covariance.
+def stamped(frame: str, stamps: ArrayLike, values: ArrayLike, codes: ArrayLike | None = None) -> Bytes:
+    """Return messages of a header, doubles and codes: wrenches, poses, poses with covariance, states of the contact.
 
     Args:
         frame: frame of the values.
         stamps: time stamps of the headers [ns], (n,), limited to 32 bits of seconds.
         values: the doubles in message order [SI], (n, doubles).
+        codes: numbers of enumerations after the doubles, (n, codes); none by default.
 
     Returns:
         The messages, (n,), of equal length.
@@ -98,21 +173,23 @@ def stamped(frame: str, stamps: ArrayLike, values: ArrayLike) -> Bytes:
     numbers = np.asarray(values, dtype=float)
     seconds, rest = np.divmod(np.asarray(stamps, dtype=np.int64), 1_000_000_000)
     name = frame.encode() + b"\0"
-    packed = np.zeros(len(numbers), _message_dtype(len(name), numbers.shape[1]))
+    last = np.zeros((len(numbers), 0), np.uint8) if codes is None else np.asarray(codes, np.uint8)
+    packed = np.zeros(len(numbers), _message_dtype(len(name), numbers.shape[1], last.shape[1]))
     packed["encapsulation"], packed["name"] = np.void(CDR_LITTLE_ENDIAN), np.void(name)
     packed["length"] = len(name)
     packed["second"] = np.clip(seconds, *_SECONDS)
     packed["rest"] = np.where(seconds < _SECONDS[0], 0, np.where(seconds > _SECONDS[1], 999_999_999, rest))
-    packed["values"] = numbers
+    packed["values"], packed["codes"] = numbers, last
     return packed.view(f"V{packed.dtype.itemsize}")
 
 
 @cache
-def _message_dtype(name: int, doubles: int) -> np.dtype[np.void]:
+def _message_dtype(name: int, doubles: int, codes: int = 0) -> np.dtype[np.void]:
     """Return the layout of a message whose frame name has `name` bytes."""
     return np.dtype([
         ("encapsulation", "V4"), ("second", "<i4"), ("rest", "<u4"), ("length", "<u4"), ("name", f"V{name}"),
         ("padding", f"V{-(12 + name) % 8}"), ("values", "<f8", (doubles,)),
+        ("codes", "u1", (codes,)),
     ])  # fmt: skip
 
 
@@ -123,6 +200,61 @@ def texts(data: Sequence[str]) -> Bytes:
     head = CDR_LITTLE_ENDIAN + struct.pack("<I", length + 1)
     whole = b"".join(head + content.ljust(length) + b"\0" for content in contents)
     return np.frombuffer(whole, f"V{len(head) + length + 1}")
+
+
+class CdrBuilder:
+    """Builds one message of any type, field by field; each is aligned to its size."""
+
+    def __init__(self) -> None:
+        self._data = bytearray(CDR_LITTLE_ENDIAN)
+
+    def pack(self, kind: str, *values: float) -> "CdrBuilder":
+        """Append numbers of one `struct` kind: b, B, ?, i, I, d."""
+        self._align(struct.calcsize(f"<{kind}"))
+        self._data += struct.pack(f"<{len(values)}{kind}", *values)
+        return self
+
+    def time(self, stamp: int) -> "CdrBuilder":
+        """Append a time stamp [ns], limited to 32 bits of seconds."""
+        second, rest = divmod(stamp, 1_000_000_000)
+        return self.pack("i", max(min(second, _SECONDS[1]), _SECONDS[0])).pack("I", rest)
+
+    def string(self, text: str) -> "CdrBuilder":
+        """Append a string."""
+        content = text.encode() + b"\0"
+        self.pack("I", len(content))
+        self._data += content
+        return self
+
+    def array(self, values: NDArray[Any], kind: str) -> "CdrBuilder":
+        """Append a sequence: the number of rows, then all numbers as one `numpy` kind: <f8, <u4."""
+        self.pack("I", len(values))
+        if len(values):
+            data = np.ascontiguousarray(values, kind)
+            self._align(data.itemsize)
+            self._data += data.tobytes()
+        return self
+
+    def message(self) -> Bytes:
+        """Return the message, (1,)."""
+        return np.frombuffer(bytes(self._data), f"V{len(self._data)}")
+
+    def _align(self, size: int) -> None:
+        self._data += bytes(-(len(self._data) - len(CDR_LITTLE_ENDIAN)) % size)
+
+
+def transform(parent: str, child: str, stamp: int, p: Sequence[float], q: Sequence[float]) -> Bytes:
+    """Return a TF message with one transform, (1,).
+
+    Args:
+        parent: frame in which the pose is given.
+        child: frame whose pose it is.
+        stamp: time stamp [ns].
+        p: origin of the child [m], three numbers.
+        q: orientation as a quaternion x, y, z, w.
+    """
+    builder = CdrBuilder().pack("I", 1).time(stamp).string(parent).string(child)
+    return builder.pack("d", *p, *q).message()
 
 
 def read_stamped(data: bytes | memoryview, doubles: int) -> tuple[int, str, tuple[float, ...]]:
@@ -182,6 +314,8 @@ def _string(data: bytes | memoryview) -> str:
 
 METADATA_NAME = "probedesign"
 """Name of the metadata record of our recordings."""
+CLOCK_NAME, OFFSET_KEY = "probedesign_clock", "wall_minus_source_ns"
+"""Name of the metadata record with the offset of the clocks, and its key."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,11 +326,37 @@ class Topic:
         name: name in ROS.
         type: type of its messages.
         schema: JSON Schema of the JSON in its strings; empty for other messages.
+        latched: whether a subscriber receives the last message even if it was sent before (transient local).
     """
 
     name: str
     type: str
     schema: dict[str, Any]
+    latched: bool = False
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Metadata of the channel: the QoS profile that rosbag2 needs to play it, and the JSON Schema."""
+        known = {"json_schema": json.dumps(self.schema)} if self.schema else {}
+        return {"offered_qos_profiles": _qos(self.latched)} | known
+
+
+QOS_METADATA = {"rosbag2": {"offered_qos_profiles": "numbers, as in version 8 of rosbag2's metadata"}}
+"""Metadata record without which newer versions of rosbag2 expect the policies of a QoS profile as words.
+
+Source: rosbag2_storage_mcap, `MCAPStorage::read_metadata`; rosbag2_storage, `qos.cpp`.
+"""
+_FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
+
+
+def _qos(latched: bool) -> str:
+    """Return the QoS profile of a publisher as YAML: keep last, reliable, volatile or transient local, automatic."""
+    history, depth, reliability, durability, liveliness = 1, 10, 1, 1 if latched else 2, 1
+    return (
+        f"- history: {history}\n  depth: {depth}\n  reliability: {reliability}\n  durability: {durability}\n"
+        f"  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n  liveliness: {liveliness}\n"
+        f"  liveliness_lease_duration:{_FOREVER}\n  avoid_ros_namespace_conventions: false"
+    )
 
 
 def _object(title: str, required: list[str], properties: dict[str, Any]) -> dict[str, Any]:
@@ -259,4 +419,25 @@ EVENT = Topic(
     _object("An event", ["event"], {"time_s": NUMBER_OR_NULL, "event": TEXT_VALUE}),
 )
 """Tares, marks, silence, loss, faults."""
-TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT)
+STATE = Topic("/probedesign/state", CONTACT_STATE, {})
+"""The numbers of each estimate with its result and its phase, for plots."""
+SCENE = Topic("/probedesign/scene", SCENE_UPDATE, {})
+"""The bent probe, the sensor, and the contact with its 95 % ellipsoid and its force."""
+TF = Topic("/tf", TRANSFORMS, {})
+"""Pose of the base in the world, as `BASE`."""
+TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)
+"""Pose of the sensor in the base."""
+TOPICS = (
+    RAW,
+    BLOCK,
+    WITHOUT_BIAS,
+    CONTACT,
+    CONTACT_WORLD,
+    BASE,
+    ESTIMATE,
+    EVENT,
+    STATE,
+    SCENE,
+    TF,
+    TF_STATIC,
+)

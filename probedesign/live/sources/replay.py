@@ -127,7 +127,12 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     def missing() -> tuple[str, ...]:
         notes = []
         if blocks.n_dropped:
-            notes.append(f"{blocks.n_dropped} readings were dropped by the recorder: the disk was too slow")
+            why = (
+                "lie in damaged parts"
+                if bag.damage
+                else "were dropped by the recorder: the disk was too slow"
+            )
+            notes.append(f"{blocks.n_dropped} readings {why}")
         if bag.damage:
             notes.append(f"incomplete: {bag.damage}")
         return tuple(notes)
@@ -239,6 +244,9 @@ class NativeRecording:
             try:
                 first, block = _native_block(raw, read_text(message.data))
             except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+                if self._bag.damage:  # the rest of this block lies in the damaged part
+                    raw = []
+                    continue
                 raise InputError(
                     f"{self._bag.path}: a {BLOCK.name} after {n_read} readings: {error}"
                 ) from None

@@ -24,18 +24,22 @@ class Bag(Protocol):
     """A bag: messages in the order in which they were recorded."""
 
     path: Path
-    damage: str
-    """Description of the damage, as far as the bag was read; empty if none."""
     metadata: dict[str, dict[str, str]]
     """Metadata by name; only MCAP has them."""
     probe: dict[str, object] | None
     """Attached frozen probe, if any."""
+    clock_offset: int
+    """Clock of the headers minus the source's clock [ns]; not 0 only in our own recordings."""
+
+    @property
+    def damage(self) -> str:
+        """Description of the damage, as far as the bag was read; empty if none."""
 
     def channels(self) -> list[BagTopic]:
         """Return all channels."""
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of the topics; of a damaged bag those before the damage."""
+        """Yield the messages of the topics; of a damaged bag those that are intact."""
 
 
 def is_bag(path: Path) -> bool:
@@ -103,7 +107,7 @@ class RosBag:
             from rosbags.rosbag2 import Reader
         except ImportError:
             raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
-        self.path, self.damage = path, ""
+        self.path, self.damage, self.clock_offset = path, "", 0
         self.metadata: dict[str, dict[str, str]] = {}
         self.probe: dict[str, object] | None = None
         self._reader = Reader
@@ -241,7 +245,7 @@ def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
     for message in bag.messages({name}):
         try:
             stamp, frame, numbers = read_stamped(message.data, 7)
-            found.append(_at(*divmod(stamp, 1_000_000_000), numbers[:3], numbers[3:]))
+            found.append(_at(*divmod(stamp - bag.clock_offset, 1_000_000_000), numbers[:3], numbers[3:]))
         except (InputError, ValueError) as error:
             raise InputError(f"{bag.path}: a pose on {name}: {error}") from None
         frames.add(frame)
@@ -266,7 +270,8 @@ def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
             decoded: Any = types.deserialize_cdr(bytes(message.data), TF)
             for edge in decoded.transforms:
                 p, q, stamp = edge.transform.translation, edge.transform.rotation, edge.header.stamp
-                pose = _at(stamp.sec, stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+                at = divmod(stamp.sec * 1_000_000_000 + stamp.nanosec - bag.clock_offset, 1_000_000_000)
+                pose = _at(at[0], at[1], (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
                 edges.append((edge.header.frame_id, edge.child_frame_id, pose, message.topic == STATIC))
         except Exception as error:  # rosbags may raise anything on invalid bytes
             why = plain(str(error), 120) or type(error).__name__

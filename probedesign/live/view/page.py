@@ -19,8 +19,9 @@ from websockets.asyncio import server
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.live import LOOPBACK
-from probedesign.live.view.scene import SceneSetup, StripCharts, ellipsoid
-from probedesign.live.view.state import ContactMarker, Level, Snapshot
+from probedesign.live.outputs.drawing import ContactMarker, ellipsoid
+from probedesign.live.view.scene import SceneSetup, StripCharts
+from probedesign.live.view.state import Level, Snapshot
 
 if TYPE_CHECKING:
     pass

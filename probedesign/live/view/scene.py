@@ -3,7 +3,6 @@
 import json
 from collections import deque
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,83 +13,8 @@ from probedesign.core.stl import PREAMBLE, RECORD, stl_corners
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.design.sensors import NANO17, SENSORS
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.view.state import STRIP, BentShape
-
-MAX_STATIONS, RING_POINTS = 72, 36
-
-
-@dataclass(frozen=True)
-class TubeMesh:
-    """Closed mesh of a round or flattened probe around its bent centreline.
-
-    Attributes:
-        s: arclengths of the knots [m], (k,).
-        radius: half-width along the section's x axis at the knots, linear in between [m], (k,).
-        flatness: half-width along y divided by that along x.
-    """
-
-    s: Array
-    radius: Array
-    flatness: float = 1.0
-
-    @cached_property
-    def stations(self) -> Array:
-        """Arclengths of the rings [m]: uniform, plus the knots of the radius."""
-        even = np.linspace(self.s[0], self.s[-1], MAX_STATIONS)
-        knots = self.s if len(self.s) <= MAX_STATIONS else self.s[:: len(self.s) // MAX_STATIONS]
-        return np.asarray(np.unique(np.concatenate([even, knots, self.s[-1:]])))
-
-    @cached_property
-    def faces(self) -> Array:
-        """Triangles, anticlockwise seen from outside, (j, 3): the rings, then a cap at each end."""
-        rings, ring = len(self.stations), np.arange(RING_POINTS)
-        after = (ring + 1) % RING_POINTS
-        first = RING_POINTS * np.arange(rings - 1)[:, None]
-        a, b = first + ring, first + after
-        side = np.stack([a, b, b + RING_POINTS, a, b + RING_POINTS, a + RING_POINTS], axis=-1).reshape(-1, 3)
-        base = rings * RING_POINTS  # the caps have their own rims, so that shading keeps the edge sharp
-        tip = base + RING_POINTS + 1
-        caps = [
-            np.stack([base + after, base + ring, np.full(RING_POINTS, base + RING_POINTS)], axis=1),
-            np.stack([tip + ring, tip + after, np.full(RING_POINTS, tip + RING_POINTS)], axis=1),
-        ]
-        return np.concatenate([side, *caps]).astype(np.uint32)
-
-    def vertices(self, shape: BentShape) -> Array:
-        """Return the points of the surface [m], (i, 3), in base axes."""
-        p, x, y = centreline(shape, self.stations)
-        angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS, endpoint=False)
-        round_x, round_y = np.cos(angle)[:, None], self.flatness * np.sin(angle)[:, None]
-        radius = np.interp(self.stations, self.s, self.radius)[:, None, None]
-        rings = p[:, None] + radius * (round_x * x[:, None] + round_y * y[:, None])
-        caps = [np.vstack([rings[end], p[end]]) for end in (0, -1)]
-        return np.asarray(np.concatenate([rings.reshape(-1, 3), *caps]))
-
-
-def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
-    """Return points and the section's x and y axes at arclengths s, each (k, 3).
-
-    Cubic between the nodes of the solution, from their tangents. The rod's axial strain, some thousandths, is
-    neglected: the result is for drawing, not for measuring.
-    """
-    i = np.clip(np.searchsorted(shape.s, s, side="right") - 1, 0, len(shape.s) - 2)
-    step = shape.s[i + 1] - shape.s[i]
-    t = ((s - shape.s[i]) / step)[:, None]
-    p0, p1 = shape.p_base[i], shape.p_base[i + 1]
-    m0, m1 = (step[:, None] * shape.R_base[j][:, :, 2] for j in (i, i + 1))
-    p = (
-        (1 + 2 * t) * (1 - t) ** 2 * p0
-        + t * (1 - t) ** 2 * m0
-        + t**2 * (3 - 2 * t) * p1
-        + t**2 * (t - 1) * m1
-    )
-    slope = 6 * t * (1 - t) * (p1 - p0) + (1 - t) * (1 - 3 * t) * m0 + t * (3 * t - 2) * m1
-    tangent = slope / np.linalg.norm(slope, axis=1, keepdims=True)
-    x = (1 - t) * shape.R_base[i][:, :, 0] + t * shape.R_base[i + 1][:, :, 0]
-    x = x - np.sum(x * tangent, axis=1, keepdims=True) * tangent
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return p, x, np.cross(tangent, x)
-
+from probedesign.live.outputs.drawing import BentShape, TubeMesh
+from probedesign.live.view.state import STRIP
 
 EXPORTED = ("sensor_adapter", "clamp_ring", "flange_adapter")
 MAX_FACETS = 200_000
@@ -208,20 +132,6 @@ class SceneSetup:
     parts: tuple[RigidPart, ...]
     gravity_base: Array
     note: str = ""
-
-
-RADIUS_95 = 2.7955
-"""Half-axes of the 95 % ellipsoid in standard deviations: the root of the 95 % quantile of χ² with three degrees of
-freedom."""
-
-
-def ellipsoid(cov: Array) -> tuple[Array, Array]:
-    """Return the half-axes of the 95 % ellipsoid [m], (3,), and their directions as columns of a rotation, (3, 3)."""
-    variances, axes = np.linalg.eigh(cov)
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 0] = -axes[:, 0]
-    half_axes: Array = RADIUS_95 * np.sqrt(np.maximum(variances, 0.0))
-    return half_axes, axes
 
 
 CHART_SECONDS = 15.0

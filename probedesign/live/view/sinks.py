@@ -14,9 +14,10 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import LOOPBACK, Log
+from probedesign.live.outputs.drawing import BentShape, TubeMesh
 from probedesign.live.processing.control import CommandName, CommandQueue
-from probedesign.live.view.scene import SceneSetup, TubeMesh, rigid_parts
-from probedesign.live.view.state import BentShape, Counts, Level, Snapshot, ViewState
+from probedesign.live.view.scene import SceneSetup, rigid_parts
+from probedesign.live.view.state import Counts, Level, Snapshot, ViewState
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -12,6 +12,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import RESULTS
+from probedesign.live.outputs.drawing import BentShape, ContactMarker, bent_shape, contact_marker
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
@@ -25,47 +26,6 @@ class StatusLine(NamedTuple):
     name: str
     text: str
     level: Level = "plain"
-
-
-@dataclass(frozen=True)
-class BentShape:
-    """The bent centreline at the nodes of its solution.
-
-    Attributes:
-        s: arclengths, base to tip [m], (k,).
-        p_base: points [m], (k, 3).
-        R_base: section frames with columns x, y and tangent, (k, 3, 3).
-    """
-
-    s: Array
-    p_base: Array
-    R_base: Array
-
-
-@dataclass(frozen=True)
-class ContactMarker:
-    """A located contact.
-
-    Attributes:
-        p_surface: touched point [m], (3,).
-        cov: its covariance [m²], (3, 3).
-        force: force of the object on the probe [N], (3,).
-        s, std_s: arclength and its standard deviation [m].
-        in_world: whether all this is in the world frame; otherwise in the base frame.
-        time: time by the source's clock [s].
-        number: number of the touch, from 1.
-        friction_ratio: tangential over normal force; NaN if unknown.
-    """
-
-    p_surface: Array
-    cov: Array
-    force: Array
-    s: float
-    std_s: float
-    in_world: bool
-    time: float
-    number: int
-    friction_ratio: float = float("nan")
 
 
 STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
@@ -355,26 +315,3 @@ class ViewState(Sink):
         if free and self._current is not None:
             self._earlier.append(self._current)
             self._current, self._settled, self._number = None, False, self._number + 1
-
-
-def contact_marker(update: EstimateUpdate, number: int) -> ContactMarker | None:
-    """Return the contact, fused if available, otherwise of this reading; None if the estimate is not ok."""
-    estimate, fused, T = update.estimate, update.fused, update.T_world_base
-    if not estimate.ok:
-        return None
-    contact = (estimate.force_base, estimate.s_contact, estimate.std_s)
-    when = (update.reading.time, number, estimate.friction_ratio)
-    if not np.isfinite(T).all():
-        return ContactMarker(estimate.p_surface_base, estimate.cov_surface_base, *contact, False, *when)
-    R, origin = T[:3, :3], T[:3, 3]
-    contact = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
-    if fused is not None and fused.ok:
-        return ContactMarker(fused.p_surface_world, fused.cov_surface_world, *contact, True, *when)
-    surface = R @ estimate.p_surface_base + origin
-    return ContactMarker(surface, R @ estimate.cov_surface_base @ R.T, *contact, True, *when)
-
-
-def bent_shape(update: EstimateUpdate) -> BentShape | None:
-    """Return the estimated shape of the probe; None if it is unknown."""
-    eq = update.estimate.shape
-    return BentShape(eq.s, eq.p_base, eq.R_base) if eq is not None and eq.ok else None

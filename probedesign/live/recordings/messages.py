@@ -1,0 +1,216 @@
+"""What a run delivers as ROS 2 messages: one encoder for recordings and for the Foxglove server.
+
+Messages of equal length are laid out by numpy, all of a block at once: at 7000 readings per second the time that one
+message takes in Python is taken from the estimator.
+"""
+
+import json
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from probedesign.core.frames import Array, inverse
+from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.model import ProbeModel
+from probedesign.live.poses.track import TimedPose, pose_from_matrix
+from probedesign.live.processing.blocks import Block, joined
+from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.scene import SCENE_PERIOD, SceneEncoder
+from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic, nanoseconds, stamped, texts
+
+MAX_BLOCK = 700
+"""Maximum number of readings described by one block message: 0.1 s of the fastest source, so that encoding it does not
+occupy the interpreter for long."""
+_MAX_NS = 4 * 10**18
+"""Half the range of 63-bit nanoseconds."""
+
+
+class MessageEncoder(ABC):
+    """Encodes readings, estimates, poses and events of a run; called from one thread (see `RecordingFile`).
+
+    Time stamps are wall clock: the arrival of the first block, plus the time elapsed on the source's clock since then.
+
+    Attributes:
+        clock_offset: wall clock minus the source's clock [ns]; None before the first message with a time.
+    """
+
+    def __init__(self, model: ProbeModel) -> None:
+        self._model, self._scene = model, SceneEncoder(model)
+        self._pending: list[Block] = []
+        self._updates: list[EstimateUpdate] = []
+        self._count = self._first = 0
+        self._logged, self._epoch = time.time_ns(), (0, 0)
+        self._scene_due = -math.inf
+        self.clock_offset: int | None = None
+
+    @abstractmethod
+    def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
+        """Take messages, (n,), with their times [ns], (n,); `sequence` is the number of the first."""
+
+    def is_wanted(self, topic: Topic) -> bool:
+        """Return whether messages of a topic are used; others are not encoded."""
+        return True
+
+    def on_clock(self) -> None:
+        """Handle that the offset of the clocks has become known, before the first message with a time."""
+        return None
+
+    def on_samples(self, block: Block) -> None:
+        """Buffer readings until `encode` or until the state of the source changes."""
+        if self.clock_offset is None and len(block):
+            self._start_clock(int(nanoseconds(block.time[-1:])[0]), float(block.received[-1]))
+        if self._pending and not (_same_state(self._pending[0], block) and self._count < MAX_BLOCK):
+            self.encode()
+        self._pending.append(block)
+        self._count += len(block)
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Buffer an estimate as long as the readings."""
+        self._updates.append(update)
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Encode a pose of the base, as received."""
+        stamp = self._wall(nanoseconds([pose.time]))
+        self.add(schemas.BASE, stamp, stamped("world", stamp, [[*pose.p, *pose.q]]))
+        self.add(schemas.TF, stamp, schemas.transform("world", "base", int(stamp[0]), pose.p, pose.q))
+
+    def on_event(self, time: float, line: str) -> None:
+        """Encode an event; without a time it has that of the last message."""
+        known = math.isfinite(time)
+        stamp = self._wall(nanoseconds([time])) if known else np.array([self._logged])
+        event = {"time_s": time if known else None, "event": line}
+        self.add(schemas.EVENT, stamp, texts([json.dumps(event)]))
+
+    def on_dropped(self, readings: int, others: int) -> None:
+        """Encode the numbers of dropped readings and others as an event, and count the readings."""
+        self.encode()
+        self._first += readings
+        lost = f"{readings} readings and {others} other messages dropped here"
+        self.on_event(math.nan, f"the disk was too slow: {lost}")
+
+    def encode_static(self) -> None:
+        """Encode what does not change: the pose of the sensor."""
+        at = pose_from_matrix(0.0, inverse(self._model.T_sensor_base))
+        message = schemas.transform("base", "sensor", self._logged, at.p, at.q)
+        self.add(schemas.TF_STATIC, np.array([self._logged]), message)
+
+    def encode(self) -> None:
+        """Encode the buffer: estimates, readings as wrenches, and what their headers do not contain."""
+        updates, self._updates = self._updates, []
+        if updates:
+            stamps = self._wall(nanoseconds([update.reading.time for update in updates]))
+            for topic, chosen, data in update_messages(updates, stamps):
+                self.add(topic, chosen, data)
+            self._encode_scenes(updates, stamps)
+        if self._pending:
+            block, self._pending, self._count = joined(self._pending), [], 0
+            self._encode_block(block)
+
+    def _encode_scenes(self, updates: Sequence[EstimateUpdate], stamps: Nanoseconds) -> None:
+        """Encode a scene of those estimates that are due."""
+        if not self.is_wanted(schemas.SCENE):
+            return
+        for update, stamp in zip(updates, stamps, strict=True):
+            if update.reading.time >= self._scene_due or update.reading.time < self._scene_due - 1.0:
+                self._scene_due = update.reading.time + 0.9 * SCENE_PERIOD
+                self.add(schemas.SCENE, np.array([stamp]), self._scene.encode(update, int(stamp)))
+
+    def _encode_block(self, block: Block) -> None:
+        stamps = self._wall(nanoseconds(block.time)) if len(block) else np.array([self._logged])
+        if len(block) and self.is_wanted(schemas.RAW):
+            self.add(schemas.RAW, stamps, stamped("sensor", stamps, block.wrench_sensor), self._first)
+        content = {
+            "first": self._first,
+            "time_s": block.time.tolist(),
+            "gravity_base_m_s2": block.gravity_base.tolist(),
+            "stretch": block.stretch,
+            "fault": block.fault,
+        }
+        self._first += len(block)
+        if self.is_wanted(schemas.BLOCK):
+            self.add(schemas.BLOCK, stamps[-1:], texts([json.dumps(content)]))
+
+    def _start_clock(self, stamp: int, received: float = math.nan) -> None:
+        """Relate a time of the source [ns] to the wall clock at its arrival by `time.monotonic` [s], or now."""
+        age = time.monotonic() - received
+        now = time.time_ns() - (round(1e9 * age) if math.isfinite(age) else 0)
+        self._epoch = int(np.clip(stamp, -_MAX_NS, _MAX_NS)), now
+        self.clock_offset = now - self._epoch[0]
+        self.on_clock()
+
+    def _wall(self, stamps: Nanoseconds) -> Nanoseconds:
+        """Return the wall clock at times of the source [ns], limited to what a log time can represent."""
+        if self.clock_offset is None:
+            self._start_clock(int(stamps[0]))
+        stamp, now = self._epoch
+        wall = now + np.clip(np.clip(stamps, -_MAX_NS, _MAX_NS) - stamp, -now, 2 * _MAX_NS - now)
+        self._logged = int(wall[-1])
+        return wall
+
+
+def _same_state(a: Block, b: Block) -> bool:
+    """Return whether one block message can describe both blocks."""
+    return (a.fault, a.stretch) == (b.fault, b.stretch) and np.array_equal(a.gravity_base, b.gravity_base)
+
+
+UNKNOWN_ROTATION_VAR = math.pi**2
+"""Variance of each angle of a contact's orientation [rad²], which is not estimated: π in each direction."""
+
+
+def update_messages(
+    updates: Sequence[EstimateUpdate], stamps: Nanoseconds
+) -> Iterator[tuple[Topic, Nanoseconds, Bytes]]:
+    """Yield for each topic the time stamps [ns], (n,), and the messages, (n,), of estimates with these stamps.
+
+    Messages are encoded together: one by one they take five times as long.
+    """
+    numbered = list(zip(stamps, updates, strict=True))
+    wrenches = [(t, a.wrench_base.tolist()) for t, a in numbered if np.isfinite(a.wrench_base).all()]
+    contacts = [(t, a.estimate) for t, a in numbered if a.estimate.ok]
+    fused = [(t, a.fused) for t, a in numbered if a.fused is not None and a.fused.ok]
+    found = [(t, _pose_values(e.p_surface_base, e.cov_surface_base)) for t, e in contacts]
+    found_world = [(t, _pose_values(f.p_surface_world, f.cov_surface_world)) for t, f in fused]
+    for topic, frame, values in (
+        (schemas.WITHOUT_BIAS, "base", wrenches),
+        (schemas.CONTACT, "base", found),
+        (schemas.CONTACT_WORLD, "world", found_world),
+    ):
+        if values:
+            chosen = np.array([stamp for stamp, _ in values])
+            yield topic, chosen, stamped(frame, chosen, [numbers for _, numbers in values])
+    numbers, codes = zip(*map(_state_values, updates), strict=True)
+    yield schemas.STATE, stamps, stamped("base", stamps, numbers, codes)
+    yield schemas.ESTIMATE, stamps, texts([_estimate_json(update) for update in updates])
+
+
+_RESULT_CODES = {result: code for code, result in enumerate(RESULTS)}
+
+
+def _state_values(update: EstimateUpdate) -> tuple[list[float], tuple[int, int]]:
+    """Return numbers and codes of `schemas.CONTACT_STATE`; the numbers of a contact are NaN without a contact."""
+    estimate = update.estimate
+    contact = [estimate.s_contact, estimate.std_s, *estimate.p_surface_base, *estimate.force_base]
+    contact += [float(np.linalg.norm(estimate.force_base)), estimate.force_normal, estimate.force_tangential]
+    contact.append(estimate.friction_ratio)
+    if not estimate.ok:
+        contact = [math.nan] * len(contact)
+    codes = _RESULT_CODES[estimate.result], schemas.PHASES.index(update.phase)
+    return [*map(float, contact), float(estimate.detection_chi2)], codes
+
+
+def _pose_values(p: Array, cov: Array) -> list[float]:
+    """Return a point as a pose with covariance, (43,), with unknown orientation."""
+    whole = UNKNOWN_ROTATION_VAR * np.eye(6)
+    whole[:3, :3] = cov
+    return [*p.tolist(), 0.0, 0.0, 0.0, 1.0, *whole.ravel().tolist()]
+
+
+def _estimate_json(update: EstimateUpdate) -> str:
+    """Return the estimate as JSON with the exact pose of the base, which a quaternion does not represent."""
+    world = world_row(update) if update.fused is not None else {}
+    line, T = json_line(estimate_row(update.reading, update.estimate) | world), update.T_world_base
+    return f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line
