@@ -1,6 +1,7 @@
 """Writing of files: whole or not at all, never over a file that nobody asked to replace."""
 
 import os
+import re
 import secrets
 import stat
 import tempfile
@@ -98,6 +99,15 @@ def check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
     check_writable(folder / "file")
+
+
+PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+"""Names of designs and probes, which become names of files."""
+
+
+def is_plain_name(name: str) -> bool:
+    """Return whether a name is that of a file in the same folder, without an extension of its own."""
+    return bool(PLAIN_NAME.fullmatch(name)) and not name.endswith((".", ".toml"))
 
 
 def check_regular(path: Path) -> None:
