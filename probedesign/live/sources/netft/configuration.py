@@ -251,17 +251,12 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     address = f"http://{host}:{port}{PAGE}"
     connection = HTTPConnection(host, port, timeout=timeout)
     late = threading.Event()
-
-    def give_up() -> None:
-        late.set()
-        with suppress(OSError, AttributeError):  # it may just have been closed
-            connection.sock.shutdown(socket.SHUT_RDWR)
-
-    # a timeout of the socket alone limits each byte, not all of them; http.client limits the size of the headers
-    deadline = threading.Timer(timeout, give_up)
-    deadline.daemon = True
+    deadline = threading.Timer(timeout, late.set)
     try:
         connection.connect()
+        # a timeout of the socket alone limits each byte, not all of them; http.client limits the size of the headers
+        deadline = threading.Timer(timeout, _give_up, (connection.sock, late))
+        deadline.daemon = True
         deadline.start()
         connection.request("GET", PAGE, headers={"Connection": "close"})
         response = connection.getresponse()
@@ -280,6 +275,13 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     if response.status != 200:
         raise InputError(f"{address}: HTTP status {response.status}; is this a Net F/T box?")
     return page
+
+
+def _give_up(link: socket.socket, late: threading.Event) -> None:
+    """End the connection, so that whoever waits for it continues."""
+    late.set()
+    with suppress(OSError):  # it may just have been closed
+        link.shutdown(socket.SHUT_RDWR)
 
 
 class ConfigurationMonitor:
