@@ -114,9 +114,9 @@ def test_messages_equal_those_of_the_recording(node, estimator, tmp_path):
 
 
 def fields(message):
-    """Every number and text of a message but its time stamp; NaN equals NaN."""
+    """Every number and text of a message but its time stamp and constants; NaN equals NaN."""
     if hasattr(message, "__dict__") and not isinstance(message, type):
-        items = {k: v for k, v in vars(message).items() if k not in ("stamp", "__msgtype__")}
+        items = {k: v for k, v in vars(message).items() if k.islower() and k not in ("stamp", "__msgtype__")}
         return {k: fields(v) for k, v in items.items()}
     return repr(message.tolist() if hasattr(message, "tolist") else message)
 
