@@ -2,10 +2,12 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess
-from launch.conditions import LaunchConfigurationNotEquals
-from launch.substitutions import LaunchConfiguration
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
+PARAMETERS = {"port": int, "control_port": int, "frame_prefix": str, "publish_tf": bool}
 ARGUMENTS = {
     "probedesign": ("probedesign", "the program, or its path in a virtual environment"),
     "bundle": ("", "frozen probe, NAME.probe.json; empty: the run is started elsewhere"),
@@ -26,7 +28,9 @@ def generate_launch_description():
         executable="probe",
         name="probedesign",
         output="screen",
-        parameters=[{name: value[name] for name in ("port", "control_port", "frame_prefix", "publish_tf")}],
+        parameters=[
+            {name: ParameterValue(value[name], value_type=kind) for name, kind in PARAMETERS.items()}
+        ],
     )
     run = ExecuteProcess(
         cmd=[
@@ -34,7 +38,7 @@ def generate_launch_description():
             "--publish", ["ros2://127.0.0.1:", value["port"]], "--control", ["udp://:", value["control_port"]],
             "--lines",
         ],
-        condition=LaunchConfigurationNotEquals("bundle", ""),
+        condition=IfCondition(NotEqualsSubstitution(value["bundle"], "")),
         output="screen",
     )  # fmt: skip
     declared = [
