@@ -14,10 +14,12 @@ compares an estimator with a reference. Lengths are in metres, forces in newtons
 in its unit where that is another. Each name is imported when it is first used, so that `import probedesign` stays fast.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = (
+    False  # as in typing, whose import would delay the first Ctrl-C that ends a command in one line
+)
 if TYPE_CHECKING:
+    from typing import Any
+
     from probedesign.campaigns import Campaign, read_campaign
     from probedesign.core.errors import InputError
     from probedesign.design import Design, check_design, load_design, parse_design
@@ -88,11 +90,13 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Import a public name when it is first used, and keep it."""
     if name not in _LOCATIONS:
         raise AttributeError(f"module 'probedesign' has no attribute '{name}'")
     module, attribute = _LOCATIONS[name]
+    from importlib import import_module
+
     value = globals()[name] = getattr(import_module(module), attribute)
     return value
 

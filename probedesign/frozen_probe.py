@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import write_atomically
+from probedesign.core.files import check_regular, is_plain_name, write_atomically
 from probedesign.core.frames import Array, is_pose
 from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.design.sensors import NANO17, Noise
@@ -37,6 +37,8 @@ SCHEMA = SCHEMAS[-1]
 SECTION_STATIONS = 17
 """Number of equidistant stations of the section table, beside the knots; for people and for the check on load."""
 _MAX_BYTES = 10_000_000
+MAX_TEXT = 500
+"""Maximum length of a text."""
 
 
 # The table
@@ -88,6 +90,28 @@ def _number(lowest: float = -math.inf, highest: float = math.inf) -> Callable[[A
     return read
 
 
+def _read_name(value: Any) -> str:
+    """A name becomes part of the names of recordings: a forged one must not lead out of their folder."""
+    if not isinstance(value, str) or not is_plain_name(value):
+        raise InputError(
+            f"= {str(value)[:60]!a} is not a plain name; letters, digits, '-', '_' and '.' are allowed"
+        )
+    return value
+
+
+def _read_text(value: Any) -> str:
+    """A text is printed on terminals and pages: a forged one must not control them."""
+    if not isinstance(value, str) or not value.isprintable() or len(value) > MAX_TEXT:
+        raise InputError(f"= {str(value)[:60]!a} must be a text of up to {MAX_TEXT} printable characters")
+    return value
+
+
+def _read_texts(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, list):
+        raise InputError("must be a list of texts")
+    return tuple(map(_read_text, values))
+
+
 def _read_friction(value: Any) -> float:
     """JSON has no infinity, which is the text "inf"."""
     return math.inf if value == "inf" else _number(0.0)(value)
@@ -131,11 +155,11 @@ OPTIONAL = SCHEMA + 1
 NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
 """Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed."""
 _UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
-_QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": str, "source": str}
+_QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": _read_text, "source": _read_text}
 FIELDS = (
-    Field("name", "name", str),
-    Field("fingerprint", "fingerprint", str),
-    Field("assumptions", "assumptions", tuple),
+    Field("name", "name", _read_name),
+    Field("fingerprint", "fingerprint", _read_text),
+    Field("assumptions", "assumptions", _read_texts),
     Field("rod.s_m", "rod.s", _array()),
     Field("rod.radius_m", "rod.radius", _array()),
     Field("rod.section.bore_ratio", "cross_section.bore_ratio", NUMBER, 2, FULL_ROUND.bore_ratio),
@@ -153,7 +177,7 @@ FIELDS = (
     ),
     Field("contact.friction", "friction", _read_friction, 3, ELASTIC_FRICTION.value, True),
     Field("contact.provenance", "friction_provenance", _read_provenance, 3, ELASTIC_FRICTION.provenance),
-    Field("contact.source", "friction_source", str, 3, ELASTIC_FRICTION.source),
+    Field("contact.source", "friction_source", _read_text, 3, ELASTIC_FRICTION.source),
     Field("spread.stiffness", "stiffness_spread", lambda value: None if value is None else SPREAD(value), 3),
     Field("spread.creep", "creep_spread", SPREAD, 3, 0.0),
     *(  # `Tolerances` checks the ranges
@@ -182,7 +206,7 @@ FIELDS = (
     Field("sensor.noise_moment_Nm", "noise.moment", POSITIVE),
     Field("sensor.noise_cov", "noise_cov", _read_cov, OPTIONAL),
     Field("sensor.averaging_samples", "averaging_samples", int),
-    Field("sensor.model", "sensor", str, OPTIONAL, NANO17.name),
+    Field("sensor.model", "sensor", _read_text, OPTIONAL, NANO17.name),
     Field("material.identified_tests", "identified_tests", _read_digests, OPTIONAL, ()),
 )
 """Values of the file, in its order."""
@@ -410,6 +434,7 @@ def _check_sections(data: dict[str, Any], rod: Rod) -> None:
 
 
 def _read_json(path: Path, what: str) -> dict[str, Any]:
+    check_regular(path)
     try:
         whole = path.stat().st_size <= _MAX_BYTES
         data = json.loads(path.read_text(encoding="utf-8")) if whole else None

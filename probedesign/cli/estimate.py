@@ -60,9 +60,10 @@ def estimate(
     from probedesign import pipeline
     from probedesign.live.processing.control import parse_window
     from probedesign.live.run import describe_counts, warm_up
-    from probedesign.live.sources.replay import RecordingOptions
+    from probedesign.live.sources.replay import RecordingOptions, check_readable
 
     _check_out(out, recording, force)
+    check_readable(recording)
     window = parse_window(tare_s) if tare_s is not None else None
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     with show_progress("loading the rod kernels"):

@@ -62,6 +62,7 @@ def explore(
         as_json: print one JSON document with the points and their uncertainty.
     """
     from probedesign import pipeline
+    from probedesign.live.sources.replay import check_readable
     from probedesign.mapping.explore import parse_min_separation
     from probedesign.reports.map_page import MapScene
 
@@ -73,6 +74,8 @@ def explore(
     processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
     if out is not None:
         _check_out(out, force)
+    if recording is not None:
+        check_readable(recording)
     estimator = pipeline.load_estimator(bundle, manifest)
     model, base_uncertainty = estimator.model, base.base(estimator.model)
     source, poses = _open(estimator, recording, reading, base)

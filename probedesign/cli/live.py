@@ -2,7 +2,7 @@
 
 import os
 import sys
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -36,6 +36,7 @@ def live(
     seconds: float | None = None,
     publish: str | None = None,
     foxglove: str | bool = False,
+    control: str | None = None,
     view: bool = False,
     view_host: str = "127.0.0.1",
     view_port: int = 8080,
@@ -54,8 +55,9 @@ def live(
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
-        source: netft://HOST (a Net F/T box), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card), replay:FILE (a
-            recording) or sim: (a simulated contact that moves along the probe).
+        source: netft://HOST (a Net F/T box or an Axia), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card),
+            replay:FILE (a recording), udp://:PORT (wrenches in JSON or MessagePack), ros2://TOPIC, or sim: (a simulated
+            contact that moves along the probe).
         record: record everything to NAME.mcap, or raw readings to NAME.csv.
         split_mb: continue the recording in NAME-2, NAME-3, ... after this many megabytes.
         split_minutes: the same after this many minutes.
@@ -63,14 +65,17 @@ def live(
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
         average: number of readings per mean; each mean is one estimate.
         filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
-        pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe)
-            or udp://:PORT (JSON). With poses, touches are fused to points of the world.
+        pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe),
+            udp://:PORT, tf://WORLD/BASE, ur://HOST or franka://HOST. With poses, touches are fused to points of the
+            world.
         pose_latency_ms: delay of a pose relative to a reading of the same time [ms].
         gravity_world: X,Y,Z of gravity in world axes [m/s²]. Default: 0,0,-9.81.
         rate_hz: largest rate of the estimates [Hz]; readings in between are not located.
         count: end after this number of estimates.
-        seconds: end this many seconds after the first reading.
-        publish: send each estimate as a JSON datagram to udp://HOST:PORT.
+        seconds: end this many seconds after the first reading, by the source's clock or the wall clock.
+        publish: send each estimate as a JSON datagram to udp://HOST:PORT, or all messages to the node of ROS 2 at
+            ros2://HOST:PORT.
+        control: receive commands (tare, mark, start and stop recording, stop) as datagrams at udp://[HOST]:PORT.
         foxglove: serve the messages of a recording to Foxglove and PlotJuggler, at HOST:PORT. Default:
             127.0.0.1:8765.
         view: show the probe, the contact and charts on a page in the browser.
@@ -91,6 +96,7 @@ def live(
     from probedesign.live.outputs.recording import SplitLimits
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.base_poses import open_poses
+    from probedesign.live.processing.command_inputs import open_inputs
     from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_window
     from probedesign.live.run import warm_up
     from probedesign.live.sources.source import open_source
@@ -117,16 +123,18 @@ def live(
     split = SplitLimits.of_options(split_mb, split_minutes)
     outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings, split, server)
     outputs.check(source)
-    with closing(SinkGroup(StderrSink())) as sinks, interrupt_on_termination():
+    with closing(SinkGroup(StderrSink())) as sinks, ExitStack() as inputs, interrupt_on_termination():
         opened_source = open_source(source, estimator.model, sinks.log)
         poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.log)
-        publisher = outputs.publisher(sinks.log)
+        publisher = outputs.publisher(estimator.model, sinks.log)
         warm_up(estimator, sinks.log, fusing=True)
         sinks.log(f"{opened_source.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
         for note in (*opened_source.notes, *((poses.title, *poses.notes) if poses is not None else ())):
             sinks.log(note)
         commands = CommandQueue()
         outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
+        for command_input in open_inputs(commands, sinks.log, control, keys=live_table):
+            inputs.enter_context(closing(command_input))
         updates = pipeline.live(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
         source_ended = _print(updates, sinks.log, as_json, live_table)
         sinks.on_end()

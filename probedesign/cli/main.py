@@ -6,12 +6,10 @@ of another.
 
 import os
 import sys
-import traceback
-from importlib.metadata import version
 
-from cyclopts import App, CycloptsError, Parameter
-
-from probedesign.core.errors import InputError, MissingDependencyError
+TYPE_CHECKING = False  # nothing is imported here that delays the handling of Ctrl-C
+if TYPE_CHECKING:
+    from cyclopts import App
 
 COMMANDS = {
     "new": "Write designs/NAME.toml from a few dimensions.",
@@ -55,8 +53,12 @@ INTERRUPTED = 130
 """Exit status after SIGINT: 128 plus the number of the signal."""
 
 
-def build_app() -> App:
+def build_app() -> "App":
     """Return the command line application, to be called with a list of arguments."""
+    from importlib.metadata import version
+
+    from cyclopts import App, Parameter
+
     app = App(
         name="probedesign",
         help="Design, fabricate and run soft conic probes that locate contacts from the wrench at their base.",
@@ -88,11 +90,7 @@ def run(arguments: list[str]) -> int:
         if hasattr(stream, "reconfigure"):  # a terminal whose encoding lacks "±" prints "?"
             stream.reconfigure(errors="replace")
     try:
-        status = build_app()(arguments)
-        sys.stdout.flush()
-        return status if isinstance(status, int) else 0
-    except (CycloptsError, InputError, MissingDependencyError) as error:
-        return _fail(str(error), 2)
+        return _run(arguments)
     except KeyboardInterrupt as interruption:
         return _fail(str(interruption) or "interrupted", INTERRUPTED)
     except BrokenPipeError:
@@ -102,11 +100,31 @@ def run(arguments: list[str]) -> int:
         return _fail(f"{error} ({type(error).__name__}; set {DEBUG}=1 for a traceback)", 1)
 
 
+def _run(arguments: list[str]) -> int:
+    """Run one command line; errors of the input are reported, all others are raised."""
+    from cyclopts import CycloptsError
+
+    from probedesign.core.errors import InputError, MissingDependencyError
+
+    try:
+        status = build_app()(arguments)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except (CycloptsError, InputError, MissingDependencyError) as error:
+        return _fail(str(error), 2)
+
+
 def _fail(message: str, status: int) -> int:
-    """Print one line on stderr, after the traceback if the environment requests it, and return the status."""
+    """Print one line on stderr, after the traceback if the environment requests it, and return the status.
+
+    The message may contain a piece of a file, which must not control the terminal.
+    """
     if os.environ.get(DEBUG):
+        import traceback
+
         traceback.print_exc()
-    print("probedesign: error:", " ".join(message.split()), file=sys.stderr)
+    line = "".join(c for c in " ".join(message.split()) if c.isprintable())
+    print("probedesign: error:", line, file=sys.stderr)
     return status
 
 

@@ -1,7 +1,9 @@
 """Writing of files: whole or not at all, never over a file that nobody asked to replace."""
 
 import os
+import re
 import secrets
+import stat
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -97,6 +99,29 @@ def check_folder(folder: Path) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
     check_writable(folder / "file")
+
+
+PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+"""Names of designs and probes, which become names of files."""
+
+
+def is_plain_name(name: str) -> bool:
+    """Return whether a name is that of a file in the same folder, without an extension of its own."""
+    return bool(PLAIN_NAME.fullmatch(name)) and not name.endswith((".", ".toml"))
+
+
+def check_regular(path: Path) -> None:
+    """Refuse a path that is a device, a pipe or a socket: reading it may not end. A missing path is accepted.
+
+    Raises:
+        InputError: it is one of these.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return  # the reader reports the reason
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise InputError(f"{path}: is a device, pipe or socket; name a file")
 
 
 def check_overwrite(path: Path, force: bool) -> None:

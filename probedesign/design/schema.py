@@ -5,12 +5,12 @@ returns the quantities in SI units with their provenance.
 """
 
 import math
-import re
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from probedesign.core.errors import InputError
+from probedesign.core.files import is_plain_name
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import (
     CUSTOM,
@@ -313,9 +313,6 @@ class TolerancesTable(Table):
     tared: bool | None = None
 
 
-NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-
-
 class Design(Table):
     """A probe as its design file describes it: the checked tables, and their quantities in SI units."""
 
@@ -448,6 +445,6 @@ def check_name(name: str) -> None:
     Raises:
         InputError: the name has a path, a space or odd characters in it.
     """
-    if not NAME_PATTERN.fullmatch(name) or name.endswith((".", ".toml")):
+    if not is_plain_name(name):
         allowed = "letters, digits, '-', '_' and '.', at most 64, no path, no extension"
         raise InputError(f"name: {quoted(name)} is not a plain name; use {allowed}")

@@ -81,31 +81,19 @@ def _updates(
     chain: Chain, blocks: Iterator[Block], log: Log, sink: Sink | None, commands: CommandQueue | None
 ) -> Iterator[EstimateUpdate]:
     """Yield estimates block by block and execute commands in between."""
+    commands = commands or CommandQueue()
+    commands.register("tare", lambda command: chain.take_tare())
+    commands.register("mark", lambda command: f"mark: {command.text}")
     for block in blocks:
         if sink is not None:
             sink.on_samples(block)
         for update in chain.process(block):
             yield update
-            if _run_commands(chain, log, commands):
+            if commands.execute(log):
                 return
-        if _run_commands(chain, log, commands):
+        if commands.execute(log):
             return
     yield from chain.finish()
-
-
-def _run_commands(chain: Chain, log: Log, commands: CommandQueue | None) -> bool:
-    """Execute the queued commands; return whether to stop."""
-    for command in commands.pop_all() if commands is not None else ():
-        match command.name:
-            case "tare":
-                chain.take_tare()
-            case "mark":
-                log(f"mark: {command.text}")
-            case "stop":
-                return True
-            case _:
-                log(f"{command.name} is not available here")
-    return False
 
 
 def count_results(results: Iterable[str]) -> dict[str, int]:

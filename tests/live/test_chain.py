@@ -81,7 +81,10 @@ def run(estimator, stream, poses=None, plan=None, ask=()):
         answers += chain.process(block)
         if asked and block.time[-1] >= asked[0]:
             asked.pop(0)
-            chain.take_tare()
+            try:
+                lines.append(chain.take_tare())
+            except InputError as error:
+                lines.append(f"tare refused: {error}")
     return [*answers, *chain.finish()], lines, chain
 
 
@@ -234,7 +237,7 @@ def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimat
     stated = [line for line in lines if line.startswith("tare")]
     assert stated[0].startswith("tare from 200 readings in 0:2 s: Fx 30")
     assert stated[1] == "tare: keep the probe free and still for 2 s"
-    assert stated[2] == "tare: a tare is already being taken"
+    assert stated[2] == "tare refused: a tare is already being taken"
     assert stated[3].startswith("tare from 200 readings in 2.5")
     assert stated[4] in {
         f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")
@@ -336,7 +339,7 @@ class Heard(PoseListener):
     def pop_messages(self):
         return []
 
-    def pop_poses(self):
+    def pop(self):
         while self._waiting and self._waiting[0].time - 7.0 + 0.004 <= self.now:
             pose = self._waiting.pop(0)
             yield pose.time - 7.0 + 0.004, pose, 0

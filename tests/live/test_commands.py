@@ -212,7 +212,7 @@ def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--source", "netfd://host"], "replay:FILE and sim:"),
+        (["--source", "netfd://host"], "replay:FILE, sim:"),
         (["--source", "sim:?force=1"], "did you mean force_mN?"),
         (["--source", SIM, "--rate-hz", "nan"], "--rate-hz nan must be positive"),
         (["--source", SIM, "--seconds", "0"], "--seconds 0.0 must be positive"),

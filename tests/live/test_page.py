@@ -22,7 +22,7 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError, MissingDependencyError
-from probedesign.live.processing.control import CommandQueue, ProcessingOptions
+from probedesign.live.processing.control import COMMANDS, CommandQueue, ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import BrowserView
@@ -215,7 +215,10 @@ def test_commands_reach_the_run_and_nothing_else_does(view):
         {"command": "stop recording"},
     ]
     view._read(io.BytesIO(b"garbage\n" + b"".join(json.dumps(line).encode() + b"\n" for line in lines)))
-    asked = view.requests.pop_all()
+    asked = []
+    for name in COMMANDS:
+        view.requests.register(name, asked.append)
+    view.requests.execute(print)
     assert [request.name for request in asked] == ["tare", "mark", "stop recording"]
     assert len(asked[1].text) == 200
 

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, is_pose, pose
+from probedesign.live.datagrams import MAX_DATAGRAM
 from probedesign.live.poses.base_poses import BasePoses, open_poses
-from probedesign.live.poses.pose_sources import MAX_DATAGRAM, PoseListener, read_pose_file
+from probedesign.live.poses.pose_sources import PoseListener, read_pose_file
 from probedesign.live.poses.track import (
     MAX_GAP,
     OFFSET_WINDOW,
@@ -248,7 +249,7 @@ def test_hostile_datagrams_are_rejected_and_counted(listener, robot):
     received(listener, 2 + len(hostile))
     robot.send(json.dumps(GOOD | {"time_s": 1.04}).encode())
     received(listener, 3 + len(hostile))
-    assert [pose.time for _, pose, _ in listener.pop_poses()] == [1.0, 1.04]
+    assert [pose.time for _, pose, _ in listener.pop()] == [1.0, 1.04]
     assert listener.counts == {
         "taken": 2, "invalid": 6 + len(BAD), "in another frame": 1, "not increasing in time": 2, "jumping in time": 1,
         "from another sender": 1,

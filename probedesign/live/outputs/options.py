@@ -8,12 +8,14 @@ from pathlib import Path
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.outputs.recording import RecordingSink, SplitLimits, check_suffix
+from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.control import CommandQueue
+from probedesign.live.processing.control import CommandQueue, register_recording
 from probedesign.live.sources.source import Source
 from probedesign.live.view.sinks import BrowserView, TerminalView
 
@@ -25,7 +27,7 @@ class OutputOptions:
     Attributes:
         record: file to record to; None records nothing until it is requested during the run.
         force: whether that file may be replaced.
-        publish: udp://HOST:PORT to which estimates are sent.
+        publish: udp://HOST:PORT to which estimates are sent, or ros2://HOST:PORT of a node.
         page: host and port of the page in the browser.
         terminal: whether a live table is shown on the terminal.
         parts_folder: folder of the exported parts, which the page shows.
@@ -59,8 +61,10 @@ class OutputOptions:
             raise InputError(f"--record {record} is the recording being replayed; choose another file")
         check_overwrite(record, self.force)
 
-    def publisher(self, log: Log) -> UdpPublisher | None:
+    def publisher(self, model: ProbeModel, log: Log) -> UdpPublisher | None:
         """Return the publisher; separate from the other sinks because an invalid address is reported first."""
+        if self.publish is not None and self.publish.startswith(SCHEME):
+            return RosPublisher(self.publish, model, log)
         return None if self.publish is None else UdpPublisher(self.publish, log)
 
     def connect(
@@ -81,8 +85,7 @@ class OutputOptions:
         recordings = RecordingSink(
             self.record, estimator.model, sinks.log, self.force, self.metadata, self.split
         )
-        commands.register("start recording", lambda _: recordings.try_start())
-        commands.register("stop recording", lambda _: recordings.stop())
+        register_recording(commands, recordings)
         sinks.add(recordings)
         takers = [recordings.on_pose]
         if self.foxglove is not None:
@@ -93,6 +96,8 @@ class OutputOptions:
             takers.append(server.on_pose)
         if poses is not None:
             poses.on_pose = partial(_give_to_all, takers)
+            if isinstance(publisher, RosPublisher):
+                publisher.follow(poses)
         if publisher is not None:
             sinks.add(publisher)
         if self.page is not None:

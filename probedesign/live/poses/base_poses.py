@@ -5,14 +5,15 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from pkgutil import resolve_name
 from time import monotonic
 
 import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.live import LOOPBACK, Log, split_address
-from probedesign.live.poses.pose_sources import PoseListener, read_pose_file
+from probedesign.live import Log
+from probedesign.live.poses.pose_sources import POSE_STREAMS, PoseStream, read_pose_file
 from probedesign.live.poses.track import MAX_GAP, MAX_POSES, ClockOffset, PoseTrack, TimedPose
 from probedesign.live.processing.blocks import Block
 from probedesign.live.sources.source import SourceParameter, parse_parameters
@@ -41,7 +42,7 @@ class BasePoses:
     def __init__(
         self,
         title: str,
-        poses: list[TimedPose] | PoseListener,
+        poses: list[TimedPose] | PoseStream,
         *,
         latency: float = 0.0,
         max_gap: float = MAX_GAP,
@@ -56,8 +57,8 @@ class BasePoses:
         self.title, self.notes, self.latency = title, notes, latency
         self.gravity_world = np.array(GRAVITY_WORLD if gravity_world is None else gravity_world, dtype=float)
         self._log = log
-        self._listener = poses if isinstance(poses, PoseListener) else None
-        if isinstance(poses, PoseListener):
+        self._listener = None if isinstance(poses, list) else poses
+        if not isinstance(poses, list):
             self.track = PoseTrack(max_gap, MAX_POSES)
         else:
             self.track = PoseTrack.of((self._delayed(pose, -latency) for pose in poses), max_gap)
@@ -80,13 +81,13 @@ class BasePoses:
                 self._reported, self._since = pose.time, max(pose.time, self._since)
                 self.on_pose(pose)
 
-    def _receive(self, listener: PoseListener, block: Block) -> None:
+    def _receive(self, listener: PoseStream, block: Block) -> None:
         for line in listener.pop_messages():
             self._log(line)
         now = monotonic()
         for time, received in zip(block.time.tolist(), block.received.tolist(), strict=True):
             self._wrench.add(time, received if math.isfinite(received) else now)
-        for arrival, pose, session in listener.pop_poses():
+        for arrival, pose, session in listener.pop():
             if session != self._session:
                 self._session, self._robot = session, ClockOffset()
             ahead = self._robot.add(pose.time, arrival) - self._wrench.value
@@ -138,8 +139,8 @@ def open_poses(
     """Return the poses that a specification names; None for a base fixed as the frozen probe states.
 
     Args:
-        spec: `fixed`, `FILE.csv`, `FILE.jsonl`, `BAG?topic=/pose`, `BAG?world=map&base=probe` or `udp://[HOST]:PORT`;
-            `limit_ms=50` may follow the question mark.
+        spec: `fixed`, `FILE.csv`, `FILE.jsonl`, `BAG?topic=/pose`, `BAG?world=map&base=probe`, or a stream of
+            `POSE_STREAMS`, as `udp://[HOST]:PORT`; `limit_ms=50` may follow the question mark.
         latency_ms: latency stated by the user [ms].
         gravity_world: three numbers [m/s²], as "0,0,-9.81".
 
@@ -152,43 +153,27 @@ def open_poses(
     latency, gravity = 1e-3 * latency_ms, _gravity(gravity_world)
     if spec == FIXED:
         if latency or gravity is not None:
-            others = "a file of poses, a ROS 2 bag or udp://:PORT"
+            others = "a file of poses, a ROS 2 bag or a robot"
             raise InputError(f"--pose fixed has no latency and no world frame; use {others}")
         return None
     target, _, query = spec.partition("?")
     # imported here, since the recordings import this module
     from probedesign.live.sources.rosbag import is_bag_path, read_bag_poses
 
-    path, by_udp = Path(target), target.startswith("udp:")
-    in_bag = not by_udp and is_bag_path(path)
+    scheme, path = target.partition(":")[0], Path(target)
+    stream = POSE_STREAMS.get(scheme) if ":" in target else None
+    in_bag = stream is None and is_bag_path(path)
     limit = {"limit_ms": SourceParameter(1e3 * MAX_GAP, 1.0, 60_000.0)}
-    topics = dict.fromkeys(("topic", "world", "base"), ()) if in_bag else {}
+    topics = dict.fromkeys(("topic", "world", "base") if in_bag else stream[2] if stream else (), ())
     numbers, texts = parse_parameters(f"--pose {target}", query, limit, topics)
     max_gap = 1e-3 * numbers["limit_ms"]
-    notes: tuple[str, ...] = ()
-    poses: PoseListener | list[TimedPose]
-    if by_udp:
-        poses = _listen(target)
-        host, port = poses.address
-        title = f"poses by UDP to {host}:{port}"
-        public = "" if host.startswith("127.") else ": anyone on that network can send"
-        notes = (f"listening for poses on {host}:{port}{public}",)
-    else:
-        poses = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
-        title = f"{len(poses)} poses of {path}, {poses[0].time:.9g} ... {poses[-1].time:.9g} s"
-    return BasePoses(
-        title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=notes, log=log
-    )
-
-
-def _listen(target: str) -> PoseListener:
-    try:
-        host, port = split_address(target, "udp")
-    except ValueError:
-        host, port = "", None
-    if port is None:
-        raise InputError(f"--pose {target}: write udp://:PORT, or udp://0.0.0.0:PORT for every network")
-    return PoseListener(host or LOOPBACK[0], port)
+    if stream is not None:
+        poses: PoseStream = resolve_name(stream[1])(target, texts)
+        return BasePoses(poses.title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity,
+                         notes=poses.notes, log=log)  # fmt: skip
+    known = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
+    title = f"{len(known)} poses of {path}, {known[0].time:.9g} ... {known[-1].time:.9g} s"
+    return BasePoses(title, known, latency=latency, max_gap=max_gap, gravity_world=gravity, log=log)
 
 
 def _gravity(text: str | None) -> Array | None:

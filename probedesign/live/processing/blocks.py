@@ -206,10 +206,17 @@ def paced(
         yield block
 
 
-def limit_duration(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
-    """Yield the readings of the first `seconds` of the source's clock [s]."""
+def limit_duration(
+    blocks: Iterable[Block], seconds: float, clock: Callable[[], float] = time.monotonic
+) -> Iterator[Block]:
+    """Yield the readings of the first `seconds` [s], by the source's clock or the wall clock, whichever ends first.
+
+    The wall clock counts from the first block, also of a silent source.
+    """
     start: float | None = None
+    opened: float | None = None
     for block in blocks:
+        opened = clock() if opened is None else opened
         if len(block):
             start = float(block.time[0]) if start is None else start
             inside = int(np.searchsorted(block.time - start, seconds))
@@ -217,6 +224,8 @@ def limit_duration(blocks: Iterable[Block], seconds: float) -> Iterator[Block]:
                 if inside:
                     yield block[:inside]
                 return
+        if clock() - opened >= seconds:
+            return
         yield block
 
 

@@ -150,16 +150,22 @@ class Chain:
         if self._tare_collector is not None and not self._tare_collector.on_request:
             self._log(describe_tare(self._tare_collector.tare()))
 
-    def take_tare(self) -> None:
-        """Start a tare from the next readings; its outcome is reported."""
-        if math.isnan(self._first) or self._tare_collector is not None:
-            return self._log("tare: a tare is already being taken")
-        if self._tare_refused():
-            return
+    def take_tare(self) -> str:
+        """Start a tare from the next readings; return what to do meanwhile. Its outcome is reported.
+
+        Raises:
+            InputError: the tare is refused.
+        """
+        if math.isnan(self._first):
+            raise InputError("there is no reading yet")
+        if self._tare_collector is not None:
+            raise InputError("a tare is already being taken")
+        if why := self._tare_refusal():
+            raise InputError(why)
         start = self._now - self._first
         window = TareWindow(start, start + TARE_DURATION)
         self._tare_collector = TareCollector(window, self._estimator, on_request=True)
-        self._log(f"tare: keep the probe free and still for {TARE_DURATION:g} s")
+        return f"tare: keep the probe free and still for {TARE_DURATION:g} s"
 
     def _initialize(self) -> bool:
         """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
@@ -260,8 +266,12 @@ class Chain:
     def _collect_tare(self, batch: AveragedBatch) -> None:
         """Add a batch to the active tare; take the tare when its window is over."""
         collector, reading = self._tare_collector, batch.reading
-        if collector is None or (collector.on_request and self._tare_refused()):
+        if collector is None:
             return
+        if collector.on_request and (why := self._tare_refusal()):
+            self._tare_collector = None
+            self._free.clear()
+            return self._log(f"tare refused: {why}")
         if not collector.add(reading, reading.time - self._first):
             self._free.append(batch)
             return
@@ -280,18 +290,14 @@ class Chain:
             since = self._first + collector.window.start
             self._monitor.calibrate([b for b in free if b.reading.time >= since], self.tare)
 
-    def _tare_refused(self) -> bool:
-        """Return whether a requested tare is refused because the probe is not free, and report it.
+    def _tare_refusal(self) -> str:
+        """Return why a requested tare is refused: the probe is not free; empty if it may be taken.
 
         Before the first tare this cannot be decided: a bias looks like a touch.
         """
         phase = self._state.phase
-        if self.tare is None or phase in ("", "free"):
-            return False
-        self._tare_collector = None
-        self._free.clear()
-        self._log(f"tare refused: the probe is {phase}; the previous tare is kept")
-        return True
+        free = self.tare is None or phase in ("", "free")
+        return "" if free else f"the probe is {phase}; the previous tare is kept"
 
     def _update_state(self, batch: AveragedBatch) -> TouchState:
         """Return the state of the touch monitor; unknown for a reading with a fault."""

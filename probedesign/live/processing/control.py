@@ -3,13 +3,15 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import plain
+from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
@@ -184,40 +186,118 @@ class ProcessingOptions:
 CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
 
 
+class CommandDescription(NamedTuple):
+    """A command's key in the terminal, and what it does."""
+
+    key: str
+    text: str
+
+
+COMMANDS: dict[CommandName, CommandDescription] = {
+    "tare": CommandDescription("t", f"take a tare from the next {TARE_DURATION:g} s"),
+    "mark": CommandDescription("m", "mark this time, with a note"),
+    "start recording": CommandDescription("r", "start a recording, in a new file"),
+    "stop recording": CommandDescription("s", "stop the recording"),
+    "stop": CommandDescription("q", "end the run"),
+}
+"""Every command. Keys, the page, datagrams and services of ROS 2 offer these, and `CommandQueue` executes them."""
+MAX_NOTE = 200
+"""Maximum number of characters of a mark."""
+
+
+class CommandResult(NamedTuple):
+    """Whether a command was accepted, and the outcome or the reason of the refusal."""
+
+    accepted: bool
+    text: str
+
+
 class Command(NamedTuple):
-    """One command of the user, with the text of a mark."""
+    """One command of the user, with the text of a mark, and a callback that receives the result."""
 
     name: CommandName
     text: str = ""
+    reply: Callable[[CommandResult], None] = lambda result: None
 
 
 class CommandQueue:
-    """Passes commands from any thread to the processing thread, which polls between two blocks of readings."""
+    """Passes commands from any thread to the processing thread, which executes them between two blocks of readings."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[Command] = SimpleQueue()
-        self._handlers: dict[CommandName, Callable[[Command], None]] = {}
+        self._handlers: dict[CommandName, Callable[[Command], str | None]] = {}
 
-    def register(self, name: CommandName, handler: Callable[[Command], None]) -> None:
-        """Register the handler of a command; it is called in the processing thread and reports the outcome itself."""
+    def register(self, name: CommandName, handler: Callable[[Command], str | None]) -> None:
+        """Register the handler of a command, which is called in the processing thread.
+
+        It returns the outcome, if it does not report that itself, and raises `ProbeDesignError` to refuse the command.
+        """
         self._handlers[name] = handler
 
-    def put(self, name: CommandName, text: str = "") -> None:
-        """Queue a command; the outcome is reported to every sink as an event."""
-        self._queue.put(Command(name, text))
+    def put(
+        self,
+        name: CommandName,
+        text: str = "",
+        reply: Callable[[CommandResult], None] = lambda result: None,
+    ) -> None:
+        """Queue a command; the result is reported to every sink as an event, and to `reply`."""
+        self._queue.put(Command(name, plain(text, MAX_NOTE), reply))
 
-    def pop_all(self) -> list[Command]:
-        """Return all commands since the last call, in order, except those that a handler has executed."""
-        pending: list[Command] = []
+    def execute(self, log: Log) -> bool:
+        """Execute all commands since the last call in order and report their results; return whether to stop."""
         while True:
             try:
                 command = self._queue.get_nowait()
             except Empty:
-                return pending
-            if handler := self._handlers.get(command.name):
-                handler(command)
-            else:
-                pending.append(command)
+                return False
+            result = self._execute(command)
+            if result.text:
+                log(result.text)
+            command.reply(result)
+            if command.name == "stop":
+                return True
+
+    def _execute(self, command: Command) -> CommandResult:
+        if command.name == "stop":
+            return CommandResult(True, "the run is ended by a command")
+        handler = self._handlers.get(command.name)
+        if handler is None:
+            return CommandResult(False, f"{command.name} is not available here")
+        try:
+            return CommandResult(True, handler(command) or "")
+        except ProbeDesignError as error:
+            return CommandResult(False, f"{command.name} refused: {error}")
+
+
+class Recordings(Protocol):
+    """What starts and stops recordings, and reports it."""
+
+    @property
+    def path(self) -> Path | None:
+        """Path of the current file, or None."""
+
+    def start(self) -> None:
+        """Open the next file; raises `ProbeDesignError` if it cannot be written."""
+
+    def stop(self) -> None:
+        """Close the file."""
+
+
+def register_recording(commands: CommandQueue, recordings: Recordings) -> None:
+    """Register the commands that start and stop recordings; each is refused where there is nothing to do."""
+
+    def start(command: Command) -> None:
+        if recordings.path is not None:
+            raise InputError(f"recording to {recordings.path} is already active")
+        recordings.start()
+
+    def stop(command: Command) -> None:
+        if recordings.path is None:
+            raise InputError("no recording is active")
+        recordings.stop()
+
+    commands.register("start recording", start)
+    commands.register("stop recording", stop)
 
 
 MAX_AGE = 0.012

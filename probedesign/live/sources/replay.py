@@ -14,6 +14,7 @@ import numpy as np
 
 from probedesign.core.csv_tables import Frame, plain, quote_input
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_regular
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
@@ -88,12 +89,25 @@ def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | No
         MissingDependencyError: the package that reads it is not installed.
     """
     options = options or RecordingOptions()
+    check_readable(path)
     if not rosbag.is_bag(path):
         return _open_table(path, model, options)
     bag = rosbag.open_bag(path)
     if METADATA_NAME in bag.metadata and not options.topic:
         return _open_native(bag, model, options)
     return _open_foreign(bag, model, options)
+
+
+def check_readable(path: Path) -> None:
+    """Refuse a missing recording, and one that is or contains a device, a pipe or a socket, before any other work.
+
+    Raises:
+        InputError: the path is one of these.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such recording")
+    for each in (path, *(path.iterdir() if path.is_dir() else ())):
+        check_regular(each)
 
 
 def _open_table(path: Path, model: ProbeModel, options: RecordingOptions) -> OpenRecording:

@@ -1,18 +1,20 @@
 """Sources of readings: the interface, the registry of their schemes, their parameters, and the monitor of dropouts.
 
-A new source is a module with a class like `Source`, an entry in `SOURCES`, and its section in docs/live.md.
+A new source is a module with a class like `Source`, an entry in `SOURCES`, and its section in docs/live.md. A source of
+another package is an entry point of the group `ENTRY_POINTS`.
 """
 
 import difflib
 import math
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
 from pkgutil import resolve_name
 from time import monotonic
 from typing import Protocol
 from urllib.parse import parse_qsl
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
@@ -38,16 +40,20 @@ SOURCES = {
     "daq": ("daq://DEVICE/ai0:5?cal=FILE", "probedesign.live.sources.daq:DaqSource"),
     "replay": ("replay:FILE", "probedesign.live.sources.replay:ReplaySource"),
     "sim": ("sim:", "probedesign.live.sources.sim:open_simulation"),
+    "udp": ("udp://:PORT", "probedesign.live.sources.udp:open_udp"),
+    "ros2": ("ros2://TOPIC", "probedesign.live.sources.ros2.source:open_ros2"),
 }
 """By scheme: an example, and module and name of the function or class that opens the source from model, target, query
 and log. It is imported when the source is used, because each needs packages of its own."""
+ENTRY_POINTS = "probedesign.sources"
+"""Group of entry points by which other packages add sources: scheme = "module:function", with the same arguments."""
 
 
 def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> Source:
     """Open the source that a specification names.
 
     Args:
-        spec: `netft://HOST[:PORT]`, `daq://Dev1/ai0:5?cal=FILE`, `replay:FILE?speed=max` or `sim:?name=value&...`.
+        spec: scheme, target and parameters as in `SOURCES`, such as `replay:FILE?speed=max`.
         model: probe on the sensor.
         log: callback for messages during the run: late, lost or invalid data.
 
@@ -56,11 +62,32 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
         MissingDependencyError: the package that reads it is not installed.
     """
     scheme, colon, rest = spec.partition(":")
-    if not colon or scheme not in SOURCES:
-        *examples, last = (example for example, _ in SOURCES.values())
+    added = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)} if scheme not in SOURCES else {}
+    if not colon or scheme not in (*SOURCES, *added):
+        *examples, last = (
+            *(example for example, _ in SOURCES.values()),
+            *(f"{name}:" for name in sorted(added)),
+        )
         raise InputError(f"source {spec!r} is unknown; available are {', '.join(examples)} and {last}")
     target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
-    opened: Source = resolve_name(SOURCES[scheme][1])(model, target, query, log)
+    opened: Source = (
+        resolve_name(SOURCES[scheme][1])(model, target, query, log)
+        if scheme in SOURCES
+        else _open_added(added[scheme], model, target, query, log)
+    )
+    return opened
+
+
+def _open_added(entry: EntryPoint, model: ProbeModel, target: str, query: str, log: Log) -> Source:
+    """Open a source of another package, whose errors are reported in one line that names the package."""
+    try:
+        opened: Source = entry.load()(model, target, query, log)
+    except ProbeDesignError:
+        raise
+    except Exception as error:
+        package = entry.dist.name if entry.dist is not None else entry.value
+        why = f"{type(error).__name__}: {error}"
+        raise InputError(f"source {entry.name}: of package {package} cannot be opened: {why}") from error
     return opened
 
 
@@ -144,7 +171,7 @@ def _value(what: str, text: str, parameter: SourceParameter) -> float:
 STALE_TIME = 0.040
 """Time without a record of a sensor after which the last estimate is stale [s]; reported within 50 ms of the record."""
 FIRST_RECORD_TIMEOUT = 3.0
-"""Maximum wait for the first record [s]."""
+"""Maximum wait for the first record of a box or card, which sends on request [s]."""
 REPORT_TIMES = (0.0, 2.0, 10.0, 60.0, 600.0)
 """Durations of silence after which it is reported (again) [s]."""
 MAX_INTERRUPTIONS, INTERRUPTION_WINDOW = 4, 10.0
@@ -159,12 +186,18 @@ class DropoutMonitor:
         reason: description of the dropout; empty without one.
     """
 
-    def __init__(self, name: str, log: Log, no_record_text: str) -> None:
-        """Start before the first record; `no_record_text` is the error if none ever arrives."""
+    def __init__(
+        self, name: str, log: Log, no_record_text: str, timeout: float = FIRST_RECORD_TIMEOUT
+    ) -> None:
+        """Start before the first record; `no_record_text` is the error if none arrives within `timeout` [s]."""
         self._name, self._log, self._no_record_text = name, log, no_record_text
         self.ongoing, self.reason = False, ""
         self._n_reports = 0
         self._interruptions: list[float] = []
+        self._opened, self._timeout = monotonic(), timeout
+
+    def restart(self) -> None:
+        """Restart the wait for the first record."""
         self._opened = monotonic()
 
     def on_silence(self, last: float, hint: str = "asking again") -> None:
@@ -179,7 +212,7 @@ class DropoutMonitor:
         """
         now = monotonic()
         if not math.isfinite(last):
-            if now - self._opened > FIRST_RECORD_TIMEOUT:
+            if now - self._opened > self._timeout:
                 raise InputError(f"{self._name}: {self._no_record_text}")
             return
         if not self.ongoing:

@@ -7,16 +7,18 @@ Source: ATI, manual 9620-05-NET FT, the chapter on system settings XML pages.
 
 import math
 import re
+import socket
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cached_property
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from time import monotonic
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from probedesign.core.csv_tables import plain
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array, pose, rotation_z, wrench_map
 from probedesign.live.sources.netft.rdt import PAGE
@@ -241,30 +243,45 @@ def fetch_configuration(host: str, port: int) -> NetFTConfiguration:
 
 
 def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
-    """Fetch the page within a timeout [s].
+    """Fetch the page within a timeout [s], whatever the other side sends and at whatever pace.
 
     Raises:
         InputError: there is no response, or it is not a page.
     """
     address = f"http://{host}:{port}{PAGE}"
     connection = HTTPConnection(host, port, timeout=timeout)
+    late = threading.Event()
+    deadline = threading.Timer(timeout, late.set)
     try:
+        connection.connect()
+        # a timeout of the socket alone limits each byte, not all of them; http.client limits the size of the headers
+        deadline = threading.Timer(timeout, _give_up, (connection.sock, late))
+        deadline.daemon = True
+        deadline.start()
         connection.request("GET", PAGE, headers={"Connection": "close"})
         response = connection.getresponse()
         page = b""
-        deadline = monotonic() + timeout
-        while chunk := response.read1(MAX_PAGE_BYTES + 1 - len(page)):
+        while len(page) <= MAX_PAGE_BYTES and (chunk := response.read1(MAX_PAGE_BYTES + 1 - len(page))):
             page += chunk
-            if len(page) > MAX_PAGE_BYTES or monotonic() > deadline:
-                raise InputError(f"{address}: too long or too slow for the page of a Net F/T box")
-    except (OSError, HTTPException, UnicodeError) as error:
+    except (OSError, HTTPException, UnicodeError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        why = f"no complete response within {timeout:g} s" if late.is_set() else plain(why)
         raise InputError(f"{address}: {why}; is the box on, and this its address and HTTP port?") from None
     finally:
+        deadline.cancel()
         connection.close()
+    if late.is_set() or len(page) > MAX_PAGE_BYTES:
+        raise InputError(f"{address}: too long or too slow for the page of a Net F/T box")
     if response.status != 200:
         raise InputError(f"{address}: HTTP status {response.status}; is this a Net F/T box?")
     return page
+
+
+def _give_up(link: socket.socket, late: threading.Event) -> None:
+    """End the connection, so that whoever waits for it continues."""
+    late.set()
+    with suppress(OSError):  # it may just have been closed
+        link.shutdown(socket.SHUT_RDWR)
 
 
 class ConfigurationMonitor:

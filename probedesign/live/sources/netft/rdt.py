@@ -1,7 +1,8 @@
 """RDT: the protocol of the box over UDP (big-endian), a session with it through pynetft, and the sensor's clock.
 
 Source: ATI, Net F/T Sensor System, installation and operation manual 9620-05-NET FT, the chapter on RDT and the table
-of the system status code. Axia sensors use another table.
+of the system status code. ATI, F/T Sensor, Ethernet Axia, manuals 9610-05-Ethernet Axia-09, tables 4.7 and 4.9, and
+9620-05-C-Ethernet Axia-02, table 5.7: an Axia has the same protocol, but another table.
 """
 
 import struct
@@ -70,44 +71,79 @@ HEALTHY = (0x00000000, 0x80010000)
 SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
 HARMLESS = (*HEALTHY, LATCHED)
 
-FAULT_TEXTS = {
-    30: "processor or memory error",
-    29: "digital board error",
-    28: "analogue board error",
-    27: "serial link error",
-    26: "program memory error",
-    25: "halted by a wrong configuration",
-    24: "settings are not valid",
-    23: "configuration does not fit the calibration",
-    22: "network failure",
-    21: "CAN failure",
-    20: "RDT failure",
-    19: "EtherNet/IP failure",
-    18: "DeviceNet failure",
-    17: "transducer saturated or A/D error",
-    14: "watchdog",
-    13: "stack",
-    12: "EEPROM failure",
-    11: "flash failure",
-    10: "analogue board watchdog",
-    9: "gauge excitation current too high",
-    8: "gauge excitation current too low",
-    7: "artificial ground out of range",
-    6: "supply too high",
-    5: "supply too low",
-    4: "no data from the transducer",
-    3: "reference voltage or power",
-    2: "temperature",
-    1: "HTTP failure",
-}
-"""Texts by bit; bit 31 is the summary and bit 16 is not a fault."""
+
+class StatusTable(NamedTuple):
+    """Meaning of the status word of one kind of sensor.
+
+    Attributes:
+        kind: the kind, for messages.
+        texts: faults by bit; bit 31 is the summary.
+        harmless: status words that are not faults of the sample.
+    """
+
+    kind: str
+    texts: dict[int, str]
+    harmless: tuple[int, ...]
 
 
-def fault_of(status: int) -> str:
+NET_BOX = StatusTable(
+    "Net Box",
+    {
+        30: "processor or memory error",
+        29: "digital board error",
+        28: "analogue board error",
+        27: "serial link error",
+        26: "program memory error",
+        25: "halted by a wrong configuration",
+        24: "settings are not valid",
+        23: "configuration does not fit the calibration",
+        22: "network failure",
+        21: "CAN failure",
+        20: "RDT failure",
+        19: "EtherNet/IP failure",
+        18: "DeviceNet failure",
+        17: "transducer saturated or A/D error",
+        14: "watchdog",
+        13: "stack",
+        12: "EEPROM failure",
+        11: "flash failure",
+        10: "analogue board watchdog",
+        9: "gauge excitation current too high",
+        8: "gauge excitation current too low",
+        7: "artificial ground out of range",
+        6: "supply too high",
+        5: "supply too low",
+        4: "no data from the transducer",
+        3: "reference voltage or power",
+        2: "temperature",
+        1: "HTTP failure",
+    },
+    HARMLESS,
+)
+AXIA = StatusTable(
+    "Axia",
+    {
+        30: "force or torque out of range",
+        29: "calibration checksum error",
+        28: "simulated error",
+        27: "gauge out of range",
+        7: "calibration not accessible",
+        5: "other error",
+        3: "busy with a change of its settings; the reading may be affected",
+        2: "broken gauge",
+        1: "supply voltage out of range",
+        0: "temperature out of range",
+    },
+    (0, LATCHED),
+)
+"""Bit 3 is no error by the manual, but readings are not reliable meanwhile."""
+
+
+def fault_of(status: int, table: StatusTable = NET_BOX) -> str:
     """Return the fault of a status word; empty without one."""
-    if status in HARMLESS:
+    if status in table.harmless:
         return ""
-    texts = [text for bit, text in FAULT_TEXTS.items() if status >> bit & 1]
+    texts = [text for bit, text in table.texts.items() if status >> bit & 1]
     return f"{', '.join(texts) or 'unknown fault'} (status 0x{status:08x})"
 
 
@@ -299,9 +335,9 @@ class SensorClock:
         restarts: number of restarts of the counter; the host's clock covers the gaps.
     """
 
-    def __init__(self) -> None:
-        """Start before the first record."""
-        self.restarts = 0
+    def __init__(self, rate: float = SAMPLES_PER_SECOND) -> None:
+        """Start before the first record; the counter advances by `rate` a second [Hz]."""
+        self.restarts, self._rate = 0, rate
         self._last: tuple[int, float] | None = None
         self._ticks = 0
 
@@ -317,9 +353,48 @@ class SensorClock:
         before = self._last or (int(ft[0]), float(received[0]))
         ticks = steps(ft, before[0]) % WRAP
         elapsed = np.maximum(steps(received, before[1]), 0.0)
-        restarted = ticks / SAMPLES_PER_SECOND > elapsed + MAX_LEAD
-        bridged = np.maximum(np.rint(elapsed * SAMPLES_PER_SECOND), 1.0).astype(np.int64)
+        restarted = ticks / self._rate > elapsed + MAX_LEAD
+        bridged = np.maximum(np.rint(elapsed * self._rate), 1.0).astype(np.int64)
         counted = self._ticks + np.cumsum(np.where(restarted, bridged, ticks))
         self.restarts += int(restarted.sum())
         self._last, self._ticks = (int(ft[-1]), float(received[-1])), int(counted[-1])
-        return RecordTimes(new, counted / SAMPLES_PER_SECOND, restarted)
+        return RecordTimes(new, counted / self._rate, restarted)
+
+
+RATE_PERIOD = 5.0
+"""Interval over which the rate of the counter is measured [s]; the host's clock is far better than the limit."""
+MAX_RATE_ERROR, RATE_SCATTER = 0.05, 0.02
+"""Fraction of the expected rate by which two successive measurements must deviate to be reported, and within which they
+must agree."""
+
+
+class RateMonitor:
+    """Compares the rate of the sensor's counter with the host's clock; an Axia may sample at another rate."""
+
+    def __init__(self, rate: float) -> None:
+        """Start before the first record; `rate` is the one that is assumed [Hz]."""
+        self._rate, self._start = rate, (0.0, 0.0)
+        self._before = rate
+        self._reported = False
+
+    def reset(self) -> None:
+        """Forget the interval that has begun, because records are missing in it."""
+        self._start = (0.0, 0.0)
+
+    def measured(self, time: float, received: float) -> float | None:
+        """Return the measured rate [Hz], once, if it deviates; both times are those of the last record [s]."""
+        if self._start == (0.0, 0.0):
+            self._start = (time, received)
+            return None
+        elapsed = received - self._start[1]
+        if elapsed < RATE_PERIOD:
+            return None
+        found = self._rate * (time - self._start[0]) / elapsed
+        before, self._before, self._start = self._before, found, (time, received)
+        deviates = (
+            abs(found / self._rate - 1.0) > MAX_RATE_ERROR and abs(found - before) < RATE_SCATTER * self._rate
+        )
+        if not deviates or self._reported:
+            return None
+        self._reported = True
+        return found

@@ -20,12 +20,16 @@ from probedesign.live.sources.netft.configuration import (
     fetch_configuration,
 )
 from probedesign.live.sources.netft.rdt import (
-    HARMLESS,
+    AXIA,
     HTTP_PORT,
+    NET_BOX,
     RDT_PORT,
+    SAMPLES_PER_SECOND,
+    RateMonitor,
     RdtRecords,
     RdtSession,
     SensorClock,
+    StatusTable,
     fault_of,
     steps,
 )
@@ -72,12 +76,26 @@ class RecordDecoder:
         session: RdtSession,
         monitor: ConfigurationMonitor,
         log: Log,
+        status_table: StatusTable = NET_BOX,
+        clock_rate: float = SAMPLES_PER_SECOND,
     ) -> None:
-        """Start before the first record; `gravity_base` is that of every reading [m/s²], (3,)."""
+        """Start before the first record.
+
+        Args:
+            name: name of the source, for messages.
+            gravity_base: gravity vector of every reading [m/s²], (3,).
+            configuration: active configuration of the box.
+            session: session that delivers records.
+            monitor: detects changes of the configuration.
+            log: callback for messages.
+            status_table: meaning of the status words.
+            clock_rate: rate of the sensor's counter `ft_sequence` [Hz].
+        """
         self._name, self._gravity, self._log = name, gravity_base, log
         self._to_sensor = configuration.to_sensor
         self._session, self._monitor = session, monitor
-        self._clock, self._dropout = SensorClock(), DropoutMonitor(name, log, NO_RECORD)
+        self._table, self._rate = status_table, RateMonitor(clock_rate)
+        self._clock, self._dropout = SensorClock(clock_rate), DropoutMonitor(name, log, NO_RECORD)
         self._reported, self._report_time = Counter[str](), -inf
         self.counts: Counter[str] = Counter()
         self._last, self._stretch = -inf, 0
@@ -121,20 +139,23 @@ class RecordDecoder:
             return
         status = records.status
         if status.any():
-            status = np.where(np.isin(status, HARMLESS), 0, status)
+            status = np.where(np.isin(status, self._table.harmless), 0, status)
         before = self._last if isfinite(self._last) else records.received[0]
         broken = restarted | (steps(records.received, before) > STALE_TIME)
         broken[0] |= self._dropout.ongoing
         cuts = np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(records)]):
             received = records.received[start:end]
-            if broken[start] and not self._resumed(float(received[0])):
-                yield from self._report_silence("its page does not respond")
-                return
+            if broken[start]:
+                self._rate.reset()
+                if not self._resumed(float(received[0])):
+                    yield from self._report_silence("its page does not respond")
+                    return
             wrench = records.counts[start:end] @ self._to_sensor.T
             fault = self._report_fault(int(status[start]), end - start)
             yield Block(time[start:end], wrench, self._gravity, received, fault, self._stretch)
             self._last = float(received[-1])
+            self._check_rate(float(time[end - 1]))
 
     def _report_silence(self, hint: str = "asking again") -> Generator[Block, None, None]:
         """Report silence; yield a block without readings if there have been any."""
@@ -160,13 +181,21 @@ class RecordDecoder:
 
     def _report_fault(self, status: int, count: int) -> str:
         """Return the fault of a status word; report where it begins and ends."""
-        fault = fault_of(status) if status else ""
+        fault = fault_of(status, self._table) if status else ""
         if fault:
             self.counts["faults"] += count
         if fault != self._fault and (not fault or monotonic() - self._faulted > FAULT_REPORT_INTERVAL):
             self._log(f"{self._name}: {fault or 'healthy again'}")
             self._fault, self._faulted = fault, monotonic()
         return fault
+
+    def _check_rate(self, time: float) -> None:
+        """Report a counter whose rate is not the assumed one: all times would be wrong by this factor."""
+        if (rate := self._rate.measured(time, self._last)) is not None:
+            self._log(
+                f"{self._name}: its counter advances by {rate:.0f} a second, so all times are wrong; "
+                f"restart with ?clock_hz={rate:.0f}"
+            )
 
     def _check_configuration(self) -> None:
         """Check that the configuration is unchanged."""
@@ -181,7 +210,10 @@ class RecordDecoder:
 PARAMETERS = {
     "http": SourceParameter(HTTP_PORT, 1, 65535, integer=True),
     "check_s": SourceParameter(2.0, 0.1, 3600.0),
+    "clock_hz": SourceParameter(SAMPLES_PER_SECOND, 100.0, 10_000.0),
 }
+STATUS_TABLES = {"netbox": NET_BOX, "axia": AXIA}
+TEXT_PARAMETERS = {"sensor": tuple(STATUS_TABLES)}
 
 
 class NetFTSource:
@@ -195,14 +227,16 @@ class NetFTSource:
     """
 
     def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
-        """Fetch the configuration of the box at `//HOST[:PORT]`, with `PARAMETERS`; nothing streams yet.
+        """Fetch the configuration of the box at `//HOST[:PORT]`; nothing streams yet.
+
+        The parameters are `PARAMETERS` and `TEXT_PARAMETERS`.
 
         Raises:
             InputError: the address or a parameter is invalid, or no box responds.
             MissingDependencyError: pynetft is not installed.
         """
         host, port = _address(target)
-        parameters, _ = parse_parameters("netft:", query, PARAMETERS)
+        parameters, texts = parse_parameters("netft:", query, PARAMETERS, TEXT_PARAMETERS)
         self._name = f"netft://{host}:{port}"
         self._session = RdtSession(self._name, host, port)  # checks dependencies before any request
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
@@ -210,13 +244,18 @@ class NetFTSource:
         self.configuration: NetFTConfiguration = fetch_configuration(*self._page)
         self.title = f"{self._name}, {self.configuration.product}"
         self.notes = self.configuration.notes + _range_note(self.configuration, model)
+        axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
+        self._table = STATUS_TABLES[texts["sensor"] or ("axia" if axia else "netbox")]
+        self._clock_rate = parameters["clock_hz"]
+        self.notes += (f"its status codes are decoded as those of a sensor of type {self._table.kind}",)
         self.counts: Counter[str] = Counter()
 
     def __iter__(self) -> Generator[Block, None, None]:
         with ConfigurationMonitor(*self._page, self.configuration, self._check) as monitor:
             decoder = RecordDecoder(
-                self._name, self._gravity, self.configuration, self._session, monitor, self._log
-            )
+                self._name, self._gravity, self.configuration, self._session, monitor, self._log,
+                self._table, self._clock_rate,
+            )  # fmt: skip
             self.counts = decoder.counts
             try:
                 with closing(decoder.blocks()) as blocks:

@@ -1,0 +1,79 @@
+"""Output to the package `probedesign_ros`: the messages of a recording, as datagrams while the run lasts."""
+
+import base64
+import math
+from time import monotonic
+
+from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
+from probedesign.live.outputs.sinks import UdpPublisher
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.track import TimedPose
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.messages import MessageEncoder
+from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic
+
+SCHEME = "ros2:"
+LEFT_OUT = (schemas.RAW, schemas.BLOCK, schemas.SCENE)
+"""Topics that are recorded but not sent: raw readings at full rate, what only a replay needs, and meshes."""
+STATIC_PERIOD = 2.0
+"""Interval at which the pose of the sensor is sent again, for a node that starts later [s]."""
+
+
+class RosPublisher(MessageEncoder, UdpPublisher):
+    """Sends each message of a recording, as a recording contains it, to a node of ROS 2.
+
+    A datagram is a JSON object with `schema`, `number`, `kind` "message", `topic`, `type`, and in `data` the message in
+    CDR, base64. As with `UdpPublisher`, no receiver is required.
+    """
+
+    def __init__(self, address: str, model: ProbeModel, log: Log) -> None:
+        """Resolve the address of the node, `ros2://HOST:PORT`.
+
+        Raises:
+            InputError: the address is invalid, or the host is unknown.
+        """
+        UdpPublisher.__init__(self, address.replace(SCHEME, "udp:", 1), log)
+        MessageEncoder.__init__(self, model)
+        self._static_sent = -math.inf
+
+    def follow(self, poses: BasePoses) -> None:
+        """Send the poses of the base too, after those that already receive them."""
+        before = poses.on_pose
+
+        def on_pose(pose: TimedPose) -> None:
+            before(pose)
+            self.on_pose(pose)
+
+        poses.on_pose = on_pose
+
+    def is_wanted(self, topic: Topic) -> bool:
+        """Return whether messages of a topic are sent."""
+        return topic not in LEFT_OUT
+
+    def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
+        """Send messages."""
+        if not self.is_wanted(topic):
+            return
+        for message in data:
+            text = base64.b64encode(message.tobytes()).decode()
+            self._send({"kind": "message", "topic": topic.name, "type": topic.type, "data": text})
+
+    def on_samples(self, block: Block) -> None:
+        """Follow the source's clock; readings themselves are not sent."""
+        MessageEncoder.on_samples(self, block)
+        self.encode()
+        if self.clock_offset is not None and monotonic() - self._static_sent > STATIC_PERIOD:
+            self._static_sent = monotonic()
+            self.encode_static()
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Send the messages of an estimate."""
+        MessageEncoder.on_estimate(self, update)
+        self.encode()
+
+    def on_event(self, time: float, line: str) -> None:
+        """Send an event."""
+        MessageEncoder.on_event(self, time, line)

@@ -1,0 +1,144 @@
+"""Where commands come from beside the page: keys in the terminal, and datagrams, which the services of ROS 2 use."""
+
+import json
+import os
+import select
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, get_args
+
+from probedesign.core.errors import InputError
+from probedesign.live import Log
+from probedesign.live.datagrams import DatagramReceiver, decode_object, parse_listen_address
+from probedesign.live.processing.control import COMMANDS, CommandName, CommandQueue, CommandResult
+
+SCHEMA = 1
+MAX_ID = 64
+"""Maximum length of the identifier of a datagram, which the reply repeats."""
+
+
+class KeyInput:
+    """Reads keys of the terminal in a thread, without Enter; the terminal is restored at the end.
+
+    It reads nothing where standard input is no terminal, belongs to another foreground process, or cannot be switched.
+    """
+
+    def __init__(self, commands: CommandQueue, log: Log, fd: int | None = None) -> None:
+        """Switch the terminal of a file descriptor, that of standard input by default, and start to read."""
+        self._commands = commands
+        self._wake, self._end = os.pipe()
+        self._fd, self._saved = -1, None
+        with suppress(Exception):  # no terminal, no descriptor, or no termios on this system
+            self._switch(sys.stdin.fileno() if fd is None else fd)
+        if self._saved is None:
+            return
+        self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
+        self._thread.start()
+        log("keys: " + ", ".join(f"{command.key} {name}" for name, command in COMMANDS.items()))
+
+    def close(self) -> None:
+        """Restore the terminal."""
+        os.close(self._end)
+        if self._saved is not None:
+            import termios
+
+            self._thread.join()
+            with suppress(termios.error):  # the terminal has been closed
+                termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
+        os.close(self._wake)
+
+    def _switch(self, fd: int) -> None:
+        import termios
+        import tty
+
+        if os.tcgetpgrp(fd) != os.getpgrp():
+            return  # a background job that switches the terminal would be stopped
+        saved: Any = termios.tcgetattr(fd)
+        tty.setcbreak(fd)
+        self._fd, self._saved = fd, saved
+
+    def _read(self) -> None:
+        names = {command.key: name for name, command in COMMANDS.items()}
+        while True:
+            ready, _, _ = select.select([self._fd, self._wake], [], [])
+            if self._wake in ready:
+                return
+            try:
+                keys = os.read(self._fd, 64)
+            except OSError:
+                return
+            if not keys:
+                return
+            for key in keys.decode("ascii", errors="replace"):
+                if key in names:
+                    self._commands.put(names[key])
+
+
+class DatagramInput(DatagramReceiver):
+    """Receives commands by UDP: `{"command": "tare"}`, with an optional `text` and `id`, in JSON or MessagePack.
+
+    Each is answered to its sender with one JSON object: `schema`, `kind` "reply", `command`, `id` as given, `accepted`,
+    and in `text` the outcome or the reason of the refusal.
+    """
+
+    def __init__(self, address: str, commands: CommandQueue, log: Log) -> None:
+        """Listen on `udp://[HOST]:PORT`; without a host only this machine can send.
+
+        Raises:
+            InputError: the address is invalid, or the port is in use.
+        """
+        option = f"--control {address}"
+        super().__init__(option, "commands", *parse_listen_address(option))
+        self._commands, self._log = commands, log
+        log(self.access_note)
+        self.start()
+
+    def receive(self, datagram: bytes, sender: tuple[str, int], now: float) -> None:
+        """Queue a command; see `DatagramReceiver`."""
+        values = decode_object(datagram)
+        name, text, identifier = values.get("command"), values.get("text", ""), values.get("id")
+        if not isinstance(text, str):
+            raise InputError("has a text that is not a string")
+        if type(identifier) not in (int, str, type(None)) or len(str(identifier)) > MAX_ID:
+            raise InputError(f"has an id that is not a number or a string of up to {MAX_ID} characters")
+
+        def reply(result: CommandResult) -> None:
+            content = {"schema": SCHEMA, "kind": "reply", "command": str(name)[:MAX_ID], "id": identifier}
+            answer = json.dumps(content | result._asdict())
+            with suppress(OSError):  # the sender has gone, or the run has ended
+                self._socket.sendto(answer.encode(), sender)
+
+        known: dict[Any, CommandName] = {each: each for each in get_args(CommandName)}
+        if not isinstance(name, str) or name not in known:
+            self.counts["unknown"] += 1
+            return reply(CommandResult(False, f"unknown command; known: {', '.join(known)}"))
+        self.counts["taken"] += 1
+        self._commands.put(known[name], text, reply)
+
+    def reject(self, kind: str, line: str) -> None:
+        """Count a rejected datagram, and report the first of its kind at once."""
+        super().reject(kind, line)
+        for message in self.pop_messages():
+            self._log(message)
+
+
+def open_inputs(
+    commands: CommandQueue, log: Log, control: str | None, keys: bool
+) -> Iterator[KeyInput | DatagramInput]:
+    """Yield the selected inputs, each to be closed.
+
+    Args:
+        commands: receives the commands.
+        log: callback for messages.
+        control: address on which datagrams are received; None receives none.
+        keys: whether keys of the terminal are read.
+
+    Raises:
+        InputError: the address is invalid, or the port is in use.
+    """
+    if control is not None:
+        yield DatagramInput(control, commands, log)
+    if keys:
+        yield KeyInput(commands, log)

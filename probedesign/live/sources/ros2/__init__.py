@@ -1,0 +1,1 @@
+"""Wrenches and poses of a running ROS 2 system, through a bridge process."""

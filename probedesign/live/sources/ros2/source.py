@@ -1,0 +1,162 @@
+"""Source `ros2://TOPIC` and poses `tf://WORLD/BASE`: opens them through a bridge process with rclpy.
+
+The bridge runs in this program's Python if that has rclpy, and otherwise in the system's. In both cases it is a process
+of its own, so that the callbacks of ROS 2 do not delay the estimates.
+"""
+
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import get_args
+from urllib.parse import unquote
+
+from probedesign.core.csv_tables import Frame, plain
+from probedesign.core.errors import InputError
+from probedesign.estimation.model import ProbeModel
+from probedesign.live import LOOPBACK, Log
+from probedesign.live.poses.pose_sources import PoseListener
+from probedesign.live.sources.replay import MomentUnit
+from probedesign.live.sources.source import parse_parameters
+from probedesign.live.sources.udp import PARAMETERS, UdpSource, WrenchListener
+
+BRIDGE = Path(__file__).with_name("bridge.py")
+SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
+"""Interpreters that may have rclpy where this one does not; ROS 2 installs it for the system's."""
+PROBE_TIMEOUT = 20.0
+"""Maximum time to import rclpy [s]."""
+TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
+    "frame": get_args(Frame),
+    "moment_unit": get_args(MomentUnit),
+    "python": (),
+}
+
+
+def find_python(option: str, chosen: str = "") -> str:
+    """Return the first interpreter that can import rclpy: the chosen one, or this one, or the system's.
+
+    Raises:
+        InputError: there is none.
+    """
+    candidates = (chosen,) if chosen else (sys.executable, *SYSTEM_PYTHONS)
+    for python in candidates:
+        try:
+            found = subprocess.run(
+                [python, "-c", "import rclpy"],
+                capture_output=True,
+                timeout=PROBE_TIMEOUT,
+                stdin=subprocess.DEVNULL,
+            )
+        except (OSError, ValueError, subprocess.SubprocessError):
+            continue
+        if found.returncode == 0:
+            return python
+    raise InputError(
+        f"{option}: {', '.join(candidates)} cannot import rclpy; source the set-up file of ROS 2, or name its "
+        "interpreter with ?python="
+    )
+
+
+class Bridge:
+    """The bridge process; see `Guard`."""
+
+    def __init__(
+        self, option: str, python: str, before: tuple[str, ...], after: tuple[str, ...] = ()
+    ) -> None:
+        """Prepare; `before` and `after` are the arguments of the script around the address."""
+        self._option, self._python, self._before, self._after = option, python, before, after
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self, address: tuple[str, int]) -> None:
+        """Start the process, which sends to an address; Ctrl-C does not reach it."""
+        arguments = [*self._before, address[0], str(address[1]), *self._after]
+        self._process = subprocess.Popen(
+            [self._python, str(BRIDGE), *arguments],
+            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Raise InputError if the process has ended."""
+        process = self._process
+        if process is not None and process.poll() is not None:
+            assert process.stderr is not None
+            lines = process.stderr.read().decode(errors="replace").strip().splitlines()
+            why = plain(lines[-1], 200) if lines else f"exit status {process.returncode}"
+            raise InputError(f"{self._option}: the bridge to ROS 2 has ended: {why}")
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is None:
+            return
+        assert self._process.stdin is not None and self._process.stderr is not None
+        self._process.kill()
+        self._process.wait()
+        self._process.stdin.close()
+        self._process.stderr.close()
+
+
+def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource:
+    """Open the source `ros2://TOPIC`, a topic of geometry_msgs/WrenchStamped.
+
+    Raises:
+        InputError: the topic or a parameter is invalid, or no interpreter has rclpy.
+    """
+    numbers, texts = parse_parameters("ros2:", query, PARAMETERS, TEXT_PARAMETERS)
+    option = f"--source ros2:{target}"
+    topic = target.strip("/")
+    if not target.startswith("//") or not re.fullmatch(
+        r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", topic
+    ):
+        raise InputError(f"{option}: write ros2://TOPIC, as ros2://ft_sensor/wrench")
+    python = find_python(option, texts["python"])
+    bridge = Bridge(option, python, ("wrench", f"/{topic}"), (texts["moment_unit"] or "Nm",))
+    listener = WrenchListener(option, LOOPBACK[0], 0)
+    title = f"topic /{topic} of ROS 2"
+    return UdpSource(model, title, listener, log, texts["frame"], numbers["wait_s"], bridge)
+
+
+class TransformPoses(PoseListener):
+    """Poses of TF, which a bridge sends; see `PoseStream`."""
+
+    def __init__(self, bridge: Bridge, title: str) -> None:
+        """Start to receive, and start the bridge."""
+        super().__init__(LOOPBACK[0], 0)
+        self.title = title
+        self.notes = ()
+        self._bridge, self._running = bridge, True
+        bridge.start(self.address)
+
+    def pop_messages(self) -> list[str]:
+        """Return the messages to the user since the last call, with the end of the bridge once."""
+        lines = super().pop_messages()
+        try:
+            if self._running:
+                self._bridge.check()
+        except InputError as error:
+            self._running = False
+            lines.append(str(error))
+        return lines
+
+    def close(self) -> None:
+        """End the bridge and close the socket."""
+        self._bridge.close()
+        self._running = False
+        super().close()
+
+
+def open_tf(target: str, parameters: Mapping[str, str]) -> TransformPoses:
+    """Open the poses `tf://WORLD/BASE`: frame BASE, the probe's base, in frame WORLD, through all frames in between.
+
+    A slash in the name of a frame is written as %2F.
+
+    Raises:
+        InputError: the frames are not named, or no interpreter has rclpy.
+    """
+    option = f"--pose {target}"
+    world, _, base = target.removeprefix("tf://").partition("/")
+    if not target.startswith("tf://") or not world or not base or "/" in base:
+        raise InputError(f"{option}: write tf://WORLD/BASE, as tf://world/probe_base")
+    world, base = unquote(world), unquote(base)
+    bridge = Bridge(option, find_python(option, parameters.get("python", "")), ("tf", world, base))
+    return TransformPoses(bridge, f"TF of {base} in {world}")

@@ -1,0 +1,102 @@
+"""An Axia speaks the protocol of the Net Box with another table of status codes, and may count at another rate."""
+
+from dataclasses import replace
+
+import pytest
+
+from probedesign.core.errors import InputError
+from probedesign.live.sources.netft import rdt
+from probedesign.live.sources.netft.rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, fault_of
+from probedesign.live.sources.source import open_source
+from probedesign.simulation.netft_box import NATIVE
+from tests.live.peers import Reader, box
+
+PATTERNS = {
+    0x80000001: "temperature", 0x80000002: "supply voltage", 0x80000004: "broken gauge", 0x80000008: "busy",
+    0x80000020: "other error", 0x88000000: "gauge out of range", 0x10000000: "simulated", 0xA0000000: "checksum",
+    0xC0000000: "force or torque out of range",
+}  # fmt: skip
+"""Patterns of one condition each: ATI, manual 9610-05-Ethernet Axia-09, table 4.9, page 37."""
+
+
+@pytest.mark.parametrize(("status", "text"), PATTERNS.items())
+def test_the_patterns_of_the_manual(status, text):
+    fault = fault_of(status, AXIA)
+    assert text in fault and f"0x{status:08x}" in fault and ", " not in fault
+
+
+def test_several_conditions_are_all_named():
+    """The manual's example 80000005: temperature, broken gauge and any error."""
+    fault = fault_of(0x80000005, AXIA)
+    assert "temperature" in fault and "broken gauge" in fault
+
+
+@pytest.mark.parametrize("status", [0x00000000, 0x00010000])
+def test_a_healthy_axia(status):
+    assert fault_of(status, AXIA) == ""
+
+
+def test_an_error_without_a_condition_is_a_fault():
+    assert "unknown" in fault_of(0x80000000, AXIA)
+
+
+def test_the_same_word_has_another_meaning_in_a_net_box():
+    assert "temperature" not in fault_of(0x80000002, AXIA) and "HTTP" in fault_of(0x80000002, NET_BOX)
+
+
+@pytest.mark.parametrize(
+    ("product", "query", "kind"),
+    [("Ethernet Axia", "", "Axia"), ("Net F/T", "", "Net Box"), ("Net F/T", "&sensor=axia", "Axia"),
+     ("Ethernet Axia", "&sensor=netbox", "Net Box")],
+)  # fmt: skip
+def test_the_table_follows_the_product_and_is_stated(estimator, product, query, kind):
+    with box(estimator, replace(NATIVE, product=product)) as peer:
+        source = open_source(peer.source + query, estimator.model)
+    assert any(note.endswith(f"of type {kind}") for note in source.notes)
+
+
+def test_an_unknown_table_is_refused(estimator):
+    with box(estimator) as peer, pytest.raises(InputError, match="netbox or axia"):
+        open_source(peer.source + "&sensor=other", estimator.model)
+
+
+def test_faults_of_the_stream_are_decoded_by_the_table(estimator):
+    """The simulated box sets the bits of a Net Box at its limit, 31 and 17; an Axia has no condition at bit 17."""
+    with (
+        box(estimator, replace(NATIVE, product="Axia80"), load=1e3) as peer,
+        Reader(peer, estimator) as reader,
+    ):
+        reader.has_logged("unknown fault (status 0x80020000)")
+    assert all(r.fault for r in reader.readings)
+
+
+# the rate of the counter
+
+
+def rates_of(rate, assumed, seconds=4 * RATE_PERIOD):
+    """What a monitor measures of a counter that is read a hundred times a second."""
+    monitor = RateMonitor(assumed)
+    found = [
+        monitor.measured(0.01 * i * rate / assumed, 100.0 + 0.01 * i) for i in range(round(100 * seconds))
+    ]
+    return [each for each in found if each is not None]
+
+
+@pytest.mark.parametrize("rate", [488.0, 976.0, 1953.0, 3906.0, 7912.0])
+def test_another_rate_is_measured_and_reported_once(rate):
+    """Rates of the manual, 9620-05-C-Ethernet Axia-02, table 5.5; two intervals suffice. 1e-9 for rounding."""
+    assert rates_of(rate, 7000.0) == [pytest.approx(rate, rel=1e-9)]
+
+
+@pytest.mark.parametrize("rate", [6800.0, 7000.0, 7300.0])
+def test_the_expected_rate_is_not_reported(rate):
+    assert rates_of(rate, 7000.0) == []
+
+
+def test_a_stated_rate_scales_the_time(estimator):
+    """Stated as half of what it is, time runs twice as fast as the host's clock; readings queue for 0.2 s at most."""
+    with box(estimator) as peer, Reader(peer, estimator, "&clock_hz=3500") as reader:
+        reader.more(1400)
+    first, last = reader.readings[0], reader.readings[-1]
+    assert last.time - first.time == pytest.approx(2.0 * (last.received - first.received), abs=0.4)
+    assert rdt.SensorClock(3500.0).restarts == 0

@@ -1,0 +1,275 @@
+"""Wrenches by UDP: units, clocks, losses, silence, hostile datagrams, and sources that other packages add."""
+
+import json
+import socket
+import sys
+import threading
+import time
+from importlib.metadata import EntryPoint
+
+import msgpack
+import numpy as np
+import pytest
+
+from probedesign.core.errors import InputError
+from probedesign.live.datagrams import MAX_DATAGRAM, SENDER_TIMEOUT
+from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources import source as sources
+from probedesign.live.sources.source import STALE_TIME, open_source
+from probedesign.live.sources.udp import parse_wrench
+from probedesign.rod.contact import solve_frictionless
+from tests.live.peers import Reader, until
+
+GOOD = {"fx_N": 0.1, "fy_N": -0.2, "fz_N": 0.3, "mx_Nm": 1e-3, "my_Nm": -2e-3, "mz_Nm": 3e-3}
+WRENCH = np.array(list(GOOD.values()))
+
+
+class Waiting(Reader):
+    """A reader that does not expect readings at once."""
+
+    def more(self, count=0):
+        return None
+
+
+class Sender:
+    """Sends to a source that listens on a port of the system's choice."""
+
+    def __init__(self, query=""):
+        self.source = f"udp://127.0.0.1:0{query}"
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def connect(self, reader):
+        self._socket.connect(reader.source._listener.address)
+        time.sleep(0.05)  # what arrives before the source is read is discarded
+        return self
+
+    def send(self, content=None, **values):
+        self._socket.send(content if content is not None else json.dumps(GOOD | values).encode())
+        time.sleep(0.002)
+
+
+@pytest.fixture
+def opened(estimator):
+    """A reader of a source, and its sender."""
+    sender = Sender()
+    with Waiting(sender, estimator) as reader:
+        yield reader, sender.connect(reader)
+        reader._ended.set()
+        sender.send()  # the reader looks at its end after a block
+
+
+# the content of a datagram
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"fx_mN": 100.0, "fy_mN": -200.0, "fz_mN": 300.0, "mx_Nmm": 1.0, "my_Nmm": -2.0, "mz_mNm": 3.0},
+        {"fx_N": 0.1, "fy_N": -0.2, "fz_N": 0.3, "tx_Nm": 1e-3, "ty_Nm": -2e-3, "tz_Nm": 3e-3},
+        GOOD | {"anything": "else"},
+    ],
+)
+def test_units_are_those_of_the_names(other):
+    """The product with a power of ten rounds once: 1e-15 of values below one."""
+    assert parse_wrench(other).wrench == pytest.approx(WRENCH, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"fx_N": None}, {"fx_N": "much"}, {"fx_N": float("nan")}, {"fx_N": True}, {"fx_N": [1]}, {"fx_N": 10**400},
+        {"fx_mN": 1.0}, {"tx_Nm": 1.0}, {"fz_N": 2000.0}, {"mz_Nm": 60.0}, {"time_s": 1e12}, {"time_s": "now"},
+        {"time_ms": 5.0, "time_s": 1.0}, {"sequence": 1.5}, {"sequence": -1}, {"sequence": True}, {"sequence": 2**63},
+    ],
+)  # fmt: skip
+def test_what_is_no_wrench(wrong):
+    with pytest.raises(InputError):
+        parse_wrench(GOOD | wrong)
+
+
+def test_a_missing_component_is_named():
+    with pytest.raises(InputError, match="no mz_Nm"):
+        parse_wrench({name: value for name, value in GOOD.items() if name != "mz_Nm"})
+
+
+# the stream
+
+
+def test_json_and_messagepack_give_the_same_readings(opened):
+    reader, sender = opened
+    sender.send(time_s=5.0, sequence=1)
+    sender.send(msgpack.packb(GOOD | {"time_s": 5.01, "sequence": 2}))
+    reader.wait(lambda: len(reader.readings) == 2)
+    assert [r.time for r in reader.readings] == [5.0, 5.01]
+    assert all(np.array_equal(r.wrench_sensor, WRENCH) for r in reader.readings)
+    assert not any(r.fault or r.stretch for r in reader.readings)
+
+
+def test_hostile_datagrams_are_counted_and_survived(opened):
+    reader, sender = opened
+    sender.send(time_s=1.0)
+    hostile = [
+        b"", b"\xff", b"{", b"[]", b"\x81", b"\x81\xc4\x01a\x01", b"[" * 4000, b" " * (MAX_DATAGRAM + 1), b"\x00" * 36,
+        msgpack.packb([1, 2]), json.dumps(GOOD | {"fx_N": 1e9}).encode(), b"\xdf\xff\xff\xff\xff",
+    ]  # fmt: skip
+    for content in hostile:
+        sender.send(content)
+    sender.send(time_s=0.5)
+    sender.send(time_s=1e6)
+    sender.send()
+    sender.send(time_s=1.02, frame="tool\x1b[31m")
+    sender.send(time_s=1.04)
+    reader.wait(lambda: len(reader.readings) == 2)
+    assert [r.time for r in reader.readings] == [1.0, 1.04]
+    counts = reader.source._listener.counts
+    assert counts["invalid"] == len(hostile) == reader.source.counts["malformed"]
+    assert counts["not increasing in time"] == counts["jumping in time"] == counts["not always timed"] == 1
+    assert counts["in another frame"] == 1
+    assert all(line.isprintable() for line in reader.lines)
+    assert sum("rejected and counted" in line for line in reader.lines) == 5  # each kind once
+
+
+def test_a_second_sender_is_rejected(opened):
+    reader, sender = opened
+    sender.send(time_s=1.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.sendto(json.dumps(GOOD | {"fx_N": 9.0}).encode(), reader.source._listener.address)
+    until(lambda: reader.source._listener.counts["from another sender"] == 1)
+    sender.send(time_s=1.01)
+    reader.wait(lambda: len(reader.readings) == 2)
+    assert {r.wrench_sensor[0] for r in reader.readings} == {0.1}
+
+
+def test_lost_and_late_datagrams_are_counted_by_their_sequence(opened):
+    reader, sender = opened
+    for sequence in (1, 2, 5, 4, 5, 6):
+        sender.send(sequence=sequence)
+    reader.wait(lambda: len(reader.readings) == 4)
+    reader.wait(lambda: reader.source.counts["lost"] == 2)
+    assert reader.source._listener.counts["late or duplicated"] == 2
+
+
+def test_a_fault_of_the_sender_is_that_of_the_reading(opened):
+    reader, sender = opened
+    sender.send(fault="saturated\x1b[2J")
+    sender.send()
+    reader.wait(lambda: len(reader.readings) == 2)
+    assert [r.fault for r in reader.readings] == ["saturated[2J", ""]
+
+
+def test_without_time_stamps_the_arrival_counts(opened):
+    """From zero; the second is 2 ms later at least, which is what the sender sleeps."""
+    reader, sender = opened
+    sender.send()
+    sender.send()
+    reader.wait(lambda: len(reader.readings) == 2)
+    first, second = reader.readings
+    assert first.time == 0.0 and second.time == pytest.approx(second.received - first.received, abs=1e-9)
+    assert second.time >= 0.002
+
+
+def test_silence_is_reported_and_a_restarted_sender_continues_the_time(opened):
+    """Its clock begins anew; the source's clock goes on by what passed between both, and no mean spans the gap."""
+    reader, sender = opened
+    for i in range(10):
+        sender.send(time_s=50.0 + 0.002 * i)
+    reader.has_logged("stale")
+    assert any(len(block) == 0 and "stale" in block.fault for block in reader.blocks)
+    time.sleep(SENDER_TIMEOUT)
+    sender.send(time_s=3.0)
+    reader.wait(lambda: len(reader.readings) == 11)
+    before, after = reader.readings[-2:]
+    assert after.time - before.time == pytest.approx(after.received - before.received, abs=1e-6)
+    assert (before.stretch, after.stretch) == (0, 1) and reader.source.counts["interruptions"] == 1
+
+
+def test_a_slow_sender_is_not_silent(opened):
+    """The limit of silence follows the usual interval: here 1.5 times what is too long for a fast sensor."""
+    reader, sender = opened
+    for i in range(8):
+        sender.send(sequence=i)
+        time.sleep(1.5 * STALE_TIME)
+    reader.wait(lambda: len(reader.readings) == 8)
+    assert {r.stretch for r in reader.readings} == {0} and not reader.source.counts["interruptions"]
+
+
+def test_no_sender_ends_with_one_line(estimator):
+    with Waiting(Sender("?wait_s=0.2"), estimator) as reader:
+        reader.wait(lambda: reader.error is not None)
+    assert "no wrench within 0.2 s" in str(reader.error)
+
+
+def test_wrenches_in_the_base_frame_are_transformed(estimator):
+    sender = Sender("?frame=base")
+    with Waiting(sender, estimator) as reader:
+        sender.connect(reader).send(frame="tool0")
+        reader.wait(lambda: len(reader.readings) == 1)
+        reader._ended.set()
+        sender.send(frame="tool0")
+    model = estimator.model
+    assert np.array_equal(reader.readings[0].wrench_sensor, model.to_sensor(WRENCH, model.gravity_base))
+
+
+def test_a_wrench_by_udp_is_located_as_it_was_sent(estimator):
+    """The whole chain: what the rod gives for a contact at 0.7 of the length is found there, noise-free."""
+    model = estimator.model
+    s = 0.7 * model.rod.length
+    touch = solve_frictionless(model.rod, model.gravity_base, s, 0.5, 0.02)
+    wrench = model.to_sensor(touch.equilibrium.wrench_base, model.gravity_base)
+    names = dict(zip(GOOD, wrench.tolist(), strict=True))
+    source = open_source("udp://127.0.0.1:0", model)
+    updates = estimate_stream(estimator, source, ProcessingOptions(count=1), print)
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def send():
+        for i in range(400):
+            sender.sendto(json.dumps(names | {"sequence": i}).encode(), source._listener.address)
+            time.sleep(0.005)
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    (update,) = updates
+    assert update.estimate.ok
+    assert (
+        abs(update.estimate.s_contact - s) < update.estimate.std_s
+    )  # noise-free: the model error alone is stated
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["udp:9000", "udp://", "udp://127.0.0.1:70000", "udp://127.0.0.1:9/x", "udp://192.0.2.1:9000", "udp://:0?frame=tool",
+     "udp://:0?wait_s=0", "udp://:0?waits=1"],
+)  # fmt: skip
+def test_what_is_no_address(estimator, spec):
+    with pytest.raises(InputError) as error:
+        open_source(spec, estimator.model)
+    assert "\n" not in str(error.value)
+
+
+# sources of other packages
+
+
+def test_a_source_of_another_package_is_an_entry_point(estimator, monkeypatch):
+    calls = []
+    module = type(sys)("their_sensor")
+    module.open = lambda model, target, query, log: calls.append((target, query)) or "source"
+    module.broken = lambda *arguments: 1 / 0
+    monkeypatch.setitem(sys.modules, "their_sensor", module)
+    added = [
+        EntryPoint("their", "their_sensor:open", sources.ENTRY_POINTS),
+        EntryPoint("broken", "their_sensor:broken", sources.ENTRY_POINTS),
+        EntryPoint("absent", "no_such_module:open", sources.ENTRY_POINTS),
+        EntryPoint("sim", "their_sensor:broken", sources.ENTRY_POINTS),
+    ]
+    monkeypatch.setattr(sources, "entry_points", lambda group: added)
+    assert open_source("their://here?rate_hz=5", estimator.model) == "source"
+    assert calls == [("//here", "rate_hz=5")]
+    for name in ("broken", "absent"):
+        with pytest.raises(InputError, match=f"source {name}"):
+            open_source(f"{name}:", estimator.model)
+    assert open_source("sim:", estimator.model).title.startswith(
+        "simulated"
+    )  # no package replaces a source of ours
+    with pytest.raises(InputError, match="their:"):
+        open_source("unknown:", estimator.model)

@@ -1,0 +1,332 @@
+"""The node of ROS 2, with a stand-in for rclpy: what it publishes is what a recording contains."""
+
+import base64
+import json
+import socket
+import sys
+import threading
+import time
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_types_from_msg
+from scipy.spatial.transform import Rotation
+
+from probedesign.design import load_design
+from probedesign.live.outputs.ros2 import RosPublisher
+from probedesign.live.outputs.sinks import SinkGroup
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.track import TimedPose
+from probedesign.live.processing.command_inputs import DatagramInput
+from probedesign.live.processing.control import COMMANDS as RUN_COMMANDS
+from probedesign.live.processing.control import CommandQueue, ProcessingOptions
+from probedesign.live.recordings import schemas
+from probedesign.live.recordings.mcap_write import McapRecorder
+from probedesign.live.run import estimate_stream
+from probedesign.live.sources.sim import SimulatedSource
+from probedesign.probe import build_probe
+
+ROOT = Path(__file__).parents[2]
+ROS = ROOT / "ros"
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return build_probe(load_design(ROOT / "designs" / "large.toml")).estimator()
+
+
+@pytest.fixture(scope="module")
+def ros():
+    """The package and the stand-in on the path, without the modules afterwards."""
+    before, path = set(sys.modules), sys.path[:]
+    sys.path[:0] = [str(ROOT / "tests" / "ros2_stub"), str(ROS / "probedesign_ros")]
+    import probedesign_ros.node as node
+    from rclpy.node import Node
+
+    Node.overrides = {"port": 0, "control_port": 0}
+    yield node
+    sys.path[:] = path
+    for name in set(sys.modules) - before:
+        if name.split(".")[0] in {p.name for p in (ROOT / "tests" / "ros2_stub").iterdir()} | {
+            "probedesign_ros"
+        }:
+            del sys.modules[name]
+
+
+@pytest.fixture
+def node(ros):
+    node = ros.ProbeNode()
+    node._receiver._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 21)
+    yield node
+    node.destroy_node()
+
+
+def sent(node, topic):
+    return node.publishers_made[topic].sent if topic in node.publishers_made else []
+
+
+def a_run(node, estimator, record=None, seconds=4):
+    """A simulated run with a fixed pose of the base, published to the node and recorded."""
+    lines = []
+    sinks = SinkGroup()
+    publisher = RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", estimator.model, lines.append)
+    sinks.add(publisher)
+    poses = BasePoses(
+        "still", [TimedPose(0.04 * i, (0.4, 0.0, 0.3), (0.0, 0.6, 0.0, 0.8)) for i in range(120)]
+    )
+    if record is not None:
+        file = McapRecorder(record, estimator.model)
+        sinks.add(file)
+        poses.on_pose = file.on_pose
+    publisher.follow(poses)
+    source = SimulatedSource(estimator.model, f"speed=max&seconds={seconds}&rate_hz=10&period_s=5")
+    for _ in estimate_stream(estimator, source, ProcessingOptions(), lines.append, sinks, None, poses):
+        node.receive()
+    sinks.log("mark: cup")
+    node.receive()
+    sinks.close()
+    return lines
+
+
+def test_messages_equal_those_of_the_recording(node, estimator, tmp_path):
+    """Frames, numbers and covariances to the bit; both wall clocks start when they see the first reading."""
+    path = tmp_path / "run.mcap"
+    a_run(node, estimator, path)
+    names = ["wrench", "contact", "state", "base"]
+    recorded = {name: [] for name in names}
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            name = connection.topic.rpartition("/")[2]
+            if name in recorded:
+                recorded[name].append(reader.deserialize(raw, connection.msgtype))
+    for name in names:
+        ours = sent(node, f"~/{name}")
+        assert len(ours) == len(recorded[name]) > 3
+        for a, b in zip(ours, recorded[name], strict=True):
+            assert fields(a) == fields(b)
+            stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in (a, b)]
+            assert abs(stamps[0] - time.time()) < 60.0 and abs(stamps[0] - stamps[1]) < 1.0
+    assert {m.header.frame_id for m in sent(node, "~/contact")} == {"base"}
+    assert any("mark: cup" in m.data for m in sent(node, "~/event"))
+
+
+def fields(message):
+    """Every number and text of a message but its time stamp and constants; NaN equals NaN."""
+    if hasattr(message, "__dict__") and not isinstance(message, type):
+        items = {k: v for k, v in vars(message).items() if k.islower() and k not in ("stamp", "__msgtype__")}
+        return {k: fields(v) for k, v in items.items()}
+    return repr(message.tolist() if hasattr(message, "tolist") else message)
+
+
+def test_the_transforms_form_one_tree(node, estimator):
+    a_run(node, estimator)
+    edges = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf") for t in m.transforms}
+    still = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf_static") for t in m.transforms}
+    assert edges == {("world", "base"), ("base", "contact")} and still == {("base", "sensor")}
+    (static,) = {repr(m.transforms[0].transform) for m in sent(node, "/tf_static")}
+    at = sent(node, "/tf_static")[0].transforms[0].transform
+    expected = np.linalg.inv(estimator.model.T_sensor_base)
+    assert [at.translation.x, at.translation.y, at.translation.z] == pytest.approx(expected[:3, 3], abs=1e-12)
+    contact = sent(node, "~/contact")[-1]
+    last = [t for m in sent(node, "/tf") for t in m.transforms if t.child_frame_id == "contact"][-1]
+    assert last.transform.translation.x == contact.pose.pose.position.x and static
+
+
+def test_a_prefix_of_the_frames(ros, estimator):
+    ros.Node.overrides = {"port": 0, "frame_prefix": "probe_", "publish_tf": False}
+    node = ros.ProbeNode()
+    a_run(node, estimator, seconds=2)
+    frames = {m.header.frame_id for m in sent(node, "~/wrench")}
+    edges = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf") for t in m.transforms}
+    assert frames == {"probe_base"} and edges == {("probe_base", "probe_contact")}
+    node.destroy_node()
+    ros.Node.overrides = {"port": 0, "control_port": 0}
+
+
+def test_markers_are_the_95_percent_ellipsoid_and_vanish_without_a_contact(node, estimator):
+    """χ² of three degrees of freedom is below 7.8147 in 95 % of cases; half-axes from numpy, axes by scipy."""
+    a_run(node, estimator)
+    arrays = sent(node, "~/markers")
+    states, contacts = sent(node, "~/state"), iter(sent(node, "~/contact"))
+    assert len(arrays) == len(states)
+    assert {s.result == 0 for s in states} == {True, False}
+    for array, state in zip(arrays, states, strict=True):
+        sphere = array.markers[0]
+        if state.result != 0:
+            assert {m.action for m in array.markers} == {2}
+            continue
+        contact = next(contacts)
+        cov = np.array(contact.pose.covariance).reshape(6, 6)[:3, :3]
+        q = sphere.pose.orientation
+        R = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        half = 0.5 * np.array([sphere.scale.x, sphere.scale.y, sphere.scale.z])
+        variances = np.linalg.eigvalsh(cov)
+        assert half == pytest.approx(np.maximum(np.sqrt(7.8147 * variances), 0.9e-3), rel=1e-4)
+        assert R.T @ cov @ R == pytest.approx(np.diag(variances), abs=1e-9 * variances[-1])
+        arrow = array.markers[1]
+        tip, tail = arrow.points[1], arrow.points[0]
+        direction = np.array([tip.x - tail.x, tip.y - tail.y, tip.z - tail.z])
+        force = np.array([state.force.x, state.force.y, state.force.z])
+        assert np.cross(direction, force) == pytest.approx(0.0, abs=1e-12) and direction @ force > 0.0
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), *Rotation.random(20, rng=np.random.default_rng(0)).as_matrix()])
+def test_quaternions_as_scipy_has_them(ros, turn):
+    from probedesign_ros.markers import quaternion_of
+
+    assert Rotation.from_quat(quaternion_of(turn)).as_matrix() == pytest.approx(turn, abs=1e-12)
+
+
+def test_hostile_datagrams_are_counted_and_survived(node, estimator):
+    hostile = [
+        b"", b"{", b"[]", b"\xff", b"[" * 5000, b'{"schema": 1, "kind": "message"}',
+        *(json.dumps({"schema": 1, "kind": "message", "number": 1} | each).encode() for each in (
+            {"topic": "/cmd_vel", "type": "x", "data": ""}, {"topic": "/tf", "type": "x", "data": "!"},
+            {"topic": "/tf", "type": "x", "data": base64.b64encode(b"\x00\x01").decode()},
+            {"topic": 5, "type": "x", "data": ""},
+        )),
+    ]  # fmt: skip
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for content in hostile:
+            sender.sendto(content, ("127.0.0.1", node._receiver.port))
+    node.receive()
+    assert node._receiver.counts["malformed"] == len(hostile)
+    assert not any(publisher.sent for publisher in node.publishers_made.values())
+    a_run(node, estimator, seconds=1)
+    assert sent(node, "~/state")
+    node.report()
+    node.report()
+    assert sum("malformed" in line for line in node.get_logger().lines) == 1
+
+
+def test_lost_datagrams_are_counted(node):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for number in (1, 2, 5, 1):
+            text = base64.b64encode(schemas.texts(["{}"])[0].tobytes()).decode()
+            content = {
+                "schema": 1,
+                "kind": "message",
+                "topic": "/probedesign/event",
+                "type": "std_msgs/msg/String",
+            }
+            datagram = json.dumps(content | {"number": number, "data": text}).encode()
+            sender.sendto(datagram, ("127.0.0.1", node._receiver.port))
+    node.receive()
+    assert node._receiver.counts["lost"] == 2 and node._receiver.counts["received"] == 4
+
+
+# services
+
+
+def test_every_command_is_a_service(ros, node):
+    assert set(ros.COMMANDS.values()) == set(RUN_COMMANDS)
+    assert set(node.services_made) == {f"~/{name}" for name in (*ros.COMMANDS, "command")}
+
+
+def test_services_have_the_results_of_the_run(ros):
+    """The same refusal as everywhere: there is one execution."""
+    commands, ended = CommandQueue(), threading.Event()
+    commands.register("mark", lambda command: f"mark: {command.text}")
+    inputs = DatagramInput("udp://:0", commands, lambda line: None)
+    ros.Node.overrides = {"port": 0, "control_port": inputs.address[1]}
+    node = ros.ProbeNode()
+
+    def run():
+        while not ended.wait(0.005):
+            commands.execute(lambda line: None)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    from probedesign_msgs.srv import Command
+    from std_srvs.srv import Trigger
+
+    kind, call = node.services_made["~/command"]
+    assert kind is Command
+    response = call(Command.Request(command="mark", text="cup"), Command.Response())
+    assert response.accepted and response.text == "mark: cup"
+    response = call(Command.Request(command="format"), Command.Response())
+    assert not response.accepted and "unknown command" in response.text
+    kind, call = node.services_made["~/tare"]
+    response = call(kind.Request(), kind.Response())
+    assert kind is Trigger and not response.success and response.message == "tare is not available here"
+    ended.set()
+    thread.join()
+    inputs.close()
+    node.destroy_node()
+    ros.Node.overrides = {"port": 0, "control_port": 0}
+
+
+def test_a_service_without_a_run_fails_in_time(ros):
+    from probedesign_ros.link import Commander
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        result = Commander("127.0.0.1", silent.getsockname()[1], 0.1).send("tare")
+        assert not result.accepted and "no reply" in result.text
+        closed = silent.getsockname()[1]
+    assert not Commander("127.0.0.1", closed, 0.1).send("tare").accepted
+
+
+# packages
+
+
+def test_the_typed_message_is_that_of_the_recording():
+    """The file's fields and constants, and those that a recording declares of its own messages."""
+    text = (ROS / "probedesign_msgs" / "msg" / "Contact.msg").read_text(encoding="utf-8")
+    name = schemas.CONTACT_STATE
+    recorded = schemas.definition(name).decode().split("\n" + 80 * "=")[0]
+    assert get_types_from_msg(text, name)[name] == get_types_from_msg(recorded, name)[name]
+
+
+@pytest.mark.parametrize("package", ["probedesign_msgs", "probedesign_ros"])
+def test_the_manifest_of_a_package(package):
+    """REP 149: format 3, and the elements that it requires."""
+    root = ElementTree.parse(ROS / package / "package.xml").getroot()
+    assert root.tag == "package" and root.get("format") == "3"
+    tags = [child.tag for child in root]
+    assert tags[:2] == ["name", "version"] and {"description", "maintainer", "license", "export"} <= set(tags)
+    assert root.findtext("name") == package
+    assert all(maintainer.get("email") for maintainer in root.iter("maintainer"))
+    expected = {"probedesign_msgs": "ament_cmake", "probedesign_ros": "ament_python"}[package]
+    assert root.findtext("export/build_type") == expected
+
+
+def test_the_messages_are_generated():
+    text = (ROS / "probedesign_msgs" / "CMakeLists.txt").read_text()
+    folder = ROS / "probedesign_msgs"
+    assert all(
+        f'"{f.relative_to(folder)}"' in text for kind in ("msg", "srv") for f in (folder / kind).iterdir()
+    )
+    root = ElementTree.parse(folder / "package.xml").getroot()
+    assert root.findtext("member_of_group") == "rosidl_interface_packages"
+    assert root.findtext("exec_depend") == "rosidl_default_runtime"
+
+
+def test_the_set_up_of_the_python_package(monkeypatch):
+    """What ament_python requires: the marker, the manifest, scripts in lib/NAME, and files that exist."""
+    folder, given = ROS / "probedesign_ros", {}
+    monkeypatch.chdir(folder)
+    import setuptools
+
+    monkeypatch.setattr(setuptools, "setup", lambda **options: given.update(options))
+    exec(compile((folder / "setup.py").read_text(), "setup.py", "exec"), {"__name__": "setup"})
+    files = dict(given["data_files"])
+    assert files["share/ament_index/resource_index/packages"] == ["resource/probedesign_ros"]
+    assert files["share/probedesign_ros"] == ["package.xml"]
+    assert all((folder / name).is_file() for names in files.values() for name in names)
+    assert given["packages"] == ["probedesign_ros"]
+    assert given["entry_points"]["console_scripts"] == ["probe = probedesign_ros.node:main"]
+    assert "script_dir=$base/lib/probedesign_ros" in (folder / "setup.cfg").read_text()
+    root = ElementTree.parse(folder / "package.xml").getroot()
+    assert root.findtext("version") == given["version"]
+
+
+def test_the_launch_file_is_valid_and_names_known_parameters(ros):
+    text = (ROS / "probedesign_ros" / "launch" / "probe.launch.py").read_text(encoding="utf-8")
+    compile(text, "probe.launch.py", "exec")
+    assert "def generate_launch_description():" in text
+    for name in ("port", "control_port", "frame_prefix", "publish_tf"):
+        assert name in ros.PARAMETERS and f'"{name}"' in text

@@ -1,0 +1,3 @@
+from stub_messages import message
+
+TFMessage = message("TFMessage", transforms=[])

@@ -1,0 +1,9 @@
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import Pose, Vector3
+from std_msgs.msg import ColorRGBA, Header
+from stub_messages import message
+
+Marker = message("Marker", header=Header, ns="", id=0, type=0, action=0, pose=Pose, scale=Vector3, color=ColorRGBA,
+                 lifetime=Duration, points=[], text="")  # fmt: skip
+Marker.ARROW, Marker.SPHERE, Marker.ADD, Marker.DELETE = 0, 2, 0, 2
+MarkerArray = message("MarkerArray", markers=[])
