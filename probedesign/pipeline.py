@@ -129,8 +129,13 @@ def confirm(
     return before, run(best.design, best.task, draws, seed, on_progress)
 
 
-def identify(design: "Design", campaign: "Campaign", names: Sequence[str]) -> "Identification":
-    """Estimate the named parameters of a printed probe from the measurements of a campaign."""
+def identify(
+    design: "Design", campaign: "Campaign", names: Sequence[str], accept: bool = False
+) -> "Identification":
+    """Estimate the named parameters of a printed probe from the measurements of a campaign.
+
+    `accept` reports numbers with widened intervals where the tests contradict each other.
+    """
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
     from probedesign.mount import mount_part_masses, sensor_adapter_for
@@ -139,7 +144,7 @@ def identify(design: "Design", campaign: "Campaign", names: Sequence[str]) -> "I
     probe = build_probe(design)
     adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
     flange = mount_part_masses(probe.geometry, adapter, design.density.value)["flange"]
-    return run(data_of(campaign, probe.model, flange.volume), names)
+    return run(data_of(campaign, probe.model, flange.volume), names, accept)
 
 
 def freeze(probe: "Probe") -> dict[str, Any]:

@@ -60,6 +60,7 @@ class Test:
         std_sag: standard deviation of tip_sag [m].
         wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
         frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
+        time: mean of its readings [s]; NaN if not given, or if time begins anew in each test.
         markers: None if none were measured.
     """
 
@@ -77,6 +78,7 @@ class Test:
     wrenches: Array = field(default_factory=lambda: np.zeros((0, 6)))
     frame: Frame = "base"
     markers: Markers | None = None
+    time: float = np.nan
 
     @property
     def free(self) -> bool:
