@@ -26,7 +26,14 @@ PRESSED = (0.6, 0.02)
 """Fraction of the length and newtons of the push that a stiffness is determined by."""
 FLANGE_ROOT = -0.18
 """root_rigid_radii that is computed for the exported flange (decision 0006); the design states 0.12."""
-PERFECT = {"gain": 0.0, "root_radii": 0.0, "creep": 0.0, "stiffness_scatter": 0.0, "walk_steps": 0.0, "robot_mm": 0.0}
+PERFECT = {
+    "gain": 0.0,
+    "root_radii": 0.0,
+    "creep": 0.0,
+    "stiffness_scatter": 0.0,
+    "walk_steps": 0.0,
+    "robot_mm": 0.0,
+}
 """Tolerances of a bench without flaws, as its design then states them."""
 
 
@@ -88,7 +95,8 @@ def _stiffness_off(model: ProbeModel, truth: Truth, found: Identification | None
     fraction, force = PRESSED
     rod = model.rod
     if found is not None:
-        numbers = {one.name: one.value for one in found.found}
+        root = rod.rigid_length / float(rod.radius[0])
+        numbers = {"root": root} | {one.name: one.value for one in found.found}
         rod = replace(rod, youngs_modulus=1e6 * numbers["E"], shear_modulus=1e6 * numbers["G"],
                       rigid_length=numbers["root"] * float(rod.radius[0]))  # fmt: skip
     s, yields = fraction * rod.length, []
@@ -100,7 +108,7 @@ def _stiffness_off(model: ProbeModel, truth: Truth, found: Identification | None
 
 def _row(found: NDArray[np.float64]) -> list[str]:
     seconds, accepted = found[:, 6], int(found[:, 0].sum())
-    ok, off, stated, quantile, after, before, _ = found[found[:, 0] > 0.0].T
+    _, off, stated, quantile, after, before, _ = found[found[:, 0] > 0.0].T
     inside = int((np.abs(off) <= quantile * stated).sum())
     return [_share(accepted, len(found)), f"{_rms(off):.2%}", f"{_rms(stated):.2%}", _share(inside, len(off)),
             f"{_rms(after):.2%}", f"{_rms(before):.2%}", shown(float(np.median(seconds)))]  # fmt: skip
@@ -180,13 +188,23 @@ def _noisier(test: MeasuredTest, factor: float) -> MeasuredTest:
 GROSS = [
     GrossError("all wrenches with the opposite sign", "sign", partial(_scaled, factors=[-1.0] * 6)),
     GrossError("forces with the opposite sign", "sign", partial(_scaled, factors=[-1.0] * 3 + [1.0] * 3)),
-    GrossError("Fy with the opposite sign", "sign", partial(_scaled, factors=[1.0, -1.0, 1.0, 1.0, 1.0, 1.0])),
-    GrossError("Mx with the opposite sign", "sign", partial(_scaled, factors=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0])),
+    GrossError(
+        "Fy with the opposite sign", "sign", partial(_scaled, factors=[1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+    ),
+    GrossError(
+        "Mx with the opposite sign", "sign", partial(_scaled, factors=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+    ),
     GrossError("moments in N·mm in columns of N·m", "unit", partial(_scaled, factors=[1.0] * 3 + [1e3] * 3)),
     GrossError("forces in mN in columns of N", "unit", partial(_scaled, factors=[1e3] * 3 + [1.0] * 3)),
     GrossError("base rotated by 90 degrees about its axis", "mount", _turned),
-    GrossError("x of the reference mirrored", "camera", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])),
-    GrossError("x and y of the reference exchanged", "camera", partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0])),
+    GrossError(
+        "x of the reference mirrored", "camera", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])
+    ),
+    GrossError(
+        "x and y of the reference exchanged",
+        "camera",
+        partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0]),
+    ),
     GrossError("markers 9 and 10 exchanged", "marker", _exchanged, cameras_only=True),
     GrossError("markers numbered too high by 1", "marker", _numbered_too_high, cameras_only=True),
     GrossError("data of the medium probe", "probe", lambda test: test, "medium"),

@@ -17,7 +17,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import DEGREE, LENGTH_SCALE, POISSON, POISSON_STD, CommonParameters
-from probedesign.identification.residuals import WEIGHT_STD, MassMeasurement, MeasuredTest
+from probedesign.identification.residuals import WEIGHT_STD, MeasuredTest
+from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import solve_surface_force
@@ -199,7 +200,9 @@ class _Bench:
 
     def tests(self) -> tuple[MeasuredTest, ...]:
         """Return the tests; touches that the true probe does not bear are left out."""
-        loads: list[tuple[str, float, float, str]] = [("weight", s, force, "") for s, force in self.kind.weights]
+        loads: list[tuple[str, float, float, str]] = [
+            ("weight", s, force, "") for s, force in self.kind.weights
+        ]
         loads += [("touch", s, force, side) for s, force in self.kind.touches for side in self.kind.sides]
         every = math.ceil(len(loads) / max(self.kind.hangs - 1, 1))
         plan: list[tuple[str, float, float, str]] = []
@@ -217,7 +220,9 @@ class _Bench:
     def _test(self, name: str, what: str, fraction: float, force: float, side: str, passed: float
               ) -> MeasuredTest | None:  # fmt: skip
         truth, rng, model = self.truth, self.rng, self.model
-        stiffer = math.exp(self.flaws.stiffness_scatter * rng.normal() * (what != "free") - self.creep * (passed - 0.5))
+        stiffer = math.exp(
+            self.flaws.stiffness_scatter * rng.normal() * (what != "free") - self.creep * (passed - 0.5)
+        )
         rod = replace(truth.rod, youngs_modulus=stiffer * truth.rod.youngs_modulus,
                       shear_modulus=stiffer * truth.rod.shear_modulus)  # fmt: skip
         s, size, turn = fraction * rod.length, self.mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
@@ -226,7 +231,9 @@ class _Bench:
             eq = rod.solve(truth.gravity_base)
         elif what == "weight":
             known = force * model.gravity_base / np.linalg.norm(model.gravity_base)
-            eq = rod.solve(truth.gravity_base, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s)
+            eq = rod.solve(
+                truth.gravity_base, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s
+            )
         else:
             ratios = (size * math.cos(turn), size * math.sin(turn))
             touch = solve_surface_force(rod, truth.gravity_base, s, DIRECTIONS[side] + math.pi, force, ratios)
@@ -249,7 +256,7 @@ class _Bench:
         return self._with_markers(trial, eq, moved) if self.kind.marker else trial
 
     def _true_reading(self, wrench: Array) -> Array:
-        """Return what the sensor reads of a wrench of the true probe, about the stated base, less the weight between."""
+        """Return what the sensor reads of a wrench of the true probe, about the stated base."""
         model, truth = self.model, self.truth
         about_seat = wrench_map(truth.T_seat) @ wrench
         reading = model.to_sensor(about_seat, model.gravity_base)

@@ -265,20 +265,23 @@ def _test_times(
     Raises:
         InputError: time runs backward, within a test or from some tests to the next.
     """
+    anew = _begins_anew(time, which)
     for row in np.flatnonzero(np.diff(time) < 0.0) + 1:
-        again = which[row] != which[row - 1]
-        if not (again and _begins_anew(time, which)):
-            rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[row - 1]:g} s to {time[row]:g} s; "
-                                "use one clock and keep the rows in the order of time")  # fmt: skip
-    if np.isnan(time).any() or _begins_anew(time, which):
+        if not anew or which[row] == which[row - 1]:
+            rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[row - 1]:g} s to "
+                                f"{time[row]:g} s; use one clock and keep the rows in the order of time")  # fmt: skip
+    if anew or np.isnan(time).any():
         return [np.nan] * len(of_tests)
     return [float(time[own].mean()) if own.any() else np.nan for own in of_tests]
 
 
 def _begins_anew(time: Array, which: NDArray[np.intp]) -> bool:
     """Return whether the clock starts again with every test."""
-    starts = np.flatnonzero(np.diff(which) != 0) + 1
-    return bool(len(starts) and (time[starts] < time[starts - 1]).all() or len(starts) and np.ptp(time[np.append(0, starts)]) == 0.0)  # fmt: skip
+    first = np.flatnonzero(np.diff(which) != 0) + 1
+    if not len(first):
+        return False
+    same = bool((time[first] == time[0]).all())  # single readings, all at 0 s
+    return same or bool((time[first] < time[first - 1]).all())
 
 
 def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> list[Markers | None]:

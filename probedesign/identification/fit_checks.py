@@ -106,7 +106,7 @@ def unobservable_direction(
 
 def _positions(point: Linearization, columns: Sequence[int]) -> list[int]:
     """Return the positions of some entries of the parameter vector among the estimated ones."""
-    return np.searchsorted(np.flatnonzero(point.problem.active), columns).tolist()
+    return [int(i) for i in np.searchsorted(np.flatnonzero(point.problem.active), columns)]
 
 
 def _description(components: dict[str, float], std: float) -> str:
@@ -151,7 +151,7 @@ def conditional_estimate(fit: Fit, column: int) -> tuple[float, float, float | N
 def _of_print(fit: Fit, columns: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return which entries of the parameter vector are dimensions of the print."""
     modes = fit.point.problem.common.print_columns
-    return (modes.start <= columns) & (columns < modes.stop)
+    return np.asarray((modes.start <= columns) & (columns < modes.stop))
 
 
 def cov_conditional(fit: Fit, columns: Sequence[int]) -> Array:
@@ -220,7 +220,11 @@ def inconsistency(
     if every.too_many:
         return f"readings of all kinds: {every}; check units and the base's rotation in campaign.toml"
     for one in noise:
-        if one.measured and one.kind in CHECKS and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED:
+        if (
+            one.measured
+            and one.kind in CHECKS
+            and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED
+        ):
             return (f"{LABELS[one.kind]}: {share:.0%} of their RMS scatter is not explained by the probe as designed; "
                     f"check {CHECKS[one.kind]}")  # fmt: skip
         if one.kind == "markers" and one.scale > MAX_NOISE_SCALE:
@@ -242,13 +246,18 @@ def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest],
         if block.kind == kind and value is not None:
             for i in range(0, len(value), 3):  # forces and moments apart
                 groups.setdefault((i, block.item), []).append((value[i : i + 3], block.residual[i : i + 3]))
-    ratios = {}
+    ratios: dict[int, tuple[float, float]] = {}
     for (i, _), pairs in groups.items():
         if len(pairs) >= 3:
             values, residuals = (np.array(part) for part in zip(*pairs, strict=True))
             scatter, off = ratios.get(i, (0.0, 0.0))
-            ratios[i] = scatter + float(np.sum((values - values.mean(axis=0)) ** 2)), off + float(np.sum(residuals**2))
-    return max((float(np.sqrt(off / scatter)) for scatter, off in ratios.values() if scatter > 0.0), default=0.0)
+            ratios[i] = (
+                scatter + float(np.sum((values - values.mean(axis=0)) ** 2)),
+                off + float(np.sum(residuals**2)),
+            )
+    return max(
+        (float(np.sqrt(off / scatter)) for scatter, off in ratios.values() if scatter > 0.0), default=0.0
+    )
 
 
 def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
@@ -256,7 +265,7 @@ def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
     if test is None:
         return None
     if block.kind == "markers":
-        return test.p_markers_world[test.marker_numbers.index(block.item)]
+        return np.asarray(test.p_markers_world[test.marker_numbers.index(block.item)])
     return {"wrenches": test.wrench_base, "touches": test.p_touch_world}.get(block.kind)
 
 
@@ -354,9 +363,9 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
     groups["dimensions as designed", "what was printed: measure it, or increase the tolerances"] = list(
         range(problem.common.print_columns.start, problem.common.print_columns.stop)
     )
-    groups["drift of the sensor", "whether it was warm and whether it was zeroed between tests; and walk_steps"] = (
-        list(range(problem.common.print_columns.stop, problem.common.size))
-    )
+    groups[
+        "drift of the sensor", "whether it was warm and whether it was zeroed between tests; and walk_steps"
+    ] = list(range(problem.common.print_columns.stop, problem.common.size))
     for (label, source), columns in groups.items():
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):

@@ -1,13 +1,9 @@
 """Identification of a probe: a campaign and a design in; numbers with intervals and design changes out."""
 
-import json
 import math
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,9 +11,6 @@ from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.units import MPA
-from probedesign.design import Design
-from probedesign.design.io import Change
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
@@ -36,23 +29,15 @@ from probedesign.identification.fit_checks import (
 from probedesign.identification.parameters import (
     DEFAULT,
     LOG_E,
-    PARAMETERS,
     CommonParameters,
     check_requested,
     columns_of,
 )
-from probedesign.identification.residuals import MassMeasurement, MeasuredTest, PoissonPrior
-from probedesign.identification.result import Identification, Identified, Outlier
-from probedesign.identification.solver import (
-    Fit,
-    LeastSquaresProblem,
-    Linearization,
-    fit,
-    outliers,
-    solvable_tests,
-    start_point,
-    weights,
-)
+from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.result import Identification, Outlier
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, outliers, weights
+from probedesign.identification.starting_values import solvable_tests, start_point
+from probedesign.identification.whole_probe import MassMeasurement
 
 MIN_READINGS = 8
 """Readings of one test from which on their scatter replaces the sensor's noise where it is larger."""
@@ -65,12 +50,6 @@ MAX_LEFT_OUT = 0.2
 """Fraction of the tests that may be left out because most of their readings are outliers; one always (assumed)."""
 TEST_SECONDS = 60.0
 """Time from one test to the next where wrenches.csv has no time_s (assumed)."""
-IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
-"""Parameters that a design file holds."""
-MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
-REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "mount.root_rigid_radii",
-                   "tolerances.root_radii")  # fmt: skip
-"""Keys that an identification of E replaces as well, where E was not identified before."""
 
 
 @dataclass(frozen=True)
@@ -169,8 +148,8 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
 def _at_touched_section(measured: MeasuredTest, model: ProbeModel) -> MeasuredTest:
     """Return a touch with the arclength of the touched section instead of where the force's line meets the axis.
 
-    Without friction the section lies r tan α nearer to the tip; friction, whose direction is not known beforehand, moves
-    the line by up to μ r.
+    Without friction the section lies r tan α nearer to the tip. Friction, whose direction is not known beforehand,
+    moves the line by up to μ r.
     """
     s = min(measured.s_contact, model.rod.length)
     radius, friction = float(model.rod.radius_at(s)), min(model.friction, 1.0)
@@ -226,8 +205,8 @@ def identify(
     left_out = bad_tests(found.point.blocks, off)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
         counts = {name: sum(block.test == name for block, _ in off) for name in left_out}
-        notes = [f"{name}: left out: {n} of its readings are outliers; check the known force and s_contact_mm, the marker "
-                 "numbers, the wrench and the base pose" for name, n in counts.items()]  # fmt: skip
+        notes = [f"{name}: left out: {n} of its readings are outliers; check the known force and s_contact_mm, the "
+                 "marker numbers, the wrench and the base pose" for name, n in counts.items()]  # fmt: skip
         kept = tuple(test for test in data.tests if test.name not in left_out)
         data, start = _solvable(replace(data, tests=kept, notes=(*data.notes, *notes)), names)
         found, identified, unobservable = _search(data, names, start)
@@ -257,8 +236,8 @@ def identify(
     whole = replace(whole, why=why, likely_causes=causes, seconds=time.perf_counter() - begun)
     if not accept:
         return whole.as_inconsistent(why)
-    notes = (f"accepted although inconsistent: {why}; all standard deviations are {widening:.3g} times as large",)
-    return replace(whole, result="accepted", widening=widening, notes=(*notes, *whole.notes))
+    note = f"accepted although inconsistent: {why}; all standard deviations are {widening:.3g} times as large"
+    return replace(whole, result="accepted", widening=widening, notes=(note, *whole.notes))
 
 
 def _widening(found: Fit, rejected: Sequence[PriorTest]) -> float:
@@ -266,15 +245,16 @@ def _widening(found: Fit, rejected: Sequence[PriorTest]) -> float:
     over their noise, and at least that of a rejected prior. Source: R. T. Birge, Phys. Rev. 40, 1932, 207."""
     point = found.point
     squares = sum(block.squared_distance / found.scales.get(block.kind, 1.0) ** 2 for block in point.blocks)
-    freedom = sum(len(block.r) - float(np.trace(hat)) for block, hat in zip(point.blocks, found.absorbed, strict=True))
+    freedom = sum(
+        len(block.r) - float(np.trace(hat)) for block, hat in zip(point.blocks, found.absorbed, strict=True)
+    )
     ratios = [one.deviation / math.sqrt(one.freedom) for one in rejected]
     return max(1.0, math.sqrt(squares / max(freedom, 1.0)), *ratios)
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:
     """Return the fit of some requested parameters."""
-    poisson = PoissonPrior() if "E" in requested or "G" in requested else None
-    return LeastSquaresProblem(data.common, data.tests, data.mass, data.common.prior_without(requested), poisson)
+    return LeastSquaresProblem(data.common, data.tests, data.mass, data.common.prior_without(requested))
 
 
 def _search(
@@ -348,120 +328,3 @@ def _remarks(found: Fit) -> list[str]:
         for one in found.noise
         if one.measured
     ]
-
-
-# changes of the design
-
-
-def design_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
-    """Return the keys that a design gets; poses and gravity belong to the bench and not to the probe.
-
-    The value written is conditional on the design's diameters, which the frozen probe uses too: of E and diameters it
-    is E·d⁴ that was measured, and `youngs_modulus_by_diameter` states it. G and the root go with E, whether the tests
-    or a prior determine them. `day` is for the comments.
-
-    Raises:
-        InputError: no number of a design was identified, or the fit is not valid.
-    """
-    if not found.valid:
-        why = found.why or "the search did not converge"
-        raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
-    numbers = [one for one in found.found if one.result != "not_told" and one.name in IN_DESIGN]
-    if not any(one.identified for one in numbers):
-        raise InputError(
-            f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}"
-        )
-    changes = [_value(one, found, day) for one in numbers]
-    for one in numbers:
-        if one.name in MATERIAL:
-            provenance = '"identified"' if one.identified else '"assumed"'
-            changes.append(Change("material.provenance", _split_key(one.name)[1], provenance))
-    for one in numbers:
-        if PARAMETERS[one.name].attribute:
-            spread = one.relative_std_total if one.name in MATERIAL else one.std_total
-            note = f"identified {day}, all errors of the bench included" if one.identified else one.why
-            changes.append(Change("tolerances", PARAMETERS[one.name].attribute, f"{spread:.2g}", note))
-    E = found.of("E")
-    if E is None:
-        return tuple(changes)
-    changes.append(Change("material", "stiffness_spread", f"{E.relative_std_total:.2g}",
-                          f"identified {day}: of E, as in [tolerances], for fusing touches"))  # fmt: skip
-    if E.by_diameter is not None:
-        changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
-                              f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
-    return tuple(changes)
-
-
-def _split_key(name: str) -> tuple[str, str]:
-    table, key = PARAMETERS[name].design_key.split(".")
-    return table, key
-
-
-def _value(one: Identified, found: Identification, day: str) -> Change:
-    caveat = f"; {one.caveat}" if one.caveat else ""
-    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
-    start = f"identified {day}, {tests}" if one.identified else one.why
-    note = f"{start}: {one.low_total:.4g} ... {one.high_total:.4g} in 95 %, with these diameters{caveat}"
-    return Change(*_split_key(one.name), f"{one.value:.4g}", note)
-
-
-def check_overwritable(
-    design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
-) -> None:
-    """Refuse to replace what someone set or identified before in a file's text, unless `force` is set.
-
-    A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
-    """
-    document = tomllib.loads(text)
-    present = [f"{one.table}.{one.key}" for one in changes
-               if not _replaceable(one, design)
-               and _value_in(document, one) not in (None, tomllib.loads(f"v = {one.text}")["v"])]  # fmt: skip
-    if present and not force:
-        raise InputError(f"{where}: set or identified already: {', '.join(present)}; --force replaces these values "
-                         "and keeps them as comments, or write another file with --out")  # fmt: skip
-
-
-def _replaceable(change: Change, design: Design) -> bool:
-    """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty."""
-    if change.table == "material.provenance":
-        return True
-    key = f"{change.table}.{change.key}"
-    for name, one in MATERIAL.items():
-        if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
-            provenance: str = getattr(design.material.provenance, _split_key(name)[1])
-            return provenance != "identified"
-    return False
-
-
-def _value_in(document: dict[str, Any], change: Change) -> object:
-    """Return the value in a design file; None if there is none."""
-    value: Any = document
-    for part in (*change.table.split("."), change.key):
-        value = value.get(part) if isinstance(value, dict) else None
-    return value
-
-
-def design_diff(design: Design, fingerprint: str, file: Path) -> str:
-    """Return which numbers of an earlier identification, in `file`, a design of this geometry lacks; empty if none."""
-    try:
-        data = json.loads(file.read_bytes())
-        if data["result"] not in ("ok", "accepted") or data["fingerprint"] != fingerprint:
-            return ""
-        differences = []
-        for one in data["found"]:
-            if one["result"] == "identified" and one["name"] in MATERIAL:
-                quantity = getattr(design, MATERIAL[one["name"]].attribute)
-                unit = MPA if one["unit"] == "MPa" else 1.0
-                # a design gets four digits
-                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"
-                if identified != present:
-                    text = f"{one['name']} {identified} {one['unit']}, where the design has {present}"
-                    differences.append(text)
-        return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-    ):  # no identification was made, or another program's file
-        return ""

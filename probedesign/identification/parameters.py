@@ -255,7 +255,8 @@ def _span(first: str, last: str) -> slice:
 
 BASE_ROTATION, BASE_OFFSET = _span("tilt", "clocking"), PARAMETERS["offset"].columns
 MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
-LOG_E, DIAMETERS = PARAMETERS["E"].columns.start, PARAMETERS["diameters"].columns.start
+LOG_E, LOG_G = PARAMETERS["E"].columns.start, PARAMETERS["G"].columns.start
+DIAMETERS = PARAMETERS["diameters"].columns.start
 LOGARITHMS = [i for i, one in enumerate(OWNER) if one.logarithm]
 
 
@@ -305,7 +306,7 @@ class CommonParameters:
     @property
     def size(self) -> int:
         """Length of the parameter vector."""
-        return self.print_columns.stop + 6 * len(self.walk_seconds)
+        return PRINT + len(self.print_modes) + 6 * len(self.walk_seconds)
 
     @cached_property
     def print_columns(self) -> slice:
@@ -350,7 +351,9 @@ class CommonParameters:
         free = self.model.rod.solve(self.model.gravity_base)
         if self.tolerances.tared and free.ok:
             force, moment = np.linalg.norm(free.wrench_base.reshape(2, 3), axis=1)
-            payload = np.linalg.norm((self.model.payload_by_gravity @ self.model.gravity_base).reshape(2, 3), axis=1)
+            payload = np.linalg.norm(
+                (self.model.payload_by_gravity @ self.model.gravity_base).reshape(2, 3), axis=1
+            )
             error = math.hypot(self.tolerances.gain, self.std_tilt)
             absorbed[:] = np.repeat(
                 [TARE_FRACTION * force + error * payload[0], TARE_FRACTION * moment + error * payload[1]], 3

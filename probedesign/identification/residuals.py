@@ -17,8 +17,6 @@ from probedesign.identification.parameters import (
     MOUNT_OFFSET,
     MOUNT_ROTATION,
     PARAMETERS,
-    POISSON,
-    POISSON_STD,
     ROOT_STEP,
     ParameterValues,
     stiffness_column,
@@ -62,8 +60,8 @@ class MeasuredTest:
         sag: displacement of the tip along gravity from where it would be without weight [m].
         std_sag: [m].
         epoch: position among the tests in the order of time, for the walk of the sensor's bias.
-        creep_ramp: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2 at
-            the last.
+        creep_ramp: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2
+            at the last.
     """
 
     name: str
@@ -278,7 +276,9 @@ class SolvedTest:
         R = (self.measured.T_world_base @ self.values.T_stated_base)[:3, :3]
         return np.asarray(R.T @ self.measured.force_world)
 
-    def vector(self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None) -> WithJacobian:
+    def vector(
+        self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None
+    ) -> WithJacobian:
         """Return a vector in base axes with its total derivatives, through the couple of a touch.
 
         The arguments are its value and its derivatives at a given couple.
@@ -290,7 +290,9 @@ class SolvedTest:
         couple_by_rod, couple_by_root, couple_by_angle = self.touch.couple_response
         total = by_rod + across @ couple_by_rod
         total[..., COUPLE_COLUMNS] = 0.0
-        return WithJacobian(value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle)
+        return WithJacobian(
+            value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle
+        )
 
     def in_world(self, vector: WithJacobian) -> tuple[Array, Array, Array]:
         """Return points of the rod in the world as the reference measures them, with derivatives by the parameter
@@ -477,44 +479,3 @@ def solve_test(
     if ok and measured.touched:
         touch = SurfaceTouch(rod, eq, force, angle, axes)
     return SolvedTest(measured, values, nuisance, rod, eq, touch, others, gravity_base, R.T @ d_gravity, ok)
-
-
-@dataclass(frozen=True)
-class MassMeasurement:
-    """A weighing of the probe.
-
-    Attributes:
-        mass: measured [kg].
-        std: standard deviation of the mass [kg].
-        flange_volume: of printed material that was weighed with the flexible part, as drawn [m³].
-    """
-
-    mass: float
-    std: float
-    flange_volume: float
-
-    def block(self, values: ParameterValues) -> ResidualBlock:
-        """Return its residual, which depends on the density and on all diameters."""
-        rod = values.rod
-        total = rod.mass + rod.density * self.flange_volume
-        J = np.zeros((1, values.common.size))
-        J[0, PARAMETERS["density"].columns] = total
-        J[0, PARAMETERS["diameters"].columns] = 2.0 * rod.mass
-        J[0, values.common.print_columns] = rod.density * rod.body.volume_by_knot[0] @ values.common.print_modes.T
-        residual = np.array([self.mass - total])
-        return ResidualBlock("", "scales", 0, residual / self.std, -J / self.std, np.zeros((1, 0)), residual)
-
-
-@dataclass(frozen=True)
-class PoissonPrior:
-    """Prior on Poisson's ratio, which ties G to E: E = 2 (1 + ν) G."""
-
-    def block(self, values: ParameterValues) -> ResidualBlock:
-        """Return its residual."""
-        rod = values.rod
-        std = POISSON_STD / (1.0 + POISSON)  # of the logarithm of E/G
-        J = np.zeros((1, values.common.size))
-        J[0, PARAMETERS["E"].columns], J[0, PARAMETERS["G"].columns] = 1.0, -1.0
-        ratio = np.log(rod.youngs_modulus / rod.shear_modulus)
-        residual = np.array([np.log(2.0 * (1.0 + POISSON)) - ratio])
-        return ResidualBlock("", "poisson", 0, residual / std, -J / std, np.zeros((1, 0)), residual)

@@ -125,7 +125,8 @@ class Outlier:
     def words(self) -> str:
         """Name of the reading."""
         what = {"markers": f"marker {self.item}", "wrenches": "the wrench", "touches": "the touched place",
-                "stiffness": "the stiffness", "friction": "the friction"}  # fmt: skip
+                "places": "the arclength", "weights": "the known load", "stiffness": "the stiffness",
+                "friction": "the friction"}  # fmt: skip
         return f"{what[self.kind]} of {self.test}"
 
 
@@ -386,7 +387,8 @@ def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...
     """
     problem = fit.point.problem
     active = np.flatnonzero(problem.active)
-    columns = [int(c) for c in active if not problem.common.print_columns.start <= c < problem.common.print_columns.stop]
+    print_modes = range(problem.common.print_columns.start, problem.common.print_columns.stop)
+    columns = [int(c) for c in active if c not in print_modes]
     cov, prior = cov_conditional(fit, columns), problem.prior[columns]
     causes = ["drift of the sensor" if c >= len(OWNER) else OWNER[c].prior_name or c for c in columns]
     result = []

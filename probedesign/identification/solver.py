@@ -14,26 +14,25 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from probedesign.core.frames import Array
 from probedesign.identification.elimination import NormalEquations, TestRows
 from probedesign.identification.parameters import (
-    LOG_E,
+    LOG_G,
     LOGARITHMS,
     CommonParameters,
     ParameterValues,
     columns_of,
 )
 from probedesign.identification.residuals import (
-    MassMeasurement,
     MeasuredTest,
-    PoissonPrior,
     ResidualBlock,
     SolvedTest,
     solve_test,
 )
-from probedesign.rod.rod import Rod
+from probedesign.identification.whole_probe import MassMeasurement, PoissonPrior
 
 READING_KINDS = ("markers", "wrenches", "touches", "places", "weights")
 """Kinds of readings that most tests have."""
@@ -48,7 +47,8 @@ REJECTION_CHANCE = 1e-3
 """Chance, with noise as stated, that a scatter is judged larger than stated or a prior is rejected."""
 OUTLIER_CHANCE = 0.01
 """Chance, with normal noise, that a campaign reports any outlier at all."""
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 25
+"""Steps of one search: those of campaigns without contradictions take fewer than ten."""
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e8
 MIN_GAIN = 1e-3
 """Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
@@ -57,8 +57,6 @@ MAX_LOGARITHM = 3.0
 """Of a factor on the design value: no probe is twenty times stiffer than designed."""
 MAX_SCALE_ROUNDS = 4
 """Estimates of the noise scales from the residuals."""
-START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5)
-"""Factors on E to start from: published values of one resin differ by two."""
 
 
 # robust weights
@@ -168,19 +166,22 @@ class LeastSquaresProblem:
         tests: the tests.
         mass: the weighing; None if there was none.
         prior: standard deviations of the parameter vector: infinite for requested parameters, 0 for fixed ones.
-        poisson: prior on Poisson's ratio; None if G has its own prior.
     """
 
     common: CommonParameters
     tests: tuple[MeasuredTest, ...]
     mass: MassMeasurement | None
     prior: Array
-    poisson: PoissonPrior | None = None
 
     @cached_property
     def active(self) -> Array:
         """Which entries of the parameter vector are estimated, (size,) of bool."""
         return np.asarray(self.prior > 0.0)
+
+    @cached_property
+    def poisson(self) -> PoissonPrior | None:
+        """Prior on Poisson's ratio; None if G has its own prior."""
+        return PoissonPrior() if np.isinf(self.prior[LOG_G]) else None
 
     @cached_property
     def n_active(self) -> int:
@@ -261,14 +262,14 @@ class Linearization:
         return list(groups.values())
 
     @cached_property
-    def _stacked(self) -> list[tuple[TestRows, Array]]:
+    def _stacked(self) -> list[tuple[TestRows, NDArray[np.intp]]]:
         """Rows of each test with full weight, and the number of rows of each block."""
         active, result = self.problem.active, []
         for group in self._blocks_of_tests:
             blocks = [self.blocks[i] for i in group]
             if not blocks:
                 empty = np.zeros((0, self.problem.n_active))
-                result.append((TestRows(empty, np.zeros((0, 0)), np.zeros(0)), np.zeros(0, dtype=int)))
+                result.append((TestRows(empty, np.zeros((0, 0)), np.zeros(0)), np.zeros(0, dtype=np.intp)))
                 continue
             rows = TestRows(
                 np.concatenate([block.J for block in blocks])[:, active],
@@ -283,7 +284,9 @@ class Linearization:
         tests = []
         for group, (rows, sizes) in zip(self._blocks_of_tests, self._stacked, strict=True):
             root = np.sqrt(np.repeat(weight[group], sizes))
-            tests.append(TestRows(root[:, None] * rows.A, root[:, None] * rows.B, root * rows.r).eliminated(damping))
+            tests.append(
+                TestRows(root[:, None] * rows.A, root[:, None] * rows.B, root * rows.r).eliminated(damping)
+            )
         std = self.problem.prior[self.problem.active]
         inverse = np.where(np.isinf(std), 0.0, 1.0 / std)
         return NormalEquations(tests, inverse**2, inverse * self.prior_residual, damping)
@@ -322,65 +325,6 @@ def linearize(
     if problem.poisson is not None:
         blocks.append(problem.poisson.block(values))
     return Linearization(problem, values, tuple(solved), tuple(blocks))
-
-
-# starting values
-
-
-def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | None:
-    """Return the linearization with the least loss over factors on E, or at the design's E; None without a solution."""
-    best = None
-    for factor in START_FACTORS if free_E else START_FACTORS[:1]:
-        x = np.zeros(problem.common.size)
-        x[LOG_E] = np.log(factor)
-        point = linearize(problem, ParameterValues(problem.common, x),
-                          start_nuisance(problem.tests, problem.common.model.rod))  # fmt: skip
-        if point.ok and (best is None or point.loss({}) < best.loss({})):
-            best = point
-    return best
-
-
-def solvable_tests(
-    problem: LeastSquaresProblem, free_E: bool
-) -> tuple[list[MeasuredTest], list[MeasuredTest]]:
-    """Split the tests into those with a stable equilibrium for some factor on E, and those without."""
-    kept: list[MeasuredTest] = []
-    lost: list[MeasuredTest] = []
-    for test in problem.tests:
-        alone = LeastSquaresProblem(problem.common, (test,), None, problem.prior, problem.poisson)
-        (lost if start_point(alone, free_E) is None else kept).append(test)
-    return kept, lost
-
-
-def start_nuisance(tests: Sequence[MeasuredTest], rod: Rod) -> list[Array]:
-    """Return initial nuisance parameters of each test: a touch's force by its reading, its place by the lever, and the
-    touched side opposite to the force."""
-    result = []
-    for test in tests:
-        start, at = np.zeros(test.nuisance_size), test.nuisance
-        if test.force_world is None:
-            assert test.wrench_base is not None  # tests without are not used
-            force = test.wrench_base[:3] - rod.mass * test.gravity_base
-            start[at["force"]], start[at["angle"]] = force, np.arctan2(-force[1], -force[0])
-        else:
-            force = test.T_world_base[:3, :3].T @ test.force_world
-        if "s" in at:
-            start[at["s"]] = np.clip(_start_arclength(test, rod, force), 0.02 * rod.length, rod.flank_end)
-        result.append(start)
-    return result
-
-
-def _start_arclength(test: MeasuredTest, rod: Rod, force: Array) -> float:
-    """Return the stated arclength, else the distance of the touched point, else the lever of the force [m]."""
-    if np.isfinite(test.s_contact):
-        return test.s_contact
-    if test.p_touch_world is not None:
-        return float(np.linalg.norm(test.p_touch_world - test.T_world_base[:3, 3]))
-    free = rod.solve(test.gravity_base)
-    assert test.wrench_base is not None
-    moment = test.wrench_base[3:] - (free.wrench_base[3:] if free.ok else 0.0)
-    across = float(np.hypot(*force[:2]))
-    return float(np.hypot(*moment[:2])) / across if across > 0.0 else 0.5 * rod.length
 
 
 # the search
@@ -442,7 +386,7 @@ def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
         scales = estimated
         point, more, converged = minimise(problem, point, scales)
         iterations += more
-        if settled:
+        if settled or not converged:
             break
     return Fit("ok" if converged else "not_converged", point, scales, tuple(noise), iterations)
 
@@ -480,7 +424,9 @@ def minimise(
     return point, max_iterations, False
 
 
-def _moved(problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations) -> Linearization | None:
+def _moved(
+    problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations
+) -> Linearization | None:
     """Return the campaign after a step of all unknowns; None if a factor is absurd or the rod has no solution."""
     step, own_steps, _ = equations.steps
     x = point.values.x.copy()

@@ -96,7 +96,7 @@ class SurfaceTouch:
         (_, e, _), d = self._directions
         J = -self.radius * skew(self.force) @ d[1] + np.outer(self.couple, self._d_log_radius)
         J[:, 0:3] += self.radius * skew(e)
-        return J
+        return np.asarray(J)
 
     def next_couple(self) -> Array:
         """Return the couple by a step of Newton's method from that of the equilibrium [N·m], (3,)."""
@@ -119,7 +119,7 @@ class SurfaceTouch:
         direct = J.copy()
         direct[:, COUPLE_COLUMNS] = 0.0
         columns = np.column_stack([direct, root, self.radius * np.cross(h, self.force)])
-        found = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns)
+        found: Array = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns).astype(float, copy=False)
         return found[:, :-2], found[:, -2], found[:, -1]
 
     @property
@@ -140,7 +140,9 @@ class SurfaceTouch:
         (t, e, h), d = self._directions
         tan = self.rod.taper_at(self.eq.s_contact)
         cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
-        maps = np.array([[-sin, -cos, 0.0], [cos, -sin, 0.0], [0.0, 0.0, 1.0]])  # inward normal, a, h, of [t, e, h]
+        maps = np.array(
+            [[-sin, -cos, 0.0], [cos, -sin, 0.0], [0.0, 0.0, 1.0]]
+        )  # inward normal, a, h, of [t, e, h]
         axes = maps @ np.stack([t, e, h])
         by_angle = maps @ np.stack([np.zeros(3), h, -e])
         normal, *tangential = axes @ self.force

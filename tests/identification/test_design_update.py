@@ -7,7 +7,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
 from probedesign.design.io import Change, edit_text
-from probedesign.identification.identify import check_overwritable
+from probedesign.identification.design_update import check_overwritable
 from tests.identification.conftest import LARGE
 
 DAY = "2026-01-02"

@@ -13,7 +13,8 @@ from probedesign.identification.fit_checks import OutlierCount, rejected_prior
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification
-from probedesign.identification.solver import REJECTION_CHANCE, LeastSquaresProblem, fit, start_point
+from probedesign.identification.solver import REJECTION_CHANCE, LeastSquaresProblem, fit
+from probedesign.identification.starting_values import start_point
 
 
 def _with(data: IdentificationData, change: Callable[[MeasuredTest], MeasuredTest]) -> Identification:

@@ -6,7 +6,7 @@ import pytest
 from probedesign import load_design
 from probedesign.cli.identify import _print
 from probedesign.estimation.model import ProbeModel
-from probedesign.identification.identify import design_changes
+from probedesign.identification.design_update import design_changes
 from probedesign.identification.result import (
     Identification,
     Identified,
