@@ -220,7 +220,7 @@ def identify(
     numbers, correlation, correlated = result.identified_numbers(
         found, identified, unobservable, names, quantile, widening
     )
-    numbers = result.with_caveats(numbers, data.common.model.rod)
+    numbers = result.with_caveats(numbers)
     whole = Identification(
         found.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
         sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,

@@ -347,8 +347,12 @@ class SolvedTest:
             p, d = p + offset, d + d_offset
         modelled, J, J_nuisance = self.in_world(self.vector(p, d, by_root))
         residual = measured.p_markers_world - modelled
+        W = whiten(measured.cov_markers)
+        whitened, J, J_nuisance = (W @ residual[:, :, None])[:, :, 0], -W @ J, -W @ J_nuisance
         for i, number in enumerate(measured.marker_numbers):
-            yield self._block("markers", number, residual[i], J[i], J_nuisance[i], measured.cov_markers[i])
+            yield ResidualBlock(
+                measured.name, "markers", number, whitened[i], J[i], J_nuisance[i], residual[i]
+            )
 
     def _surface_offset(self, s: Array, side: float) -> tuple[Array, Array]:
         """Return vectors from the axis to the surface on one side, (m, 3), and their derivatives, (m, 3, k).

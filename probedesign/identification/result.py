@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MM, MPA
+from probedesign.core.units import MM
 from probedesign.identification.contradiction import LikelyCause
 from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
 from probedesign.identification.parameters import (
@@ -26,7 +26,6 @@ from probedesign.identification.parameters import (
     columns_of,
 )
 from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale
-from probedesign.rod.rod import Rod
 
 CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
@@ -408,28 +407,15 @@ def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...
     return tuple(result)
 
 
-def with_caveats(numbers: Sequence[Identified], rod: Rod) -> tuple[Identified, ...]:
-    """Return the numbers, with caveats where one is weakly identifiable or G is consistent with a fixed ratio to E."""
-    E = next((one.value for one in numbers if one.name == "E"), rod.youngs_modulus / MPA)
-    ratio = rod.youngs_modulus / rod.shear_modulus
-    return tuple(
-        replace(one, caveat="; ".join(_caveats(one, E, ratio))) if one.identified else one for one in numbers
-    )
+def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:
+    """Return the numbers, with caveats where one is near the limit of observability."""
+    return tuple(replace(one, caveat=_caveat(one)) if one.identified else one for one in numbers)
 
 
-def _caveats(one: Identified, E: float, design_ratio: float) -> list[str]:
-    """Return caveats of a number: near the limit of observability, or a G that is consistent with a fixed ratio to E.
-
-    The ratios to E are that of an incompressible solid and the design's.
-    """
-    parameter, caveats = PARAMETERS.get(one.name), []
+def _caveat(one: Identified) -> str:
+    parameter = PARAMETERS.get(one.name)
     limit = parameter.max_std if parameter is not None and parameter.logarithm else None
-    if limit is not None and one.relative_std_total >= WEAK * limit:
-        caveats.append(f"weakly identifiable: total standard deviation {one.relative_std_total:.0%} (limit {limit:.0%})"
-                       "; consider fixing it at the design value")  # fmt: skip
-    if one.name == "G" and one.low_total is not None and one.high_total is not None:
-        ratios = {"E/3": 3.0, f"the design's E/{design_ratio:.3g}": design_ratio}
-        inside = [name for name, ratio in ratios.items() if one.low_total <= E / ratio <= one.high_total]
-        if inside:
-            caveats.append(f"consistent with {' and '.join(inside)}")
-    return caveats
+    if limit is None or one.relative_std_total < WEAK * limit:
+        return ""
+    return (f"weakly identifiable: standard deviation {one.relative_std_total:.0%} (limit {limit:.0%}); consider "
+            "fixing it at the design value")  # fmt: skip

@@ -384,9 +384,11 @@ def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
         estimated = {one.kind: one.scale for one in noise}
         settled = bool(scales) and all(abs(estimated[k] / scales[k] - 1.0) < 0.02 for k in estimated)
         scales = estimated
+        if not converged:  # contradictory tests: more steps change no more than the noise
+            break
         point, more, converged = minimise(problem, point, scales)
         iterations += more
-        if settled or not converged:
+        if settled:
             break
     return Fit("ok" if converged else "not_converged", point, scales, tuple(noise), iterations)
 

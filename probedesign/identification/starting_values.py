@@ -1,6 +1,7 @@
 """Starting values of a fit: a factor on E that explains the tests best, and each touch by its own reading."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,19 +13,35 @@ from probedesign.rod.rod import Rod
 
 START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5)
 """Factors on E to start from: published values of one resin differ by two."""
+MAX_COMPARED = 6
+"""Tests that the factors are compared by."""
 
 
 def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | None:
-    """Return the linearization with the least loss over factors on E, or at the design's E; None without a solution."""
-    best = None
-    for factor in START_FACTORS if free_E else START_FACTORS[:1]:
-        x = np.zeros(problem.common.size)
-        x[LOG_E] = np.log(factor)
-        point = linearize(problem, ParameterValues(problem.common, x),
-                          start_nuisance(problem.tests, problem.common.model.rod))  # fmt: skip
-        if point.ok and (best is None or point.loss({}) < best.loss({})):
-            best = point
-    return best
+    """Return the linearization with the least loss over factors on E, or at the design's E; None without a solution.
+
+    The factors are compared by tests that are spread over the campaign.
+    """
+    factors = START_FACTORS if free_E else START_FACTORS[:1]
+    n = len(problem.tests)
+    spread = np.unique(np.linspace(0, n - 1, min(n, MAX_COMPARED)).round().astype(int))
+    some = replace(problem, tests=tuple(problem.tests[i] for i in spread))
+    losses = []
+    for factor in factors if free_E else ():
+        point = _at_factor(some, factor)
+        losses.append(point.loss({}) if point.ok else np.inf)
+    for i in np.argsort(losses, kind="stable") if losses else (0,):
+        point = _at_factor(problem, factors[i])
+        if point.ok:
+            return point
+    return None
+
+
+def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
+    x = np.zeros(problem.common.size)
+    x[LOG_E] = np.log(factor)
+    nuisance = start_nuisance(problem.tests, problem.common.model.rod)
+    return linearize(problem, ParameterValues(problem.common, x), nuisance)
 
 
 def solvable_tests(

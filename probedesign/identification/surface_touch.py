@@ -88,7 +88,7 @@ class SurfaceTouch:
     @property
     def couple(self) -> Array:
         """Couple of the force about the axis, by the section as it is [N·m], (3,)."""
-        return self.radius * np.cross(self._directions[0][1], self.force)
+        return -self.radius * (skew(self.force) @ self._directions[0][1])
 
     @cached_property
     def _couple_jacobian(self) -> Array:
@@ -115,10 +115,10 @@ class SurfaceTouch:
         """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the root (3,) and the angle (3,)."""
         J = self._couple_jacobian
         h = self._directions[0][2]
-        root = self.radius * np.cross(self._by_root[1], self.force)
+        root = -self.radius * (skew(self.force) @ self._by_root[1])
         direct = J.copy()
         direct[:, COUPLE_COLUMNS] = 0.0
-        columns = np.column_stack([direct, root, self.radius * np.cross(h, self.force)])
+        columns = np.column_stack([direct, root, -self.radius * (skew(self.force) @ h)])
         found: Array = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns).astype(float, copy=False)
         return found[:, :-2], found[:, -2], found[:, -1]
 
