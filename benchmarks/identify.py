@@ -220,7 +220,8 @@ def _report_gross(workers: ProcessPoolExecutor) -> None:
                 continue
             found = np.array(list(workers.map(partial(_gross, name, i), range(GROSS_DRAWS))))
             refused, first, listed, seconds = found.T
-            rows.append([f"{name}: {error.words}", f"{refused.mean():.0%}", f"{first.mean():.0%}", f"{listed.mean():.0%}",
+            rows.append([f"{name}: {error.words}", f"{refused.mean():.0%}", f"{first.mean():.0%}",
+                         f"{listed.mean():.0%}",
                          shown(float(seconds.max()))])  # fmt: skip
             print("  ".join(rows[-1]), flush=True)
     print_table(f"Gross errors, {GROSS_DRAWS} campaigns each, all flaws of the bench besides",

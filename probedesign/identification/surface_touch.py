@@ -88,7 +88,7 @@ class SurfaceTouch:
     @property
     def couple(self) -> Array:
         """Couple of the force about the axis, by the section as it is [N·m], (3,)."""
-        return -self.radius * (skew(self.force) @ self._directions[0][1])
+        return np.asarray(-self.radius * (skew(self.force) @ self._directions[0][1]))
 
     @cached_property
     def _couple_jacobian(self) -> Array:

@@ -201,8 +201,8 @@ def _shifts(found: Identification) -> HtmlTable:
         for cause, of in found.causes.items()
     ]
     note = (
-        "One standard deviation each, of the prior in [tolerances] where there is one; the squares add up to that of the "
-        "number, which --write puts into [tolerances] and stiffness_spread."
+        "One standard deviation each, of the prior in [tolerances] where there is one; the squares add up to that of "
+        "the number, which --write puts into [tolerances] and stiffness_spread."
     )
     return HtmlTable(["error source", "contribution to the parameter"], rows, note)
 
