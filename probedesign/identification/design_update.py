@@ -15,8 +15,11 @@ from probedesign.identification.result import Identification, Identified
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
 """Parameters that a design file holds."""
 MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
-REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "mount.root_rigid_radii",
-                   "tolerances.root_radii")  # fmt: skip
+REPLACED_WITH_E = (
+    "material.stiffness_spread",
+    "tolerances.youngs_modulus_by_diameter",
+    "tolerances.root_radii",
+)
 """Keys that an identification of E replaces as well, where E was not identified before."""
 
 
@@ -93,6 +96,10 @@ def _replaceable(change: Change, design: Design) -> bool:
     if change.table == "material.provenance":
         return True
     key = f"{change.table}.{change.key}"
+    if key == "mount.root_rigid_radii":  # the default is assumed; any other value was set
+        default = type(design.mount).model_fields["root_rigid_radii"].default
+        E_identified = design.material.provenance.youngs_modulus_mpa == "identified"
+        return bool(design.mount.root_rigid_radii == default and not E_identified)
     for name, one in MATERIAL.items():
         if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
             provenance: str = getattr(design.material.provenance, _split_key(name)[1])

@@ -272,13 +272,21 @@ def _search(
         if lost is None:
             found = fit(problem, start)
             lost = unobservable_direction(found.point, found.weight, requested)
-            if lost is None:
+            if lost is None or _contradicts(found, requested):
                 return found, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)
     raise InputError(
         f"{data.where}: too few tests, or too weak ones: {'; '.join(one.description for one in unobservable)}"
     )
+
+
+def _contradicts(found: Fit, requested: Sequence[str]) -> bool:
+    """Return whether tests that would determine all parameters contradict each other, so that little weight is left."""
+    if unobservable_direction(found.point, np.ones(len(found.point.blocks)), requested) is not None:
+        return False
+    off = outliers(found.point.blocks, found.scales)
+    return bool(inconsistency(found.point.blocks, off, found.noise, found.point.problem.tests))
 
 
 def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[IdentificationData, Linearization]:

@@ -42,6 +42,8 @@ TARE_FRACTION = 0.05
 """Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
 Covers 1 % of density, 2 % of area and the change of the sag by a third of E (assumed)."""
 
+MAX_EXPONENT = 700.0
+"""Of a factor in a report: the end of an interval that is not bounded stays a finite number."""
 LENGTH_SCALE = 0.005
 """Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm."""
 POISSON, POISSON_STD = 0.49, 0.01
@@ -104,7 +106,7 @@ class Parameter:
     def reported(self, rod: Rod, x: float) -> float:
         """Return a component of the vector in the reported unit, for the given design rod."""
         design = self.design_value(rod)
-        return design * math.exp(x) if self.logarithm else design + self.scale * x
+        return design * math.exp(min(x, MAX_EXPONENT)) if self.logarithm else design + self.scale * x
 
     def format_std(self, std: float) -> str:
         """Return a standard deviation [vector unit] as text, `unbounded` beyond any meaningful value."""

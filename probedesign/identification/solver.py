@@ -39,8 +39,8 @@ READING_KINDS = ("markers", "wrenches", "touches", "places", "weights")
 ROBUST_KINDS = (*READING_KINDS, "stiffness", "friction")
 """Kinds whose scatter is estimated where it exceeds the stated one; the others are prior knowledge or single readings.
 Stiffness and friction of each touch scatter as readings do, and one may be far from the others."""
-MIN_FREEDOM = 5.0
-"""Degrees of freedom from which on a scatter is estimated: fewer leave it uncertain by a third."""
+MIN_FREEDOM = 1.0
+"""Degrees of freedom from which on a scatter is estimated; Student's t widens the intervals for few of them."""
 FULL_WEIGHT = 0.99
 """Quantile of χ² up to which a block has full weight."""
 REJECTION_CHANCE = 1e-3

@@ -33,8 +33,8 @@ def test_stage_campaign_identifies_E(found) -> None:
     E = found.of("E")
     assert found.result == "ok" and E is not None
     assert abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
-    # creep and gain, each about half a percent, and the readings
-    assert E.std / E.value < 0.015
+    # the readings 1.3 %, the root 0.6 %, length scale, mounting, gain and creep 0.3 to 0.5 % each
+    assert E.std / E.value < 0.025
     assert E.std_of_print > E.std  # of the material it is known worse: E·d⁴ was measured
 
 
